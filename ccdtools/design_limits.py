@@ -15,9 +15,10 @@ from ccdtools.arrays import Array, Immutable, Mask, frozen
 from ccdtools.checks import as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.limits import as_limits
-from ccdtools.plants.design_space import FEASIBLE, DesignSpace
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
 

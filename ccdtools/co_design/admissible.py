@@ -1,4 +1,4 @@
-"""The filter that keeps a design within its limits for ever, where the model holds."""
+"""Filter that keeps a design within its limits for ever, where the model holds."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from numpy.typing import ArrayLike
 
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import SET_SECONDS
 from ccdtools.exceptions import InputError
 from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
 
-TIME_LIMIT = 60.0  # s, of the set; what is invariant by then is taken
-
 
 def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Polytope | None = None) -> AdmissibleInputs:
-    """The inputs that keep the next state of the nominal model in X_fea(p), as a function of the state.
+    """Inputs that keep the next nominal state in X_fea(p), as a function of the state.
 
     Parameters
     ----------
@@ -33,7 +32,7 @@ def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Poly
     A, B, _ = problem.model.matrices(p)
     U = problem.input_limits(p)
     if into is None:
-        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, time_limit=TIME_LIMIT)
+        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, time_limit=SET_SECONDS)
         into = found.set
         if into.is_empty:
             got = f"{problem.design.describe(p)}, where no control invariant set in X was found ({found.status.name})"

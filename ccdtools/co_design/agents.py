@@ -8,12 +8,11 @@ import numpy as np
 
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import SAME_BOUNDS
 from ccdtools.controllers.learned import EDGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
-
-SAME_BOUNDS = 1e-5  # relative difference of the agent's action bounds from U that rounding to float32 explains
 
 
 def as_agent(agent: Any) -> ActorCritic | None:
@@ -65,7 +64,7 @@ def _check_actions(problem: CoDesignProblem, agent: ActorCritic) -> None:
 
 
 def _same_limits(problem: CoDesignProblem, agent: ActorCritic) -> bool:
-    """Whether both have limits that depend on the design, the same at designs all over the box."""
+    """True if both limits depend on the design and agree all over the box."""
     own, other = problem.U, agent.action_limits
     if not isinstance(own, DesignLimits) or other is None:
         return False

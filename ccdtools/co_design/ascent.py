@@ -1,4 +1,6 @@
-"""One co-design from one start: policy and design climb together, block by block, while it pays.
+"""Co-design from one start.
+
+Policy and design climb together, block by block, while it pays.
 
 Along the gradient through the model, a block is a climb by L-BFGS-B on a fixed set of scenarios, on which the return is
 a smooth function of policy and design; the next block draws another set, so that nothing is fitted to one. With PPO
@@ -22,7 +24,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import FEW, STEPS, Differences, Slope, check_gradients
+from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
@@ -34,15 +36,17 @@ from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.sample_average import Climb, SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.task import Iterate, Task
+from ccdtools.co_design.tolerances import (
+    FEW_PARAMETERS,
+    FINER_STEPS,
+    QUIET_BLOCKS,
+    QUIET_BLOCKS_LIMITED,
+    WORTHWHILE_VIOLATION,
+)
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
 from learning.ppo import decay_exploration
-
-LESS = 0.9  # of a violation is left where a block was worth it
-SLOPE_RUNS = 512  # scenarios of the slope that a status rests on
-QUIET_LIMITED = 3  # the same while multipliers of the state limits move
-QUIET = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}  # blocks without a gain that end it; PPO's first may only train V
 
 
 class Ascent:
@@ -82,7 +86,7 @@ class Ascent:
         self.blocks = 0
         self.quiet = 0
         self.longer = 1
-        self.step = STEPS[0]  # of the finite differences, where the design follows them
+        self.step = FINER_STEPS[0]  # of the finite differences, where the design follows them
         self.prices: Prices | None = None  # of leaving X, at the last cost
         self.rows: list[tuple] = []
         self.best = self.evaluated()
@@ -92,7 +96,7 @@ class Ascent:
 
     @property
     def ended(self) -> bool:
-        """Whether it has settled, or spent its budget."""
+        """True if the co-design has settled, or spent its budget."""
         return self.status is not None
 
     @property
@@ -102,12 +106,12 @@ class Ascent:
 
     @property
     def by_differences(self) -> bool:
-        """Whether the design follows finite differences in the place of the gradient through the model."""
+        """True if finite differences replace the design's gradient through the model."""
         wrong = self.check is not None and not self.check.trusted
-        return wrong and self.region.free.sum() <= FEW and self.task.config.design_gradient == "pathwise"
+        return wrong and self.region.free.sum() <= FEW_PARAMETERS and self.task.config.design_gradient == "pathwise"
 
     def block(self, bar: tqdm) -> None:
-        """One block of iterations, and what it brought."""
+        """Run one block of iterations and return what it brought."""
         config = self.task.config
         before = self.best
         length = min(self.longer * config.block, config.iterations - self.iterations)
@@ -127,7 +131,8 @@ class Ascent:
         improving = self._improved(before)
         self.quiet = 0 if improving else self.quiet + 1
         spent = self.iterations >= self.task.config.iterations
-        if not spent and self.quiet < (QUIET_LIMITED if self.limited else QUIET[self.task.method]):
+        enough = QUIET_BLOCKS_LIMITED if self.limited else QUIET_BLOCKS[self.task.method]
+        if not spent and self.quiet < enough:
             return
         climbing = self._climbs() if self.task.moving else False
         if climbing and not spent:
@@ -137,7 +142,7 @@ class Ascent:
         self.status = self._verdict(improving, climbing)
 
     def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
-        """How it ended, whatever its closed loop does."""
+        """Status of the co-design, whatever its closed loop does."""
         if self.task.moving and self._untrusted():
             return CoDesignStatus.GRADIENT_UNTRUSTED
         if improving:
@@ -148,17 +153,17 @@ class Ascent:
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
     def _improved(self, before: Iterate) -> bool:
-        """Whether the block brought a gain that is not chance and that matters, or fewer lost runs or violations."""
+        """True if the block brought a gain that matters, or fewer lost runs or violations."""
         best = self.best
-        if best.lost < before.lost or best.violation < LESS * before.violation:
+        if best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation:
             return True
         return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
 
     def _climbs(self) -> bool:
-        """Whether the return that iterates are scored by still rises along the design, inside the box."""
+        """True if the return that scores iterates still rises along the design, inside the box."""
         best = self.best
         judge = self.task.judge
-        scenarios = scenario_tensors(judge, fewer_runs(SLOPE_RUNS, judge.steps), self.rng)
+        scenarios = scenario_tensors(judge, fewer_runs(512, judge.steps), self.rng)
         prices = self.limits.prices(self._seen(best), best.v) if self.limits is not None and self.limited else None
         self.slope = measured_slope(Differences(judge, best.agent, scenarios, prices), best.v, self.region)
         return self.slope.promises(self._matters)
@@ -170,7 +175,7 @@ class Ascent:
 
     @property
     def _size(self) -> float:
-        """How large the best return is, without the cost of its design."""
+        """Size of the best return, without the cost of its design."""
         best = self.best
         return float(self.task.judge.made_by_control(best.score, to_design(self.task.judge, best.v)))
 
@@ -203,7 +208,10 @@ class Ascent:
             self.v.copy_(self.best.v)
 
     def _climb(self, length: int, bar: tqdm) -> None:
-        """At most so many evaluations of L-BFGS-B on one set of scenarios."""
+        """Climb by at most so many evaluations of L-BFGS-B.
+
+        All are on one set of scenarios.
+        """
         scenarios = self.drawn(self.task.config.pathwise_runs)
         samples = scenarios[1].shape[0] * scenarios[1].shape[1]
 
@@ -229,7 +237,7 @@ class Ascent:
         return self.limited
 
     def _follow(self, length: int, bar: tqdm) -> None:
-        """So many steps of Adam, and of PPO where it has a part, on fresh scenarios."""
+        """Take steps of Adam on fresh scenarios, and of PPO where it has a part."""
         for k in range(length):
             self.iterate(k, length)
             self.count(bar)
@@ -237,7 +245,7 @@ class Ascent:
                 self.keep(self.evaluated())
 
     def count(self, bar: tqdm) -> None:
-        """One more iteration."""
+        """Count one more iteration."""
         self.iterations += 1
         most = self.task.config.iterations
         at(f"iteration {self.iterations} of at most {most}", self.iterations / most)
@@ -276,7 +284,7 @@ class Ascent:
         return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), values.numpy(), violation, lost, outcome)
 
     def iterate(self, k: int, length: int) -> None:
-        """One step of the policy and one of the design; the rates are those of iteration k of a block."""
+        """Take one step of policy and design, at the rates of iteration k."""
         task = self.task
         config = task.config
         factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / length))
@@ -297,7 +305,10 @@ class Ascent:
             self._move_design(gradient, factor)
 
     def _follow_model(self, factor: float) -> Tensor:
-        """The design's gradient of the relative return through the dynamics; the policy takes a step on its own."""
+        """Gradient of the relative return by the design through the dynamics.
+
+        The policy takes a step on its own.
+        """
         task = self.task
         scenarios = self.drawn(task.config.pathwise_runs)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
@@ -316,7 +327,7 @@ class Ascent:
         return -design_gradient
 
     def _move_design(self, gradient: Tensor, factor: float) -> None:
-        """Adam in the unit box on the clipped gradient, then back into the bounds and the constraints."""
+        """Move the design by Adam on the clipped gradient, then back into bounds and constraints."""
         gradient = self.region.masked(gradient)
         norm = gradient.norm()
         if not norm.isfinite():
@@ -344,7 +355,7 @@ class Ascent:
         return History(*(np.array(column) for column in zip(*self.rows)))
 
     def convergence(self) -> Convergence:
-        """What the status rests on."""
+        """Evidence that the status rests on."""
         slope = self.slope
         return Convergence(self.gain, slope.mean, slope.error, self.by_differences, self.blocks, self.iterations)
 

@@ -17,13 +17,11 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import Effort, SetCounts, affordable_designs, found_sets
+from ccdtools.co_design.set_choice import SetBudget, SetCounts, affordable_designs, found_sets
+from ccdtools.co_design.tolerances import ACCEPTED_SHARE, CANDIDATES_PER_START
 from ccdtools.design_limits import DesignLimits, Limits, bounds_at
 from ccdtools.exceptions import InputError
 from invariant_sets import ParametricSet, Polytope
-
-ENOUGH = 0.25  # accepted candidates below which the others are moved into their sets
-CANDIDATES_PER_START = 4  # candidates for each loop that begins where the episodes begin
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,7 @@ class Starts:
 
 
 def starts(
-    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, effort: Effort,
+    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, budget: SetBudget,
     rng: np.random.Generator,
 ) -> Starts:  # fmt: skip
     """Accepted candidates, and starts of episodes.
@@ -69,8 +67,8 @@ def starts(
     nx = problem.model.nx
     reason = ""
     clock = time.thread_time()
-    if effort.option == "auto" and distinct is None:
-        distinct, reason = affordable_designs(problem, family, samples, effort)
+    if budget.option == "auto" and distinct is None:
+        distinct, reason = affordable_designs(problem, family, samples, budget)
     probing = time.thread_time() - clock
     shared = distinct or samples
     cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
@@ -79,17 +77,17 @@ def starts(
         p = problem.design.latin_hypercube(shared, rng)[np.arange(samples) % shared]
     lower, upper = bounds_at(problem.X, p)
     x = lower + cube[:, :nx] * (upper - lower)
-    pool = _Pool.of(problem, p, family, effort, reason)
+    pool = _Pool.of(problem, p, family, budget, reason)
     everyone = np.arange(samples)
     inside = pool.contains(x, everyone)
     acceptance = float(inside.mean())
-    if acceptance < ENOUGH:
+    if acceptance < ACCEPTED_SHARE:
         outside = np.flatnonzero(~inside)
         x[outside] = pool.moved_in(x[outside], outside)
         inside[outside] = pool.contains(x[outside], outside)
     if not inside.any():
         where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
-        got = f"{samples} candidates of which none lies in {where[effort.option]}"
+        got = f"{samples} candidates of which none lies in {where[budget.option]}"
         cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
         raise InputError("samples", got, "at least one", cure)
     first = everyone[: -(-samples // CANDIDATES_PER_START)]
@@ -105,7 +103,7 @@ def starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pool:
-    """All candidates: X_fea of each design where it is known, the region of LQR elsewhere, or else X alone."""
+    """Candidates with X_fea of each design, else the region of LQR, else X."""
 
     X: Limits
     p: Array
@@ -116,16 +114,16 @@ class _Pool:
 
     @classmethod
     def of(
-        cls, problem: CoDesignProblem, p: Array, family: ParametricSet, effort: Effort, reason: str
+        cls, problem: CoDesignProblem, p: Array, family: ParametricSet, budget: SetBudget, reason: str
     ) -> _Pool:  # fmt: skip
-        """The candidates with designs p (n, np); no set is computed if there is a reason against it."""
+        """Candidates with designs p (n, np); without sets if a reason speaks against them."""
         regions = LQRRegions.of(problem, p)
-        by_region = effort.option != "none" and regions.rows is not None
-        if effort.option == "auto" and not reason:
-            sets, counts = found_sets(family, p, effort)
+        by_region = budget.option != "none" and regions.rows is not None
+        if budget.option == "auto" and not reason:
+            sets, counts = found_sets(family, p, budget)
         else:
             sets = [None] * len(p)
-            counts = SetCounts(effort.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{effort.option}"')
+            counts = SetCounts(budget.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{budget.option}"')
         if not by_region:
             counts = replace(counts, lqr=0, limits=counts.lqr)
         return cls(problem.X, p, sets, regions, counts, by_region)
@@ -143,7 +141,7 @@ class _Pool:
         return inside
 
     def may_begin(self, x0: Array, runs: Indices) -> Mask:
-        """Whether the expert can be followed from x0[i]: within X_fea where it is known, else anywhere."""
+        """True if the expert can be followed from x0[i]: within a known X_fea, else anywhere."""
         allowed = self.regions.stabilised[runs]
         for k in np.flatnonzero(allowed):
             own = self.sets[runs[k]]
@@ -151,8 +149,9 @@ class _Pool:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """Each state at the fraction of its ray to the boundary of its set that it had to the boundary of X; the state
-        itself where the set is flat or empty.
+        """States moved along their rays into their sets, at the fraction of the ray that they had in X.
+
+        Where the set is flat or empty, it is the state itself.
         """
         fraction = np.minimum(self._gauges(x, runs), 1.0)
         own = [self.sets[i] for i in runs]
@@ -164,7 +163,7 @@ class _Pool:
         return scale[:, None] * x
 
     def _gauges(self, x: Array, runs: Indices) -> Array:
-        """The least factors (k,) by which X has to be scaled to hold the states (k, nx) of these candidates."""
+        """Least factors (k,) by which X holds the states (k, nx) of these candidates."""
         if not isinstance(self.X, DesignLimits):
             return _gauge(self.X, x)
         lower, upper = self.X.bounds(self.p[runs])
@@ -174,7 +173,7 @@ class _Pool:
 
 
 def _gauge(S: Polytope, x: Array) -> Array:
-    """The least factors (k,) by which S has to be scaled to hold the states (k, nx); inf where 0 is not inside S."""
+    """Least factors (k,) by which S holds the states (k, nx); inf if 0 is not inside S."""
     if S.is_empty or len(S.b_eq) or not (S.b > 0).all():
         return np.full(len(x), np.inf)
     return np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny)

@@ -31,7 +31,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         ...
 
     def run(
@@ -143,7 +143,7 @@ def as_method(method: str | Method, **learning: Any) -> Method:
 
 
 def _own_generator(rng: np.random.Generator) -> np.random.Generator:
-    """A generator for the scenarios that results are measured on, which takes nothing from the stream of `rng`."""
+    """Generator of evaluation scenarios, which takes nothing from the stream of `rng`."""
     try:
         return rng.spawn(1)[0]
     except TypeError:  # a bit generator without a seed sequence

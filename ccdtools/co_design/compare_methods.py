@@ -112,7 +112,7 @@ def _compared(
     problem: CoDesignProblem, seed: int, ends: Mapping[str, CoDesignResult | str], reference: str,
     known: dict[str, Pairs],
 ) -> MethodComparison:  # fmt: skip
-    """The comparison of the methods that have ended; `known` keeps what was measured for each reference."""
+    """Comparison of the methods that have ended; `known` keeps the measurements for each reference."""
     results = {name: end for name, end in ends.items() if isinstance(end, CoDesignResult)}
     if reference not in results and results:
         reference = next(iter(results))
@@ -129,7 +129,7 @@ def _compared(
 def _run(
     problem: CoDesignProblem, seed: int, design: Array | None, progress: bool, method: Method
 ) -> CoDesignResult | str:
-    """What a method finds, or why it refuses."""
+    """Result of a method, or the reason why it refuses."""
     try:
         found = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
         if getattr(method, "judge", None) is None:

@@ -1,4 +1,4 @@
-"""How a co-design runs."""
+"""Settings of a co-design."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DESIGN_GRADIENTS = ("pathwise", "network_input")
 
 @dataclass(frozen=True)
 class CoDesignConfig:
-    """How a co-design runs.
+    """Settings of a co-design.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ from ccdtools.plants.symbolic_functions import as_symbolic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CustomObjective(Objective):
-    """Reward r = −ℓ(x, u, p) of the present state and input, and −V_f(x_N, p) at the end: any cost in CasADi.
+    """Any cost in CasADi: r = −ℓ(x, u, p) of a present state and input, −V_f(x_N, p) at the end.
 
     Weights that depend on the design, costs of outputs, economic costs and soft limits are of this kind. LQR and MPC
     take half the Hessian of ℓ about x = 0, u = 0 for their weights.
@@ -61,7 +61,7 @@ class CustomObjective(Objective):
         return f"{type(self).__name__}({self.stage_cost})"
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
-        """Rewards (...,) of states (..., nx) and inputs (..., nu) at designs (np,) or (..., np)."""
+        """Rewards (...,) of states (..., nx), inputs (..., nu) and designs (..., np)."""
         if x is None or p is None:
             raise InputError("x, p", "nothing", "the states before the step and the design, which the cost needs")
         return -self.stage_cost.scalar(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)[..., 0]
@@ -73,14 +73,14 @@ class CustomObjective(Objective):
         return -self.terminal_cost.scalar(x.shape[-1], p.shape[-1])(x, p)[..., 0]
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """The given Q and R, or half the Hessian of ℓ about rest at a design (np,)."""
+        """Weights given, or half the Hessian of ℓ about rest at a design (np,)."""
         if self.Q is not None:
             return Weights(self.Q, self.R)
         H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
         return _checked_weights(H, nx, p)
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
-        """Derivatives (·, ·, np) of the weights by the design: of half the Hessian of ℓ, unless they are given."""
+        """Derivatives (·, ·, np) of the weights, given or of half the Hessian of ℓ."""
         if self.Q is not None:
             return super().weight_derivatives(p, nx, nu)
         symbol = ca.SX.sym("p", len(p))
@@ -91,7 +91,7 @@ class CustomObjective(Objective):
         return Weights(T[:nx, :nx], T[nx:, nx:], T[:nx, nx:])
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """Whether a cost depends on any of its arguments, or there is one of the design."""
+        """True if a cost depends on an argument, or the design has one."""
         if self.design_cost is not None or self.stage_cost.depends(nx, nu, designs):
             return True
         return self.terminal_cost is not None and bool(self.terminal_cost.depends(nx, designs))
@@ -115,7 +115,9 @@ class CustomObjective(Objective):
 
 
 def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any) -> CustomObjective:
-    """The cost yᵀ W y + uᵀ R u of a plant's outputs y = h(x, u, p): body acceleration, tyre load, force in a joint.
+    """Cost yᵀ W y + uᵀ R u of a plant's outputs y = h(x, u, p).
+
+    Outputs may be body acceleration, tyre load or the force in a joint.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any)
     observe = plant.output
 
     def stage_cost(x: Any, u: Any, p: Any) -> Any:
-        """Of CasADi columns."""
+        """Cost of a step, of CasADi columns."""
         y = observe(x, u, p)
         return y.T @ W @ y + u.T @ given @ u
 

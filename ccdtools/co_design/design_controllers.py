@@ -1,4 +1,4 @@
-"""The usual controllers of a design: what a nested search closes the loop with, and every policy is compared with."""
+"""Usual controllers of a design, for nested search and comparison with policies."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from mpc import LinearMPC, NotStabilisableError, lqr
 if TYPE_CHECKING:
     from mpc.optimal_control import NonlinearMPC
 
-HORIZON = 20  # steps, of the MPC
+HORIZON = 20  # The MPC looks ahead so many steps.
 CONTROL = ("lqr", "mpc")
 ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its tangent at rest, or a note says more."
 
 
 def tangent_note(problem: CoDesignProblem) -> str:
-    """That LQR and what is made of it stand on the tangent at rest; empty where the plant is linear."""
+    """Note that LQR and its kind stand on the tangent at rest; empty if linear."""
     return ON_TANGENT if isinstance(problem.model, SampledModel) else ""
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """The LQR of the nominal model at one design, with its inputs clipped to U, or to U(p)."""
+    """LQR of the nominal model at one design, clipped to U or U(p)."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
@@ -39,7 +39,7 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
 
 
 def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
-    """MPC of the nominal model at one design, or of its linearisation at rest, within the limits of that design."""
+    """MPC of the nominal model or its linearisation at rest, within one design's limits."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)

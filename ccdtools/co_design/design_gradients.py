@@ -1,4 +1,4 @@
-"""How the return changes with the design, run by run: through the model, and by finite differences beside it."""
+"""Gradients of each run's return by the design, through the model and by differences."""
 
 from __future__ import annotations
 
@@ -15,30 +15,25 @@ from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_num
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.differentiable_model import ScenarioTensors, in_double, scenario_tensors, to_design
 from ccdtools.co_design.episodes import episode_at, fewer_runs
-from ccdtools.co_design.learned_result import LEVEL, GradientCheck
+from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.ppo_part import network_input_gradient
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import AGREEING, FINER_STEPS, LEVEL_SLOPE, SIGNIFICANT, SLOPE_AHEAD, UNRESOLVED_SLOPE
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 
-STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # of the central differences, in the unit box
-AGREEING = 0.05  # of a gradient: two steps that differ by less show the same
-FEW = 6  # parameters, up to which differences may take the place of the gradient through the model
-
-SIGNIFICANT = 3.0  # standard errors of a slope that is not chance
-AHEAD = 0.1  # of the box: over this distance a slope must predict a gain that matters
-UNRESOLVED = 0.05  # of the return over the distance ahead: a slope with such an error says nothing
-
 
 def inside(v: Tensor, step: float) -> Tensor:
-    """The point closest to `v` from which a step to either side stays in the unit box."""
+    """Point closest to `v` from which steps to both sides stay in the unit box."""
     return v.detach().clamp(step, 1.0 - step)
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Central differences of every run's return under common random numbers, in the unit box and double precision.
+    """Central differences of every run's return, under common random numbers.
+
+    They are taken in the unit box and in double precision.
 
     Attributes
     ----------
@@ -60,7 +55,7 @@ class Differences:
         object.__setattr__(self, "scenarios", tuple(part.double() for part in self.scenarios))
 
     def about(self, v: Tensor, step: float) -> Tensor:
-        """Slopes (n, np) about a point of the unit box, or about the nearest one from which the step stays inside."""
+        """Slopes (n, np) about a point of the unit box, or the nearest with room for the step."""
         centre = inside(v.double(), step)
         columns = []
         for i, free in enumerate(self.problem.design.free):
@@ -79,13 +74,13 @@ class Differences:
         """
         centre = v.detach().double()
         size = self.problem.made_by_control(self._returns(centre).mean(), to_design(self.problem, centre))
-        slope = self.about(v, STEPS[0]).mean(0)
-        for step, finer in pairwise(STEPS):
+        slope = self.about(v, FINER_STEPS[0]).mean(0)
+        for step, finer in pairwise(FINER_STEPS):
             finer_slope = self.about(v, finer).mean(0)
-            if (finer_slope - slope).norm() <= AGREEING * finer_slope.norm() + LEVEL * size:
+            if (finer_slope - slope).norm() <= AGREEING * finer_slope.norm() + LEVEL_SLOPE * size:
                 return step
             slope = finer_slope
-        return STEPS[-1]
+        return FINER_STEPS[-1]
 
     @torch.no_grad()
     def _returns(self, v: Tensor) -> Tensor:
@@ -114,7 +109,7 @@ def standard_error(by_run: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the mean return rises with the design, as far as the unit box has room."""
+    """Rise of the mean return with the design, where the unit box has room."""
 
     # finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room
     mean: Array  # (np,)
@@ -132,12 +127,12 @@ class Slope:
 
     @classmethod
     def measured(cls, differences: Differences, v: Tensor) -> Slope:
-        """At a point of the unit box."""
+        """Slope by differences at a point of the unit box."""
         return cls.of(differences.about(v, differences.step(v)), v)
 
     @classmethod
     def of(cls, by_run: Tensor, v: Tensor) -> Slope:
-        """From the slopes of every run (n, np) at a point of the unit box."""
+        """Slope from those of every run (n, np) at a point."""
         both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])
         point = v.double().numpy()
         room = np.where(both[0] > 0, 1.0 - point, point)
@@ -146,20 +141,20 @@ class Slope:
         return cls(inside_box[0], inside_box[1], room, across[0], across[1])
 
     def promises(self, gain: float) -> bool:
-        """Whether a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
-        return _brings(self.mean, self.error, np.minimum(self.room, AHEAD), gain)
+        """True if a slope beyond chance that falls to zero ahead brings the gain."""
+        return _brings(self.mean, self.error, np.minimum(self.room, SLOPE_AHEAD), gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
         """Whether a wider box brings such a gain."""
-        return _brings(self.across, self.across_error, np.full(len(self.across), AHEAD), gain)
+        return _brings(self.across, self.across_error, np.full(len(self.across), SLOPE_AHEAD), gain)
 
     def unresolved(self, size: float) -> bool:
-        """Whether its error is so large, beside returns of that size, that it says nothing."""
-        return bool((self.error * AHEAD > UNRESOLVED * size).any() or not np.isfinite(self.error).all())
+        """True if the error is too large beside returns of that size."""
+        return bool((self.error * SLOPE_AHEAD > UNRESOLVED_SLOPE * size).any() or not np.isfinite(self.error).all())
 
 
 def _brings(slope: Array, error: Array, distance: Array, gain: float) -> bool:
-    """Whether any slope (np,) beyond chance, falling to zero over its distance, brings such a gain."""
+    """True if a slope (np,) beyond chance that falls to zero over its distance brings the gain."""
     return bool(((np.abs(slope) > SIGNIFICANT * error) & (np.abs(slope) * distance / 2 > gain)).any())
 
 

@@ -1,4 +1,4 @@
-"""How the optimal cost and the control law change with the design: LQR, linear MPC and nonlinear MPC of a problem."""
+"""Sensitivity of optimal cost and law to the design: LQR, linear and nonlinear MPC."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Detail: TypeAlias = LQRSensitivity | PlanSensitivity
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignSensitivity(Immutable):
-    """Derivatives of the optimal cost from a state, and of the control law there, by state and design.
+    """Derivatives of optimal cost and control law at a state, by state and design.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class DesignSensitivity(Immutable):
 
     @property
     def elasticities(self) -> Array:
-        """By how many per cent J* changes with each design parameter per per cent, (np,); 0 where J* is nothing."""
+        """Change of J* [%] per per cent of each parameter (np,); 0 if J* is 0."""
         return self.cost_by_design * self.design / self.cost if self.cost else np.zeros_like(self.design)
 
 
@@ -67,7 +67,7 @@ def design_sensitivity(
     problem: CoDesignProblem, design: ArrayLike, x0: ArrayLike | None = None, *, controller: str = "lqr",
     horizon: int = HORIZON,
 ) -> DesignSensitivity:  # fmt: skip
-    """How optimal cost and control law of the undisturbed model change with the design, exactly.
+    """Exact slopes of the undisturbed model's optimal cost and law by the design.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def design_sensitivity(
 
 
 def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
-    """The LQR of a design (np,), with the derivatives of its gain and its cost by the design."""
+    """LQR of a design (np,), with the derivatives of its gain and cost."""
     A, B, _ = problem.model.matrices(p)
     dA, dB, _ = problem.model.derivatives(p)
     return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **_weight_changes(problem, p))
@@ -169,7 +169,7 @@ def _of_mpc(
 
 
 def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:
-    """∂b/∂p (rows, np) of the facets a'v <= b of a box that depends on the design."""
+    """Slopes ∂b/∂p (rows, np) of the facets a'v <= b of a box that depends on p."""
     bounds = own.both.function(own.entries)
     symbol = ca.SX.sym("p", own.entries)
     J = np.asarray(ca.Function("changes", [symbol], [ca.densify(ca.jacobian(bounds(symbol), symbol))])(p), dtype=float)

@@ -39,7 +39,7 @@ class _Matrices(torch.autograd.Function):
 
 
 def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A, B, E at a design tensor (np,), or stacked along axis 0 at designs (n, np); differentiable in it."""
+    """Matrices A, B, E at a design tensor (np,), or stacked for (n, np)."""
     columns = model.nx + model.nu + model.nw
     flat = _Matrices.apply(p, model) if p.ndim == 1 else torch.stack([_Matrices.apply(one, model) for one in p])
     M = flat.unflatten(-1, (columns, model.nx)).mT
@@ -53,7 +53,7 @@ def in_double(problem: CoDesignProblem) -> CoDesignProblem:
 
 
 def to_design(problem: CoDesignProblem, v: Tensor) -> Tensor:
-    """The design tensor of a point `v` in the unit box; of many, (n, np), one by one."""
+    """Design tensor of a point `v` in the unit box, or of many (n, np)."""
     lower = v.new_tensor(problem.design.lower.tolist())
     return lower + v * (v.new_tensor(problem.design.upper.tolist()) - lower)
 
@@ -78,7 +78,7 @@ class Stepper:
 
     @classmethod
     def for_each(cls, problem: CoDesignProblem, designs: Tensor, runs: int) -> Stepper:
-        """The model at designs (m, np), `runs` runs for each in turn: m · runs in all."""
+        """Model at designs (m, np), with `runs` runs for each in turn."""
         A, B, E = (M.repeat_interleave(runs, dim=0) for M in matrices(problem.model, designs))
         return cls._of(problem, designs.repeat_interleave(runs, dim=0), (A, B, E))
 
@@ -95,7 +95,7 @@ class Stepper:
         return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
     def drive(self, w: Tensor) -> Tensor:
-        """What a disturbance (n, T, nw) adds to the states of a linear model, (n, T, nx).
+        """Effect of a disturbance (n, T, nw) on the states of a linear model, (n, T, nx).
 
         The disturbance itself where the model is not linear, the noise itself where errors are learned.
         """
@@ -103,7 +103,7 @@ class Stepper:
         return w if plain else _times(self.E, w)
 
     def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Next states and errors (n, nx), and the penalty (n,) of a learned error if there is one."""
+        """Next states and errors (n, nx), with any penalty (n,) of a learned error."""
         discrepancy = self.problem.discrepancy
         if isinstance(self.problem.model, SampledModel):
             return self._sampled(self.problem.model, x, e, u, drive)
@@ -117,7 +117,7 @@ class Stepper:
     def _sampled(
         self, model: SampledModel, x: Tensor, e: Tensor, u: Tensor, drive: Tensor
     ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """The same of a model that is not linear."""
+        """Next states, errors and penalties of a model that is not linear."""
         discrepancy = self.problem.discrepancy
         if discrepancy is None:
             return model.pathwise(x, u, drive, self.p), e, ()
@@ -127,13 +127,13 @@ class Stepper:
         return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
 
     def rewards(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
-        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu) and present states, asked for in one call."""
+        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu) and present states, in one call."""
         p = self.p if self.p.ndim == 1 else self.p.expand(len(x), *self.p.shape).flatten(0, 1)
         rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1), x.flatten(0, 1), p)
         return rewards.unflatten(0, x_next.shape[:2])
 
     def final_rewards(self, x: Tensor) -> Tensor | None:
-        """What the states (n, nx) at the end of an episode add, (n,); None where nothing does."""
+        """Rewards (n,) of the states (n, nx) that end an episode; None if nothing counts."""
         final: Tensor | None = self.problem.objective.final_rewards(x, self.p)
         return final
 
@@ -142,7 +142,7 @@ class Stepper:
         return ~(x.abs() <= self.limit).all(-1)
 
     def outside(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
-        """How far steps are outside the limits, (..., n): the largest violation, in half-widths.
+        """Largest violation of the limits by steps (..., n), in half-widths.
 
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """
@@ -158,18 +158,18 @@ class Stepper:
 
     @cached_property
     def _facets(self) -> tuple[Tensor, Tensor]:
-        """X as F x ≤ g, each row divided by the half-width of X along it."""
+        """Rows F x ≤ g of X, each divided by the half-width of X along it."""
         limits = StateLimits(widest(self.problem.X))
         return self.limit.new_tensor(limits.rows.tolist()), self.limit.new_tensor(limits.bounds.tolist())
 
 
 def _times(M: Tensor, x: Tensor) -> Tensor:
-    """M x for vectors (n, T, k) and one matrix, or a matrix (n, m, k) for each run."""
+    """Products M x of vectors (n, T, k) with a matrix, one for all or one a run."""
     return x @ M.mT
 
 
 def _plus_times(y: Tensor, M: Tensor, x: Tensor) -> Tensor:
-    """y + M x for vectors (n, ·) and one matrix, or a matrix for each run."""
+    """Sums y + M x for vectors (n, ·), with one matrix for all or one a run."""
     if M.ndim == 2:
         return torch.addmm(y, x, M.T)
     return torch.baddbmm(y[:, None], x[:, None], M.mT)[:, 0]
@@ -181,7 +181,10 @@ def observe(x: Tensor, p: Tensor) -> Tensor:
 
 
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> ScenarioTensors:
-    """`runs` scenarios of a problem as float32 tensors: (n, nx) and (n, T, nw); of a worst case one a case at least."""
+    """Scenarios of a problem as float32 tensors (n, nx) and (n, T, nw).
+
+    There are `runs` of them; a worst case has at least one a case.
+    """
     runs = max(runs, fewest_runs(problem.risk))
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     if problem.discrepancy is not None and problem.discrepancy.noise == "quantiles":

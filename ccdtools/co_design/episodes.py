@@ -1,4 +1,4 @@
-"""Whole episodes of a policy on the differentiable model: returns, divergence, and how far they leave X.
+"""Episodes of a policy on the differentiable model: returns, divergence and violations of X.
 
 Long episodes are cut into segments that are computed again on the way back, so that memory grows with the square root
 of their length and the gradient stays exact.
@@ -20,18 +20,15 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import HELD_SAMPLES, LONGEST_SEGMENT
 from learning.networks import ActorCritic, scaled
-
-LONGEST_SEGMENT = 100  # steps whose intermediate values are held at once
-HELD = 256 * 2 * LONGEST_SEGMENT  # samples of all runs whose intermediate values may be held, however many steps
-FEWEST = 16  # parallel episodes, however long they are
 
 Law = Callable[[Tensor], Tensor]
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What came of n episodes; returns and depths are differentiable."""
+    """Outcome of n episodes; returns and violations are differentiable."""
 
     total: Tensor  # (n,): undiscounted returns, in double precision
     diverged: Tensor  # (n,) bool: runs that passed the divergence limit; they are frozen there and earn nothing more
@@ -43,7 +40,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class _Progress:
-    """Where n episodes stand after a segment: states, errors of the model, and the sums so far."""
+    """State of n episodes after a segment: states, model errors and sums so far."""
 
     x: Tensor
     e: Tensor
@@ -81,14 +78,14 @@ def episode(
 
 
 def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
-    """Episodes of any law, states (n, nx) → inputs (n, nu), on a model at its design."""
+    """Episodes of a law, states (n, nx) → inputs (n, nu), at a design."""
     x0, w = scenarios
     warm_up = step.problem.warm_up
     steps = w.shape[1] - warm_up
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
     progress = _Progress(x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
-    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD
+    recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD_SAMPLES
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
 
     def advanced(progress: _Progress, w: Tensor) -> _Progress:
@@ -156,7 +153,7 @@ def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) 
 
 
 def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progress) -> tuple[Tensor, ...]:
-    """As `_segment`, with every run frozen from the step at which it passed the divergence limit."""
+    """Like `_segment`, with each run frozen once it passes the divergence limit."""
     drive = step.drive(w)
     x, e, running, total, depth, peak, outside = progress.tensors()
     for k in range(w.shape[1]):
@@ -177,14 +174,14 @@ def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progre
 
 
 def mean_law(agent: ActorCritic, p: Tensor) -> Law:
-    """The mean policy at design `p` (np,) or (n, np), as a function of the states (n, nx)."""
+    """Mean policy at design `p` (np,) or (n, np), as a function of states (n, nx)."""
     latent = latent_law(agent, p)
     action_range = agent.action_range(p)
     return lambda x: scaled(latent(x), action_range)
 
 
 def latent_law(agent: ActorCritic, p: Tensor) -> Law:
-    """The latent actions (n, nu) of the mean policy, not clipped, as a function of the states (n, nx)."""
+    """Latent actions (n, nu) of the mean policy, not clipped, from states (n, nx)."""
     layers = agent.mean_network.at(p, agent.observation_offset, agent.observation_scale)
     return lambda x: layers(x, torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
 
@@ -197,5 +194,8 @@ def episode_at(
 
 
 def fewer_runs(runs: int, steps: int) -> int:
-    """Parallel episodes of `steps` steps that hold about as many samples as `runs` of 100; at least 16 of `runs`."""
-    return max(min(runs, FEWEST), min(runs, math.ceil(runs * 100 / steps)))
+    """Number of episodes of `steps` steps with about as many samples as `runs` of 100.
+
+    It is at least 16 of `runs`.
+    """
+    return max(min(runs, 16), min(runs, math.ceil(runs * 100 / steps)))  # at least 16 episodes

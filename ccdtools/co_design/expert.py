@@ -1,4 +1,4 @@
-"""What an expert would do, over the whole box of states and designs.
+"""Expert inputs over the whole box of states and designs.
 
 References
 ----------
@@ -18,7 +18,8 @@ from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_p
 from ccdtools.co_design.candidates import Starts, starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import SETS, Effort, SetCounts, limited
+from ccdtools.co_design.set_choice import SETS, SetBudget, SetCounts, limited
+from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
@@ -27,9 +28,6 @@ from ccdtools.progress import Echo, telling
 from invariant_sets import ParametricSet
 
 EXPERTS = ("lqr", "mpc", "explicit")
-TIME_LIMIT = 20.0  # for all sets [s], as work of a usual processor
-ON_EDGE = 1e-3  # of the set's range along a row: inputs at the border of what is admissible end on it
-FAR = 2.0  # largest |x|, in half-widths of X, that is imitated: a run that is being lost teaches nothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,9 +73,9 @@ def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
 
 
 def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:
-    """Fraction of the states (n, nx) in known sets from which a step of the model ends outside; 0 without any."""
+    """Fraction of the states (n, nx) in known sets that one model step leads outside; 0 without any."""
     after = np.asarray(model.advance(x, u, np.zeros(model.nw), begin.p))
-    kept = [S.contains(after[i], ON_EDGE) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
+    kept = [S.contains(after[i], EDGE_OF_SET) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
     return 1.0 - float(np.mean(kept)) if kept else 0.0
 
 
@@ -97,7 +95,7 @@ def expert_dataset(
     horizon: int = 10,
     designs: int | None = None,
     sets: ParametricSet | str = "auto",
-    time_limit: float | None = TIME_LIMIT,
+    time_limit: float | None = 20.0,
     progress: bool = False,
     echo: Echo | None = None,
 ) -> ExpertData:
@@ -154,13 +152,13 @@ def expert_dataset(
     if echo is not None and not callable(echo):
         raise InputError("echo", shown(echo), "a function that takes a line of text, or None")
     option = "auto" if isinstance(sets, ParametricSet) else as_choice("sets", sets, SETS)
-    effort = Effort(option, limit, progress)
+    budget = SetBudget(option, limit, progress)
     with telling(echo, "the expert's data"):
-        family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), effort)
-        begin = starts(problem, family, samples, designs, effort, rng)
+        family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), budget)
+        begin = starts(problem, family, samples, designs, budget, rng)
         loops = ExpertLoops(problem, begin, expert, horizon, progress=progress)
         found = follow(problem, loops, gamma, rng, progress=progress)
-    known = (np.abs(found.states) <= FAR * problem.state_scale).all(axis=2)  # NaN is not
+    known = (np.abs(found.states) <= IMITATED * problem.state_scale).all(axis=2)  # NaN is not
     designs_of_all = np.broadcast_to(begin.p, (*found.states.shape[:2], begin.p.shape[1]))
     inputs = np.concatenate([found.states, designs_of_all], axis=2)
     lost = float(np.isnan(found.values[0, : begin.candidates]).mean())

@@ -1,4 +1,4 @@
-"""The expert's closed loops, one design each, and the filter that keeps their next states in X_fea(p)."""
+"""Closed loops of the expert, one design each, with filters that keep them in X_fea(p)."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import LED_BACK, VALUE_TAIL, VISITS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
 from mpc import LinearMPC
 
-VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # steps of each closed loop whose states join the data
-TAIL = 400  # further steps that the values look ahead; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated
-NEAR = 0.1  # of the set's range along a row: a state that the noise carried out is led back, one far outside is not
-AT_ONCE = 2**21  # numbers of one product of rows and states, 16 MiB
-
 
 @dataclass(frozen=True)
 class Followed:
-    """States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN where a run has diverged."""
+    """States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits.
+
+    They are NaN where a run has diverged.
+    """
 
     states: Array
     actions: Array
@@ -36,9 +35,9 @@ class Followed:
 def follow(
     problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *, progress: bool = False
 ) -> Followed:
-    """The loops on the problem's own model under what drives its episodes, looked at after `VISITS` steps."""
+    """Closed loops on the problem's own model and disturbances, recorded after `VISITS` steps."""
     x = loops.starts.x
-    steps = VISITS[-1] + TAIL
+    steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
     step = NominalSteps(loops.starts.regions) if problem.discrepancy is None else UpdatedSteps(problem, loops.starts.p)
     rewards = np.empty((steps, len(x)))
@@ -54,7 +53,7 @@ def follow(
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
         earned = problem.objective.rewards(x, u, before, loops.starts.p) - penalty
         rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)
-    future = rewards[-TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
+    future = rewards[-VALUE_TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
     values = []
     for k in reversed(range(steps)):
         future = rewards[k] + gamma * future
@@ -120,7 +119,7 @@ class NominalSteps:
 
 
 class UpdatedSteps:
-    """Steps of a model with its learned error, at one design for each run; the errors are their memory."""
+    """Steps of a model at one design a run; their memory is the learned error."""
 
     def __init__(self, problem: CoDesignProblem, p: Array) -> None:
         self._step = Stepper.at(problem, torch.tensor(p, dtype=torch.float32))
@@ -140,7 +139,7 @@ class UpdatedSteps:
 
 
 class SetFilters:
-    """Inputs that keep the next nominal state in X_fea of each run, where the set is known and the state in or near it.
+    """Inputs that keep each run's next nominal state in its known X_fea, from in it or near.
 
     Runs of one design share a filter, and products of all rows with all states are formed in pieces: with 300 facets
     and 1000 runs they would not fit otherwise.
@@ -159,7 +158,7 @@ class SetFilters:
         self._filters: dict[int, AdmissibleInputs] = {}
 
     def filtered(self, x: Array, u: Array) -> Array:
-        """The inputs (n, nu), those that would leave a set replaced by the nearest ones that do not."""
+        """Inputs (n, nu) that stay in the set, by the nearest that do where needed."""
         u = u.copy()
         for piece in self._pieces:
             runs = piece.runs
@@ -168,14 +167,14 @@ class SetFilters:
             leaving &= piece.first & np.isfinite(x[runs]).all(axis=2)
             for g in np.flatnonzero(leaving.any(axis=1)):
                 chosen = runs[g][leaving[g]]
-                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen], NEAR)]
+                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen], LED_BACK)]
                 if len(chosen) == 0:
                     continue
                 u[chosen] = self._filter(piece.begin + int(g)).project(x[chosen], u[chosen])[0]
         return u
 
     def _filter(self, g: int) -> AdmissibleInputs:
-        """What keeps the next state of group g in its set."""
+        """Filter that keeps the next state of group g in its set."""
         if g not in self._filters:
             i = self.groups[g][0]
             U = self.problem.input_limits(self.model.designs[i])
@@ -190,7 +189,7 @@ class SetFilters:
         rows = max(len(S.b) for S in self.sets)
         members = max(len(runs) for runs in self.groups)
         width = rows * (self.model.A.shape[1] + self.model.B.shape[2] + 1 + members)
-        step = max(1, AT_ONCE // width)
+        step = max(1, 2**21 // width)  # 16 MiB
         return [self._piece(begin, min(begin + step, len(self.groups))) for begin in range(0, len(self.groups), step)]
 
     def _piece(self, begin: int, end: int) -> _Piece:

@@ -1,4 +1,4 @@
-"""The designs that one start of a co-design may take: constraints kept, fixed entries and whole numbers as they are.
+"""Designs that a start may take: constraints, fixed entries and whole numbers are kept.
 
 A climb is led around the constraints by the nearest feasible point: the return of a point is that of the nearest
 feasible one, less a little for the distance. Every design that is evaluated is then feasible, along an active
@@ -16,12 +16,10 @@ from scipy.optimize import linprog
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import AHEAD, SIGNIFICANT, Differences, Slope
+from ccdtools.co_design.design_gradients import Differences, Slope
+from ccdtools.co_design.tolerances import ACTIVE, PULL, SIGNIFICANT, SLOPE_AHEAD
 from ccdtools.plants.design_constraints import UnitConstraints, held
 from ccdtools.plants.design_space import DesignSpace
-
-PULL = 10.0  # of the return: ½ · 10 · distance² is what a point loses at least for its distance from the feasible ones
-ACTIVE = 1e-3  # of the unit box: an edge that is closer holds the design
 
 
 @dataclass(eq=False)
@@ -50,13 +48,13 @@ class DesignRegion:
         return gradient if self.free.all() else gradient * torch.as_tensor(self.free, dtype=gradient.dtype)
 
     def nearest(self, v: Array) -> Array | None:
-        """The nearest feasible point to `v` (np,), its held entries those of the start; None if none is found."""
+        """Nearest feasible point to `v` (np,), with the start's held entries; None if none is found."""
         found = self.space.allowed.near_with(np.where(self.free, np.clip(v, 0.0, 1.0), self.last), [self.last])
         self.last = self.last if found is None else found
         return found
 
     def step(self, v: Array, gradient: Array, length: float) -> Array:
-        """The part of an ascent direction (np,) that a step of that length can follow from `v`, (np,)."""
+        """Part (np,) of an ascent direction (np,) that a step of that length can follow from `v`."""
         size = float(np.linalg.norm(gradient))
         if not self.bounded or size == 0:
             return gradient
@@ -64,7 +62,7 @@ class DesignRegion:
         return gradient if reached is None else (reached - v) * size / length
 
     def extended(self, v: Array, u: Array, gradient: Array) -> tuple[float, Array]:
-        """What is added at `v` to a cost at its nearest feasible point `u`, and the gradient (np,) of both at `v`.
+        """Addition at `v` to a cost at its nearest feasible point `u`, with the gradient (np,) of both.
 
         Added are ½ `PULL` of the squared distance, and the rise of the cost from `u` to `v` where it rises: where
         better designs lie within the constraints, a climb goes back from their edge as steeply as it falls there.
@@ -80,7 +78,10 @@ class DesignRegion:
         return rise + 0.5 * PULL * distance, along + (rise / distance + PULL) * away
 
     def settled(self, v: Tensor) -> Array:
-        """The design (np,) of a point in single precision: feasible to the last digit, its whole numbers exact."""
+        """Design (np,) of a point in single precision, made feasible to the last digit.
+
+        Its whole numbers are exact.
+        """
         point = v.detach().double().numpy()
         exact = self.space.allowed.rounded(point)
         found = self.space.allowed.near_with(exact, [self.last])
@@ -89,7 +90,7 @@ class DesignRegion:
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSlope(Slope):
-    """The slope that the constraints leave: projected on the directions that cross no active edge."""
+    """Slope projected on the directions that cross no active edge of a constraint."""
 
     # rise of the return along its slope over the best feasible step of the distance ahead, the constraints taken as
     # straight, and its standard error
@@ -101,7 +102,7 @@ class FeasibleSlope(Slope):
 
     @classmethod
     def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Any) -> FeasibleSlope:
-        """From the slopes of every run (n, np) at a point of the unit box."""
+        """Slope from those of every run (n, np) at a point."""
         b = by_run.mean(axis=0)
         far = best_step(limits, point, b, free)
         outward, distances = limits.edges(point)
@@ -119,16 +120,16 @@ class FeasibleSlope(Slope):
         )  # fmt: skip
 
     def promises(self, gain: float) -> bool:
-        """Whether a slope beyond chance, falling to zero over the distance ahead, brings such a gain."""
+        """True if a slope beyond chance that falls to zero ahead brings the gain."""
         return bool(self.ahead > SIGNIFICANT * self.ahead_error and self.ahead / 2 > gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
-        """Whether a wider box, or a constraint that asks for less, brings such a gain."""
-        return bool(((self.edges > SIGNIFICANT * self.edges_error) & (self.edges * AHEAD / 2 > gain)).any())
+        """True if a wider box or a looser constraint brings such a gain."""
+        return bool(((self.edges > SIGNIFICANT * self.edges_error) & (self.edges * SLOPE_AHEAD / 2 > gain)).any())
 
 
 def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) -> Slope:
-    """The slope at a point of the unit box, as far as the region of a start has room."""
+    """Slope at a point of the unit box, where a start's region has room."""
     if region.whole_box:
         return Slope.measured(differences, v)
     by_run = region.masked(differences.about(v, differences.step(v)))
@@ -141,9 +142,9 @@ def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) ->
 
 
 def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) -> Array:
-    """The step (np,) of at most the distance ahead in every entry, within straight constraints, that rises most."""
-    low = np.where(free, np.maximum(-AHEAD, -point), 0.0)
-    high = np.where(free, np.minimum(AHEAD, 1.0 - point), 0.0)
+    """Step (np,) within straight constraints and the distance ahead that rises most."""
+    low = np.where(free, np.maximum(-SLOPE_AHEAD, -point), 0.0)
+    high = np.where(free, np.minimum(SLOPE_AHEAD, 1.0 - point), 0.0)
     size = max(float(np.abs(slope).max()), 1e-300)
     normals, distances = limits.edges(point)
     near = np.isfinite(distances)
@@ -154,7 +155,7 @@ def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) ->
 
 
 def _error(by_run: Array) -> Array:
-    """Standard errors of the means over the runs (n, k), (k,); infinite for a single run."""
+    """Standard errors (k,) of the means over runs (n, k); infinite for one run."""
     if len(by_run) < 2:
         return np.full(by_run.shape[1], np.inf)
     return np.asarray(by_run.std(axis=0, ddof=1) / np.sqrt(len(by_run)))

@@ -1,4 +1,6 @@
-"""Entries of the design that change nothing, alone or together: whatever value they end at would be no result.
+"""Entries of the design that change nothing, alone or together.
+
+Whatever value they end at would be no result.
 
 References
 ----------
@@ -15,26 +17,26 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.tolerances import (
+    ACT_TOGETHER,
+    DISTURBED_RUNS,
+    IDLE_PART,
+    MAGNITUDES,
+    TERM_POINTS,
+    TERM_ROUNDING,
+)
 from ccdtools.design_limits import DesignLimits, widest
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
 
-POINTS = (8, 500)  # states, inputs and disturbances that a term is looked at: a few, and where nothing changes many
-RUNS = 20  # of the scenarios, which tell a disturbance that is always zero
-DESIGNS = 3  # at which slopes are looked at: the one where fewest entries act together tells
-MAGNITUDES = (-5.0, 1.0)  # powers of ten of states, inputs and disturbances beside their extents
-BESIDE = 100  # states, inputs and disturbances at each of them
-ROUNDING = 1e-12  # of the largest value or slope of a term: a change this small is rounding
-RANK = 1e-6  # singular value of slopes, rows and columns scaled to one, below which entries act together
-PART = 1e-3  # of a unit direction that changes nothing: an entry with less has no part in it
 EXPECTED = "entries that change the dynamics, a cost, a limit or a constraint"
 CURE = "Remove it from the DesignSpace, or state what it acts on."
 UNDISTURBED = "Give the scenarios a disturbance, or remove it from the DesignSpace."
 
 
 def check_every_entry_acts(problem: Any) -> None:
-    """Raise an `InputError` that names the entries of a problem's design that are not fixed and change nothing.
+    """Raise an `InputError` if free entries of a problem's design change nothing; name them.
 
     An entry acts if a term depends on it by its expression and takes another value at another design, at one of 500
     states within ten times X, with inputs within ten times U. One that scales nothing but a disturbance does not act
@@ -45,13 +47,13 @@ def check_every_entry_acts(problem: Any) -> None:
     idle = _idle(problem, undisturbed, disturbance=1.0)
     if len(idle):
         raise InputError("model.design", f"{_named(problem, idle)}, which nothing depends on", EXPECTED, CURE)
-    if len(undisturbed) and problem.discrepancy is None and not _disturbance(problem, RUNS).any():
+    if len(undisturbed) and problem.discrepancy is None and not _disturbance(problem, DISTURBED_RUNS).any():
         got = f"{_named(problem, undisturbed)}, which nothing depends on but what a disturbance of zero does"
         raise InputError("model.design", got, EXPECTED, UNDISTURBED)
 
 
 def acting_together(problem: Any) -> str:
-    """Which entries of a problem's design can change together without any change of the problem; empty where none can.
+    """Entries of a problem's design that can change together without effect; empty if none.
 
     Slopes of the dynamics, costs, limits and constraints by the design are compared at random states, inputs and
     disturbances. Of a problem with learned errors nothing is said.
@@ -61,12 +63,12 @@ def acting_together(problem: Any) -> str:
         return ""
     rng = np.random.default_rng(0)
     width = space.upper - space.lower  # of a fixed entry zero
-    extents = _extents(problem, np.abs(_disturbance(problem, RUNS)).max(axis=(0, 1), initial=0.0))
+    extents = _extents(problem, np.abs(_disturbance(problem, DISTURBED_RUNS)).max(axis=(0, 1), initial=0.0))
     slopes = [_slopes(term) for term in _terms(problem, extents)]
-    designs = space.latin_hypercube(DESIGNS, rng)
+    designs = space.latin_hypercube(3, rng)  # the one where fewest entries act together tells
     rows = ([_rows(one, p, extents, rng) for one in slopes] for p in designs)
     fewest = min((_without_effect(np.concatenate(found) * width) for found in rows), key=len)
-    part = np.flatnonzero(np.abs(fewest).max(axis=0, initial=0.0) > PART)
+    part = np.flatnonzero(np.abs(fewest).max(axis=0, initial=0.0) > IDLE_PART)
     if not len(part):
         return ""
     free = len(fewest)
@@ -75,7 +77,7 @@ def acting_together(problem: Any) -> str:
 
 
 def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
-    """Those of some entries that change no term, with disturbances of one size."""
+    """Entries that change no term, of those given, with disturbances of one size."""
     extents = _extents(problem, disturbance)
     for term in _terms(problem, extents):
         entries = entries[~_acting(term, problem.design, entries, extents)] if len(entries) else entries
@@ -83,7 +85,7 @@ def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
 
 
 def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
-    """The functions that the design may enter; its argument is called p, or is the only one.
+    """Functions that the design may enter, as `p` or as the only argument.
 
     Of a linear model it enters [A B E], each column times the extent of what it is multiplied by.
     """
@@ -112,12 +114,12 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
     place = _names(term).index("p")
     acting = np.isin(entries, term.jac_sparsity(0, place).get_triplet()[1])
     rng = np.random.default_rng(0)
-    for count in POINTS:
+    for count in TERM_POINTS:
         designs = space.latin_hypercube(count, rng)
         others = space.latin_hypercube(count, rng)
         given = _drawn(term, designs, extents, rng)
         before = np.asarray(term(*given), dtype=float)
-        size = ROUNDING * np.max(np.abs(before), axis=1, initial=0.0, where=np.isfinite(before), keepdims=True)
+        size = TERM_ROUNDING * np.max(np.abs(before), axis=1, initial=0.0, where=np.isfinite(before), keepdims=True)
         found = np.zeros(len(entries), dtype=bool)
         for k in np.flatnonzero(acting):
             moved = designs.copy()
@@ -130,7 +132,7 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
 
 
 def _slopes(term: ca.Function) -> ca.Function:
-    """The slopes (rows, np) of all values of a term by the design, as a function of what the term takes."""
+    """Slopes (rows, np) of all values of a term by the design, as a function."""
     names = _names(term)
     given = [ca.MX.sym(name, term.size1_in(i)) for i, name in enumerate(names)]
     slopes = ca.jacobian(ca.vec(term(*given)), given[names.index("p")])
@@ -138,22 +140,22 @@ def _slopes(term: ca.Function) -> ca.Function:
 
 
 def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:
-    """Slopes (n, np) of a term at a design (np,), of all its values and at random points, rounding left out."""
-    count = BESIDE if slopes.n_in() > 1 else 1
+    """Slopes (n, np) of a term's values at a design (np,) and random points, without rounding."""
+    count = 100 if slopes.n_in() > 1 else 1
     found = np.asarray(slopes(*_drawn(slopes, np.tile(p, (count, 1)), extents, rng)), dtype=float)
     rows = np.concatenate(np.split(found, count, axis=1))
     rows = rows[np.isfinite(rows).all(axis=1)]
     size = np.abs(rows).max(axis=1, initial=0.0)
-    return rows[size > ROUNDING * size.max(initial=0.0)]
+    return rows[size > TERM_ROUNDING * size.max(initial=0.0)]
 
 
 def _without_effect(rows: Array) -> Array:
-    """Unit directions (k, np) along which all slopes (n, np) are zero; entries without a slope are left out."""
+    """Unit directions (k, np) of zero slopes (n, np), of entries that have slopes."""
     acting = np.flatnonzero(rows.any(axis=0))
     scaled = rows[:, acting] / np.abs(rows).max(axis=1, keepdims=True)
     scaled /= np.linalg.norm(scaled, axis=0)
     sizes, directions = np.linalg.eigh(scaled.T @ scaled)
-    found = np.zeros((int(np.sum(sizes <= RANK**2)), rows.shape[1]))
+    found = np.zeros((int(np.sum(sizes <= ACT_TOGETHER**2)), rows.shape[1]))
     found[:, acting] = directions[:, : len(found)].T
     return found
 
@@ -180,7 +182,7 @@ def _named(problem: Any, entries: Any) -> str:
 
 
 def _disturbance(problem: Any, runs: int) -> Array:
-    """Some runs of the disturbance, (runs, steps, nw)."""
+    """Disturbance (runs, steps, nw) of some runs."""
     return np.asarray(problem.scenarios.sample(runs, problem.steps, np.random.default_rng(0))[1])
 
 

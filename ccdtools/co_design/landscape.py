@@ -1,4 +1,4 @@
-"""The return of saturated LQR over the box of designs: a cheap map of where a co-design may start.
+"""Return of saturated LQR over the box of designs: a map of promising starts.
 
 LQR at each design is the optimum where no input saturates, and close to it where inputs saturate little, so that its
 map J(p) has the valleys of the co-design itself. (A valley is one of the cost, a hill of the return.)
@@ -25,24 +25,14 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.lqr_regions import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
+from ccdtools.co_design.tolerances import CLIMBED_COMBINATIONS, COMPASS_LAST_STEP, MAP_POINTS, MOST_CLIMBED, RIDGE
 from ccdtools.plants.design_space import DesignSpace
 
-RUNS = 96  # scenarios that every design is simulated on, the same for all
-ROWS = 6000  # runs simulated side by side
-POINTS = {1: 32, 2: 64, 3: 128}  # designs of the first map, by number of parameters
-MANY = 128  # the same for more parameters
-MOST = 6  # hills of the first map that are climbed
-FIRST_STEP = 0.1  # of the climb, in the unit box,
-LAST_STEP = 0.01  # and where it ends
-ROUNDS = 60  # of the climb at most
-PATH = 9  # designs between two hilltops that are looked at
-COMBINATIONS = 8  # of whole numbers that are climbed with; up to so many, all of them
-HILLS = 2  # that are climbed with one combination
-RIDGE = 2e-3  # of the return without the cost of the design: two hills that are parted by less are one
+RUNS = 96  # Every design is simulated on the same scenarios, so many.
 
 
 class Landscape:
-    """Mean returns of saturated LQR at designs of the unit box, all on the same scenarios.
+    """Mean returns of saturated LQR over the unit box, on the same scenarios.
 
     Parameters
     ----------
@@ -60,7 +50,7 @@ class Landscape:
         self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
 
     def returns(self, points: ArrayLike) -> Array:
-        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR, or where none can be built.
+        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR.
 
         Nothing can be built where a constraint is broken, or between whole numbers.
         """
@@ -82,7 +72,7 @@ class Landscape:
     @property
     def _batch(self) -> int:
         """Designs simulated side by side."""
-        return max(1, ROWS // len(self._x0))
+        return max(1, 6000 // len(self._x0))  # runs side by side
 
     @torch.no_grad()
     def _simulated(self, V: Array, K: Array) -> Array:
@@ -103,7 +93,7 @@ class Landscape:
 
 
 def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """The distinct local optima of the landscape, best first; the one that `design` (np,) leads to is among them.
+    """Distinct local optima, best first, with the one that `design` (np,) leads to.
 
     A space-filling set of designs is simulated with its corners (of up to three parameters); the hills among them are
     climbed by compass search, and hilltops that no ridge parts are one. Of more than three parameters the best sample
@@ -120,8 +110,8 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
     J = landscape.returns(V)
     if space.integer:
         V, J, chosen = _hilltops_by_combination(landscape, V, J)
-    elif space.free.sum() in POINTS:
-        chosen = _hilltops(V, J)[:MOST]
+    elif space.free.sum() in MAP_POINTS:
+        chosen = _hilltops(V, J)[:MOST_CLIMBED]
     else:
         chosen = [int(np.argmax(J))]
     tops, heights = _climbed(landscape, V[[0, *chosen]], J[[0, *chosen]])
@@ -139,16 +129,16 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
 
 
 def combinations(space: DesignSpace) -> float:
-    """How many combinations of whole numbers a design may have; 1 where there are no whole numbers."""
+    """Number of combinations of whole numbers; 1 without whole numbers."""
     lower, upper = (bound[space.whole] for bound in space.outermost)
     return float(np.prod(upper - lower + 1.0))
 
 
 def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
-    """Feasible points all over the unit box (n, np), with every combination of whole numbers if these are few."""
+    """Feasible points (n, np) of the unit box, with every combination of few whole numbers."""
     moving = np.flatnonzero(space.free)
     points = np.zeros((0, space.dim))
-    if combinations(space) > COMBINATIONS or not space.integer:
+    if combinations(space) > CLIMBED_COMBINATIONS or not space.integer:
         spread = _spread(len(moving), rng)
         points = np.zeros((len(spread), space.dim))
         points[:, moving] = spread
@@ -163,13 +153,13 @@ def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
 
 
 def _spread(size: int, rng: np.random.Generator) -> Array:
-    """Points of the unit box (n, size): a Sobol sequence, and the corners where they are few."""
-    points = qmc.Sobol(size, rng=rng).random(POINTS.get(size, MANY))
-    return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in POINTS else points
+    """Points (n, size) of the unit box: a Sobol sequence, and few corners."""
+    points = qmc.Sobol(size, rng=rng).random(MAP_POINTS.get(size, 128))
+    return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in MAP_POINTS else points
 
 
 def _feasible(space: DesignSpace, V: Array) -> Array:
-    """Points (n, np) with those that break a constraint moved to the nearest that keep it, their whole numbers kept."""
+    """Points (n, np) moved to the nearest that keep the constraints and their whole numbers."""
     V = V.copy()
     for i in np.flatnonzero(space.allowed.violation(V) > 0):
         found = space.allowed.near_with(V[i])
@@ -178,20 +168,21 @@ def _feasible(space: DesignSpace, V: Array) -> Array:
 
 
 def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array, list[int]]:
-    """Points (n, np) with their returns, and which of them are the highest hilltops of the best combinations.
+    """Points (n, np), returns, and the highest local optima of the best combinations.
 
     Where there are more than a few combinations, they are found by a climb along the whole numbers too.
     """
     space = landscape.problem.design
-    if combinations(space) > COMBINATIONS:
-        first = np.argsort(-J, kind="stable")[:MOST]
+    if combinations(space) > CLIMBED_COMBINATIONS:
+        first = np.argsort(-J, kind="stable")[:MOST_CLIMBED]
         visited = [_climbed(landscape, V[[i]], J[[i]], across=True, seen=True) for i in first]
         V = np.vstack([V, *(points for points, _ in visited)])
         J = np.concatenate([J, *(returns for _, returns in visited)])
     keys, which = np.unique(np.round(V[:, space.whole], 9), axis=0, return_inverse=True)
     groups = [np.flatnonzero(which.ravel() == k) for k in range(len(keys))]
     best = sorted((group for group in groups if np.isfinite(J[group]).any()), key=lambda group: -J[group].max())
-    return V, J, [int(group[i]) for group in best[:COMBINATIONS] for i in _hilltops(V[group], J[group])[:HILLS]]
+    tops = (group[_hilltops(V[group], J[group])[:2]] for group in best[:CLIMBED_COMBINATIONS])
+    return V, J, [int(i) for top in tops for i in top]
 
 
 def _hilltops(V: Array, J: Array) -> list[int]:
@@ -205,7 +196,7 @@ def _hilltops(V: Array, J: Array) -> list[int]:
 def _climbed(
     landscape: Landscape, V: Array, J: Array, *, across: bool = False, seen: bool = False
 ) -> tuple[Array, Array]:
-    """Where compass search from each point (n, np) ends, and the returns there.
+    """End of compass search from each point (n, np), and the returns there.
 
     With `across`, along whole numbers too, one at least at a time; with `seen`, all points that were looked at.
     """
@@ -216,10 +207,10 @@ def _climbed(
     moving = space.free if across else space.allowed.free
     least = np.where(space.whole, 1.0 / space.allowed.width, 0.0)
     compass = np.vstack([np.eye(size)[moving], -np.eye(size)[moving]])
-    step = np.full(len(V), FIRST_STEP if len(compass) else 0.0)
+    step = np.full(len(V), 0.1 if len(compass) else 0.0)
     looked = [(V.copy(), J.copy())]
-    for _ in range(ROUNDS):
-        climbing = np.flatnonzero(step >= LAST_STEP)
+    for _ in range(60):  # rounds at most
+        climbing = np.flatnonzero(step >= COMPASS_LAST_STEP)
         if not len(climbing):
             break
         places = [_about(space, V[i], compass * np.maximum(step[i], least), step[i]) for i in climbing]
@@ -259,13 +250,13 @@ def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
 
 
 def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
-    """Whether the straight path between two hilltops never falls below the lower one by a ridge's depth."""
+    """True if the straight path of two local optima never falls a ridge below the lower."""
     whole = landscape.problem.design.whole
     if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
         return False
-    if np.abs(higher - lower).max() <= 2 * LAST_STEP:
+    if np.abs(higher - lower).max() <= 2 * COMPASS_LAST_STEP:
         return True
-    shares = np.linspace(0, 1, PATH + 2)[1:-1, None]
+    shares = np.linspace(0, 1, 11)[1:-1, None]  # of the way
     between = landscape.returns(lower + shares * (higher - lower))
     problem = landscape.problem
     size = problem.made_by_control(height, problem.design.from_unit(lower))

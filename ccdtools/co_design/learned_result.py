@@ -1,4 +1,4 @@
-"""What a co-design by learning returns beside the rest: the agent, and how policy and design came about."""
+"""Result of a co-design by learning: agent, and history of policy and design."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_vector
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.tolerances import LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference
 from learning.networks import ActorCritic
-
-TRUSTED = 0.2  # relative error of a gradient's length and direction that Adam does not mind,
-ERRORS = 3.0  # beyond so many standard errors
-LEVEL = 1e-3  # of the return per length of the box: a slope without consequence
 
 ROWS = (
     ("finite differences", "finite_difference"), ("pathwise", "pathwise"), ("network input (paper)", "network_input"),
@@ -25,7 +22,7 @@ ROWS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GradientCheck(Immutable):
-    """The design gradient of the mean return by each method, at one design, (np,) per unit-box length.
+    """Design gradient (np,) of the mean return by each method, per unit-box length.
 
     Attributes
     ----------
@@ -91,7 +88,8 @@ class GradientCheck(Immutable):
             return False
         deviation = np.linalg.norm(self.pathwise - self.finite_difference)
         errors = (np.linalg.norm(self.deviation_error), np.linalg.norm(self.finite_difference_error))
-        allowed = TRUSTED * np.linalg.norm(self.finite_difference) + ERRORS * min(errors) + LEVEL * self.scale
+        length = np.linalg.norm(self.finite_difference)
+        allowed = TRUSTED_SLOPE * length + SIGNIFICANT * min(errors) + LEVEL_SLOPE * self.scale
         return bool(deviation <= allowed)
 
     def __str__(self) -> str:
@@ -113,7 +111,7 @@ class GradientCheck(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Convergence(Immutable):
-    """What a status rests on.
+    """Evidence that a status rests on.
 
     Attributes
     ----------
@@ -177,12 +175,12 @@ class LearnedCoDesign(CoDesignResult):
         return self.controller
 
     def _values(self) -> dict[str, Any]:
-        """How it ended, and what it rests on."""
+        """Status, and the evidence for it, as plain values."""
         convergence = None if self.convergence is None else asdict(self.convergence)
         return super()._values() | {"gains": dict(self.gains), "convergence": convergence}
 
     def _ended(self) -> list[str]:
-        """How it ended, and what did the work, one line each."""
+        """Status, and the methods that did the work, one line each."""
         ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
         lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
         if self.gains:
@@ -191,7 +189,7 @@ class LearnedCoDesign(CoDesignResult):
         return lines + self._of_loop()
 
     def _remarks(self) -> list[str]:
-        """What else is to be known, one line each."""
+        """Other remarks, one line each."""
         if self.convergence is not None and self.convergence.by_differences:
             followed = "the design followed finite differences: the gradient through the model was wrong"
             return [followed, *super()._remarks()]

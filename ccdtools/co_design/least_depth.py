@@ -1,4 +1,4 @@
-"""How far outside X a start forces every controller."""
+"""Least violation of X that a start forces on every controller."""
 
 from __future__ import annotations
 
@@ -11,20 +11,17 @@ from scipy.optimize import linprog
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_vector
+from ccdtools.co_design.design_controllers import HORIZON
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.co_design.tolerances import DEPTH_TIME, NO_VIOLATION
 from ccdtools.exceptions import LimitWarning
 from ccdtools.limits import StateLimits
-
-LOOKED_AHEAD = 20  # steps, as the MPC that a co-design is compared with
-TIME = {"time_limit": 2.0}  # s, of one program; where it is not enough, nothing is claimed
-NOTHING = 1e-5  # half-widths: the linear program's own tolerance
-TRIED = 9  # designs beside the present one: the corners of a box of two or three parameters first
 
 
 def least_depth(
     problem: CoDesignProblem, design: ArrayLike, *, x0: ArrayLike | None = None, steps: int | None = None
 ) -> float:
-    """The least peak depth outside X that any inputs in U reach from a start, without disturbance, in half-widths of X.
+    """Least peak violation of X [half-widths] that inputs in U reach from a start without disturbance.
 
     A linear program over the inputs of the first `steps` samples of the nominal model at one design; 0 where X can be
     kept. What a disturbance adds is not in it, so no controller does better.
@@ -45,23 +42,23 @@ def least_depth(
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
-    horizon = min(problem.steps, LOOKED_AHEAD) if steps is None else as_count("steps", steps)
+    horizon = min(problem.steps, HORIZON) if steps is None else as_count("steps", steps)
     starts = _starts(problem) if x0 is None else as_vector("x0", x0, problem.model.nx, of="one per state")[None]
     return float(np.mean([_least(problem, p, start, horizon) for start in starts]))
 
 
 def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, float]:
-    """The least depth at a design, and the least over designs spread over the box (looked up only if it is above 0)."""
+    """Least violation at a design, and over designs spread over the box if it is above 0."""
     here = least_depth(problem, design)
-    if here <= NOTHING:
+    if here <= NO_VIOLATION:
         return 0.0, 0.0
-    others = (least_depth(problem, other) for other in problem.design.spread()[:TRIED])
+    others = (least_depth(problem, other) for other in problem.design.spread()[:9])
     anywhere = min(here, *others)
-    return here, anywhere if anywhere > NOTHING else 0.0
+    return here, anywhere if anywhere > NO_VIOLATION else 0.0
 
 
 def unavoidable_text(here: float, anywhere: float) -> str:
-    """What `unavoidable_depth` found, as a sentence; empty where the limits can be kept."""
+    """Sentence on the outcome of `unavoidable_depth`; empty if the limits can be kept."""
     if here == 0.0:
         return ""
     where = f"; the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "; other designs can keep it"
@@ -69,7 +66,7 @@ def unavoidable_text(here: float, anywhere: float) -> str:
 
 
 def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
-    """Give a `LimitWarning` if a problem's fixed start forces every controller outside X at a design.
+    """Issue a `LimitWarning` if a fixed start forces every controller outside X at a design.
 
     Starts that were logged may lie anywhere, and are what they are.
     """
@@ -117,5 +114,6 @@ def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
     bounds = [(None, None)] * (steps * nx) + list(zip(lower, upper)) * steps + [(0.0, None)]
     cost = np.zeros(steps * (nx + nu) + 1)
     cost[-1] = 1.0
-    found = linprog(cost, rows, np.tile(limits.bounds, steps), dynamics, first, bounds, method="highs", options=TIME)
+    upper = np.tile(limits.bounds, steps)
+    found = linprog(cost, rows, upper, dynamics, first, bounds, method="highs", options=DEPTH_TIME)
     return max(float(found.fun), 0.0) if found.status == 0 else 0.0

@@ -1,4 +1,4 @@
-"""How often and how far a design may leave X: what the user allows, or what MPC of the same design does."""
+"""Tolerance of a design: what the user allows, or what MPC violates there."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.episodes import Episode, fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MEASURED_NEARBY, MPC_RUNS, TOLERANCE_STEP
 from mpc import NotStabilisableError
 
 BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
-MPC_RUNS = 32  # episodes of 100 steps that it is measured on
-BESIDE_MPC = 1.25  # the tolerance relative to what MPC does: a network in its place has a resolution,
-FLOOR = 0.002  # of the states, or half-widths: the tolerance is never less
-NEAR = 0.1  # of the unit box: a design further away has MPC measured again
-TILT = 0.05  # of the unit box: the step by which it is found how the tolerance changes with the design
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A value for each measure: the fraction of the states outside X, and the peak depth in half-widths."""
+    """Violation of X: the fraction of states outside, and the peak depth in half-widths."""
 
     fraction: float
     depth: float
@@ -60,25 +56,28 @@ class Tolerance:
         allowed = torch.tensor(self.allowed.values(), dtype=torch.float64)
         if self.v is None or self.slopes is None:
             return allowed
-        return (allowed * torch.exp(self.slopes @ (v - self.v).double())).clamp(min=FLOOR)
+        return (allowed * torch.exp(self.slopes @ (v - self.v).double())).clamp(min=LEAST_TOLERANCE)
 
     def holds_at(self, v: Tensor) -> bool:
         """Whether the design is one that the tolerance was made for."""
-        return self.v is not None and float((v - self.v).abs().max()) <= NEAR
+        return self.v is not None and float((v - self.v).abs().max()) <= MEASURED_NEARBY
 
 
 NOTHING = Pair(0.0, 0.0)
-UNTIL_LEFT = Tolerance(Pair(FLOOR, FLOOR), "never left further than a network resolves")
+UNTIL_LEFT = Tolerance(Pair(LEAST_TOLERANCE, LEAST_TOLERANCE), "never left further than a network resolves")
 
 
 def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-    """A quarter more than what MPC does at a design and beside it, on the first few of some scenarios."""
+    """Tolerance at and beside a design: a quarter more than MPC violates.
+
+    MPC runs on the first few of some scenarios.
+    """
     middle = _beside(mpc_episodes(problem, v, scenarios))
     slopes = []
     for i in range(len(v)):
         ends = [v.clone() for _ in range(2)]
         for end, side in zip(ends, (-1, 1)):
-            end[i] = (v[i] + side * TILT).clamp(0.0, 1.0)
+            end[i] = (v[i] + side * TOLERANCE_STEP).clamp(0.0, 1.0)
         known = []
         for end in ends:
             with suppress(NotStabilisableError):  # there is no MPC beside it: the slope is one-sided
@@ -91,23 +90,24 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
 
 
 def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> tuple[Pair, Pair]:
-    """What MPC lets one design have, and its standard errors; the least there is where there is no MPC."""
+    """Tolerance by MPC at one design, with standard errors; the least without MPC."""
     try:
         seen = mpc_episodes(problem, v, scenarios)
     except NotStabilisableError:
-        return Pair(FLOOR, FLOOR), NOTHING
+        return Pair(LEAST_TOLERANCE, LEAST_TOLERANCE), NOTHING
     errors = (BESIDE_MPC * error for error in measurement_errors(seen).values())
     return Pair(*_beside(seen).tolist()), Pair(*errors)
 
 
 def _beside(seen: Episode) -> Tensor:
-    """What episodes of MPC let a design have, (2,); the least there is where MPC loses every run."""
+    """Tolerance (2,) by episodes of MPC; the least where MPC loses every run."""
     fraction, depth = measured(seen).values()
-    return (BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)).nan_to_num(nan=FLOOR).clamp(min=FLOOR)
+    beside = BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)
+    return beside.nan_to_num(nan=LEAST_TOLERANCE).clamp(min=LEAST_TOLERANCE)
 
 
 def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
-    """Episodes of online MPC, state limits relaxed where they cannot be kept, on the first few of some scenarios."""
+    """Episodes of online MPC with relaxed state limits, on the first few scenarios."""
     mpc = linear_mpc(problem, problem.design.from_unit(v.detach().double().numpy()))
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
@@ -117,13 +117,13 @@ def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
 
 
 def measured(episode: Episode) -> Pair:
-    """Mean fraction outside, and mean peak depth, of the runs that are not lost; NaN where all are."""
+    """Mean fraction outside and mean peak depth of the runs kept; NaN without any."""
     kept = ~episode.diverged
     return Pair(float(episode.outside.detach()[kept].mean()), float(episode.peak.detach()[kept].mean()))
 
 
 def expected_at_most(episode: Episode) -> Pair:
-    """What is `measured`, and a standard error more: what fresh runs are expected to keep to."""
+    """Measures plus one standard error, which fresh runs are expected to keep to."""
     return Pair(*(sum(pair) for pair in zip(measured(episode).values(), measurement_errors(episode).values())))
 
 

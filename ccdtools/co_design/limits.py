@@ -1,4 +1,4 @@
-"""State limits in a co-design: an augmented Lagrangian on how often and how far episodes leave X.
+"""State limits in a co-design, by an augmented Lagrangian on violations of X.
 
 The two measures are the fraction of the states outside X and the mean over the runs of the peak depth. Each counts with
 a standard error of the runs on top, so that fresh runs are expected to keep the limits, too. Their excess over the
@@ -26,7 +26,6 @@ from ccdtools.co_design.differentiable_model import to_design
 from ccdtools.co_design.episodes import Episode
 from ccdtools.co_design.limit_tolerance import (
     BY_MPC,
-    FLOOR,
     NOTHING,
     UNTIL_LEFT,
     Pair,
@@ -37,19 +36,21 @@ from ccdtools.co_design.limit_tolerance import (
     tolerance_by_mpc,
 )
 from ccdtools.co_design.problem import CoDesignProblem
-
-CHANCE = 2.0  # standard errors by which a measure may exceed its tolerance
-AIM = 0.9  # of the tolerance: what the multipliers aim at, so that some iterates are within
-RESOLVED = 1e-4  # half-widths: smaller depths say nothing of how far the states outside X are
-FIRST_PRICE = 0.02  # of the return, for leaving X by as much again as the tolerance
-CHEAPEST = 0.001  # a smaller multiplier is zero
-GROWTH = 0.4  # a multiplier grows by exp(0.4) at an evaluation where X is left by twice the tolerance,
-LARGE = 1.0  # and no faster where it is left by more
+from ccdtools.co_design.tolerances import (
+    AIMED_SHARE,
+    EXCESS_ERRORS,
+    FIRST_PRICE,
+    GROWTH,
+    LARGEST_EXCESS,
+    LEAST_PRICE,
+    LEAST_TOLERANCE,
+    RESOLVED_VIOLATION,
+)
 
 
 @dataclass(frozen=True)
 class LimitsOutcome:
-    """How a co-design kept its state limits.
+    """Violation of the state limits by a co-design, beside its tolerance.
 
     Attributes
     ----------
@@ -78,7 +79,7 @@ class LimitsOutcome:
     def kept(self) -> bool:
         """Whether neither measure exceeds its tolerance beyond chance."""
         measures = zip(self.achieved.values(), self.errors.values(), self.tolerance.values())
-        return all(value - CHANCE * error <= most for value, error, most in measures)
+        return all(value - EXCESS_ERRORS * error <= most for value, error, most in measures)
 
     def __str__(self) -> str:
         where = "samples outside the limits" if self.outputs else "states outside X"
@@ -88,14 +89,14 @@ class LimitsOutcome:
         if not self.kept:
             cure = "Raise limit_tolerance or iterations, or deploy with the filter."
             return f"{name} not kept: {achieved}; {asked}. {cure}"
-        if self.source == BY_MPC and max(self.achieved.values()) > FLOOR:
+        if self.source == BY_MPC and max(self.achieved.values()) > LEAST_TOLERANCE:
             return f"{name} left no more than MPC of the same design leaves them: {achieved}; {asked}"
         return f"{name} kept: {achieved}; {asked}"
 
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """What one more of the mean depth, one more of the peak depth, and a step of the design (np,) cost."""
+    """Prices of the mean depth, the peak depth, and a design step (np,)."""
 
     depth: float
     peak: float
@@ -133,12 +134,14 @@ class StateLimitPenalty:
         return any(multiplier > 0 for multiplier in self.multipliers.values())
 
     def violation(self, episode: Episode) -> float:
-        """By how much the tolerance of the present design is exceeded; 0 where it is kept."""
+        """Excess over the tolerance of the present design; 0 where it is kept."""
         pairs = zip(expected_at_most(episode).values(), self._allowed.values())
         return max(0.0, *(value - most for value, most in pairs))
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable.
+        """Cost () of leaving X at the point `v`, as part of the return; differentiable.
+
+        It is differentiable.
 
         The fraction of the states outside X has no gradient: it is as the mean depth, in units of `spread`.
         """
@@ -149,7 +152,7 @@ class StateLimitPenalty:
         return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """What is paid for more of either depth, and for another design, while episodes are such as these."""
+        """Price of either depth, and of another design, for episodes such as these."""
         depth, peak, v = (tensor.detach().clone().requires_grad_(True) for tensor in (episode.depth, episode.peak, v))
         with torch.enable_grad():
             cost = self.cost(replace(episode, depth=depth, peak=peak), v)
@@ -160,23 +163,23 @@ class StateLimitPenalty:
         return Prices(float(of_depth.sum()), float(of_peak.sum()), of_design)
 
     def updated(self, episode: Episode, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
-        """The penalty after an evaluation on `scenarios` at the point `v` of the unit box."""
+        """Penalty after an evaluation on `scenarios` at the point `v`."""
         seen = expected_at_most(episode)
         tolerance = self._tolerance(seen, v, scenarios)
         excess = _relative_excess(torch.tensor(seen.values(), dtype=torch.float64), tolerance.at(v))
         multipliers = (_next_multiplier(*pair) for pair in zip(self.multipliers.values(), excess.tolist()))
         depth = float(episode.depth[~episode.diverged].sum() / episode.outside[~episode.diverged].sum().clamp(min=1e-9))
-        spread = depth if depth > RESOLVED else self.spread
+        spread = depth if depth > RESOLVED_VIOLATION else self.spread
         return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
     def dearer(self, factor: float) -> StateLimitPenalty:
-        """The same with the price of what was last left further than the tolerance multiplied."""
+        """This penalty with a multiplied price of each measure that exceeded its tolerance."""
         broken = (value > most for value, most in zip(self.seen.values(), self._allowed.values()))
         prices = (price * factor if is_so else price for price, is_so in zip(self.multipliers.values(), broken))
         return replace(self, multipliers=Pair(*prices))
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
-        """How the iterate of these episodes keeps the limits."""
+        """Violation of the limits by the iterate of these episodes."""
         outputs = self.judge.output_limits is not None
         achieved, errors = measured(episode), measurement_errors(episode)
         return LimitsOutcome(achieved, self._allowed, self.tolerance.source, self.multipliers, outputs, errors)
@@ -187,28 +190,31 @@ class StateLimitPenalty:
         return self.tolerance.allowed if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
 
     def _tolerance(self, seen: Pair, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-        """That of the design `v`: the user's, or what MPC does there if X is left at all."""
+        """Tolerance of the design `v`: the user's, or by MPC where X is left."""
         asked = self.judge.limit_tolerance
         if not isinstance(asked, str):
             return Tolerance(Pair(*asked), "asked for")
-        if max(seen.values()) <= FLOOR or self.tolerance.holds_at(v):
+        if max(seen.values()) <= LEAST_TOLERANCE or self.tolerance.holds_at(v):
             return self.tolerance
         return tolerance_by_mpc(self.judge, v, scenarios)
 
 
 def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:
-    """By how much each measure exceeds what the multipliers aim at, relative to the tolerance, (2,)."""
-    return (means - AIM * allowed) / allowed.clamp(min=FLOOR)
+    """Excess (2,) of each measure over the multipliers' aim, relative to the tolerance."""
+    return (means - AIMED_SHARE * allowed) / allowed.clamp(min=LEAST_TOLERANCE)
 
 
 def _penalty(over: Tensor) -> Tensor:
-    """(exp(c z) − 1)/c of relative excesses z, (2,), straight beyond LARGE: its slope is what a multiplier grows by."""
-    near = over.clamp(max=LARGE)
-    return (torch.exp(GROWTH * near) - 1) / GROWTH + math.exp(GROWTH * LARGE) * (over - near)
+    """(exp(c z) − 1)/c of relative excesses z, (2,), straight beyond `LARGEST_EXCESS`.
+
+    Its slope is what a multiplier grows by.
+    """
+    near = over.clamp(max=LARGEST_EXCESS)
+    return (torch.exp(GROWTH * near) - 1) / GROWTH + math.exp(GROWTH * LARGEST_EXCESS) * (over - near)
 
 
 def _next_multiplier(multiplier: float, over: float) -> float:
     """The multiplier after an evaluation with a relative excess: larger above zero, smaller below."""
     start = max(multiplier, FIRST_PRICE) if over > 0 else multiplier
-    moved = start * math.exp(GROWTH * min(max(over, -LARGE), LARGE))
-    return moved if moved > CHEAPEST else 0.0
+    moved = start * math.exp(GROWTH * min(max(over, -LARGEST_EXCESS), LARGEST_EXCESS))
+    return moved if moved > LEAST_PRICE else 0.0

@@ -1,4 +1,4 @@
-"""The states from which saturated LQR keeps the state within X for ever, by simulation: exact in any dimension.
+"""States from which saturated LQR stays within X for ever, exact by simulation.
 
 A state belongs to the region of its design if the nominal loop x⁺ = A x + B clip(−K x) stays within X until it
 enters an ellipsoid in which −K x needs no clipping and x stays within X; the ellipsoid is invariant. So the region is a
@@ -21,20 +21,16 @@ from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import NEARLY_LINEAR, ON_LIMIT
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from mpc import NotStabilisableError, lqr
 
-LONGEST = 2000  # steps of a loop; one that is not in its ellipsoid by then counts as outside
-NEARLY_LINEAR = 0.1  # of the ellipsoid of a linearisation
-ON_LIMIT = 1e-9  # of the half-widths of X
-HALVINGS = 10  # of the logarithm of a scale: from 1e-6 to 1 this leaves 1.4 %
-
 
 @dataclass(frozen=True, eq=False)
 class LQRRegions:
-    """One region for each of n designs.
+    """Regions of n designs, one each.
 
     Attributes
     ----------
@@ -100,7 +96,7 @@ class LQRRegions:
         if self.rows is None:
             return inside
         left = np.flatnonzero(self.stabilised[runs])
-        for _ in range(LONGEST):
+        for _ in range(2000):  # a longer loop counts as outside
             beyond = x[left] @ self.rows.T if self.rows.ndim == 2 else times(self.rows[runs[left]], x[left])
             within = (beyond <= 1 + ON_LIMIT).all(axis=1)
             arrived = within & (_quadratic(self.shapes[runs[left]], x[left]) <= 1)
@@ -130,7 +126,9 @@ class LQRRegions:
         return times(self.A, x) + times(self.B, u) + times(self.E, w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
-        """Scales (k,) in [0, 1] at which scale · x lies in the region, about the largest ones; 0 where none is known.
+        """About the largest scales (k,) in [0, 1] that keep scale · x in the region.
+
+        They are 0 where none is known.
 
         Geometric bisection between the ellipsoid and x.
         """
@@ -142,7 +140,7 @@ class LQRRegions:
         low[known] = 1 / np.sqrt(np.maximum(size[known], 1.0))
         high = np.ones(len(x))
         low[self.contains(x, runs)] = 1.0
-        for _ in range(HALVINGS):
+        for _ in range(10):  # from 1e-6 to 1 this leaves 1.4 %
             middle = np.sqrt(low * high)
             inside = self.contains(middle[:, None] * x, runs)
             low = np.where(inside, middle, low)
@@ -172,7 +170,7 @@ def _quadratic(M: Array, x: Array) -> Array:
 
 
 def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
-    """LQR gains (n, nu, nx) of designs (n, np) with their A and B; NaN where a design cannot be stabilised."""
+    """LQR gains (n, nu, nx) of designs (n, np) with A and B; NaN where none stabilises."""
     K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
     for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
         with suppress(NotStabilisableError):
@@ -181,7 +179,7 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
 
 
 def _own(value: Array, of: Any, usual: int) -> Array:
-    """What an array holds for a design, or for some, where it has one dimension more than usual; else itself."""
+    """Rows of an array for a design, or the array itself if all share it."""
     return value[of] if value.ndim > usual else value
 
 

@@ -1,4 +1,4 @@
-"""Every way to co-design on one problem, in one table: what each found, what that brings in closed loop, and why."""
+"""Comparison of methods on one problem: designs found, closed-loop returns, and reasons."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_verdicts import leaves_limits, method_verdicts, signed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.tolerances import MORE_LOST
 from ccdtools.exceptions import InputError
 from ccdtools.table import Table, csv_text
 
@@ -22,12 +23,11 @@ HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",
     "held by",
 )  # fmt: skip
-MORE_LOST = 1e-3  # of the runs: a method that loses so many more than the one that loses fewest is not the best
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MethodComparison(Immutable):
-    """The methods on one problem: a table with one row per method, and what it says.
+    """Comparison of methods on one problem, with one row per method and a verdict.
 
     It is iterated like a list of `MethodRow`, and indexed by number or by the name of a method.
 
@@ -67,7 +67,7 @@ class MethodComparison(Immutable):
 
     @property
     def best(self) -> MethodRow:
-        """The method of the highest return on common scenarios, of those that keep the limits and lose no more runs.
+        """Best method on common scenarios, of those that keep the limits and lose fewest runs.
 
         As far as limits are left by all, those that leave them as the reference does.
         """
@@ -82,7 +82,7 @@ class MethodComparison(Immutable):
 
     @property
     def verdict(self) -> list[str]:
-        """What the table says, one sentence or two a line: which methods are equal, which one wins, and why."""
+        """Sentences on which methods are equal, which one wins, and why."""
         return method_verdicts(self)
 
     def percent(self, difference: float) -> float:
@@ -90,7 +90,7 @@ class MethodComparison(Immutable):
         return 100 * difference / self.size
 
     def table(self) -> list[dict[str, Any]]:
-        """One dictionary of plain values per method, the same keys in each; NaN or "" where there is nothing."""
+        """Plain values, one dictionary per method; NaN or "" where there is nothing."""
         return [self._cells(row) for row in self.rows]
 
     def to_csv(self, path: str | Path) -> Path:
@@ -100,7 +100,7 @@ class MethodComparison(Immutable):
         return target
 
     def plot(self) -> Any:
-        """A matplotlib figure: return against time, and the designs on the landscape of saturated LQR.
+        """Figure of return against time, and of designs on the landscape of saturated LQR.
 
         Of more than two parameters the designs are shown in parts of their ranges.
         """
@@ -178,7 +178,7 @@ class MethodComparison(Immutable):
 
 
 def held(result: CoDesignResult) -> str:
-    """What holds a design, in words; empty if nothing does."""
+    """Text on the active bounds and constraints of a design; empty if there are none."""
     bounds = [f"{name} {side}" for name, side in result.active_bounds.items()]
     return ", ".join([*bounds, *result.active_constraints])
 

@@ -1,4 +1,4 @@
-"""The names that tables give to methods; nothing here waits for what is slow to import."""
+"""Names of methods in tables, without slow imports."""
 
 from __future__ import annotations
 

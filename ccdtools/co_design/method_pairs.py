@@ -1,4 +1,4 @@
-"""What controllers bring in closed loop, and what methods found in pairs with one of them."""
+"""Closed-loop returns of controllers, and of methods in pairs with one of them."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from ccdtools.controllers.signals import Driver, Surroundings
 from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 
-RUNS = 1000  # scenarios of 100 steps; of longer ones fewer are taken,
-ONLINE_RUNS = 200  # and of a controller that plans ahead at every sample
+RUNS = 1000  # So many scenarios of 100 steps are taken, of longer ones fewer.
+ONLINE_RUNS = 200  # A controller that plans ahead at every sample has so many.
 UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
 
 
 def closed_loop_returns(
     problem: CoDesignProblem, controller: Any, design: ArrayLike, rng: np.random.Generator, *, runs: int | None = None
 ) -> ClosedLoopReturns:
-    """Returns of a controller at a design on scenarios of a problem, with its learned errors if it has any.
+    """Returns of a controller at a design, on scenarios with the problem's learned errors.
 
     Two controllers with generators of the same seed meet the same scenarios, the one with fewer runs the first of them.
 
@@ -84,7 +84,7 @@ def closed_loop_returns(
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MethodRow(Immutable):
-    """What one method came to.
+    """Outcome of one method.
 
     Attributes
     ----------
@@ -119,19 +119,19 @@ class MethodRow(Immutable):
 
     @property
     def closed_loop(self) -> ClosedLoopReturns:
-        """What was measured; only of a method that did not refuse."""
+        """Measured returns of a method that did not refuse."""
         assert self.result is not None
         assert self.result.closed_loop is not None
         return self.result.closed_loop
 
     @property
     def sound(self) -> bool:
-        """Whether it found something, and its own account is not of lost runs, or of limits that are not kept."""
+        """True if a design was found without lost runs or broken limits of its own."""
         return self.result is not None and self.result.status not in UNSOUND
 
 
 class Pairs:
-    """Differences of results to that of the reference, on the scenarios that both are measured on."""
+    """Differences of results to the reference on scenarios that both share."""
 
     def __init__(self, problem: CoDesignProblem, seed: int, reference: CoDesignResult) -> None:
         self.problem = problem
@@ -166,7 +166,7 @@ class Pairs:
         )  # fmt: skip
 
     def _first(self, result: CoDesignResult, runs: int) -> ClosedLoopReturns:
-        """A result on the first so many of its scenarios."""
+        """Closed-loop returns of a result on the first so many of its scenarios."""
         assert result.closed_loop is not None
         if len(result.closed_loop.values) == runs:
             return result.closed_loop
@@ -189,5 +189,5 @@ class Pairs:
 
 
 def scenarios_of(seed: int) -> np.random.Generator:
-    """What draws the scenarios of a seed that `codesign` measures on."""
+    """Generator of the scenarios of a seed that `codesign` measures on."""
     return np.random.default_rng(seed).spawn(1)[0]

@@ -1,4 +1,4 @@
-"""The picture of a comparison of methods: return against time, and the designs on the landscape of saturated LQR."""
+"""Pictures of a comparison: return against time, and designs on the landscape."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import Landscape
+from ccdtools.co_design.method_verdicts import SAME
+from ccdtools.co_design.tolerances import DEEPEST_SHOWN
 from ccdtools.figure_style import BOUND, NOT_WORSE_STRIP, blank, draw_map, label, styled
 from ccdtools.plants.design_space import DesignSpace
 
@@ -21,14 +23,13 @@ COLOURS = (  # Okabe and Ito, and five more
     "#A0205F",
 )  # fmt: skip
 MARKERS = "osD^vPX*<>h"
-GRID = {1: 41, 2: 13}  # designs per axis of the landscape
-DEEPEST = 0.25  # of the reference's return: what lies further below the best one is shown at the lower edge
-STRIP = 0.005  # of the reference's return: what counts as equal
-NEIGHBOURS = 0.12  # of a row: the distance of two methods' points in it
 
 
 def plot_methods(comparison: Any) -> Figure:
-    """Of a `MethodComparison`: return against time, and the designs; of more than two parameters in parts of ranges."""
+    """Plot return against time and the designs of a `MethodComparison`.
+
+    Designs of more than two parameters are shown in parts of their ranges.
+    """
     rows = [row for row in comparison.rows if row.result is not None]
     with styled():
         figure = blank(10.5, 5.0)
@@ -57,14 +58,14 @@ def _returns(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, An
     """
     level = comparison[comparison.reference].closed_loop.summary.mean
     size = comparison.size
-    strip = STRIP * size
+    strip = SAME / 100 * size
     ax.axhspan(level - strip, level + strip, color=NOT_WORSE_STRIP, lw=0, zorder=0)
     ax.annotate(f"within 0.5 % of {comparison.reference}", (0.985, level - strip), (0, -2),
                 xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", va="top", fontsize=7,
                 color="#4F7A4F")  # fmt: skip
     known = [row for row in rows if row.difference is not None]
     gaps = np.array([row.difference.mean for row in known])
-    lowest = level + max(gaps.min(initial=0.0), gaps.max(initial=0.0) - DEEPEST * size)
+    lowest = level + max(gaps.min(initial=0.0), gaps.max(initial=0.0) - DEEPEST_SHOWN * size)
     room = 0.08 * (level + gaps.max(initial=0.0) - lowest) + 2 * strip
     for row in known:
         colour, marker = looks[row.name]
@@ -101,9 +102,9 @@ def _axis(space: DesignSpace, i: int, count: int) -> Array:
 
 
 def _landscape(comparison: Any, shown: Sequence[int]) -> tuple[list[Array], Array]:
-    """Values along the axes, and returns of saturated LQR over them; NaN where there is none, or runs are lost."""
+    """Axes, and returns of saturated LQR over them; NaN without LQR or with lost runs."""
     space = comparison.problem.design
-    axes = [_axis(space, i, GRID[len(shown)]) for i in shown]
+    axes = [_axis(space, i, {1: 41, 2: 13}[len(shown)]) for i in shown]  # designs per axis
     over = np.stack(np.meshgrid(*axes), axis=-1)
     held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
     grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()
@@ -130,7 +131,7 @@ def _curve(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any]
         ax.plot([p, p], [0.0, 0.04], transform=ax.get_xaxis_transform(), color=colour, lw=1.5, zorder=3)
         ax.plot(p, level, marker, color=colour, ms=9, mec="white", mew=0.7, zorder=4)
     shown = returns[np.isfinite(returns)]
-    lowest = max(shown.min(), best - max(DEEPEST * comparison.size, 1.3 * (best - min(levels))))
+    lowest = max(shown.min(), best - max(DEEPEST_SHOWN * comparison.size, 1.3 * (best - min(levels))))
     spread = best - lowest
     ax.set_ylim(lowest - 0.05 * spread, best + 0.12 * spread)
     for edge in values[[0, -1]]:
@@ -161,14 +162,14 @@ def _map(
 def _ranges(
     ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]
 ) -> None:
-    """Where in its range every parameter ended, one row each."""
+    """Draw where in its range every parameter ended, one row each."""
     space = comparison.problem.design
     middle = (len(rows) - 1) / 2
     for y, i in enumerate(shown):
         ax.plot([0, 1], [y, y], color="#E3E3E3", lw=7, solid_capstyle="butt", zorder=0)
         for rank, row in enumerate(rows):
             colour, marker = looks[row.name]
-            height = y + min(NEIGHBOURS, 0.7 / len(rows)) * (rank - middle)
+            height = y + min(0.12, 0.7 / len(rows)) * (rank - middle)
             ax.plot(space.to_unit(row.result.design)[i], height, marker, color=colour, ms=7, mec="white", mew=0.6,
                     clip_on=False, zorder=4)  # fmt: skip
         for end, side, place in ((space.lower[i], "left", 0.0), (space.upper[i], "right", 1.0)):
@@ -181,7 +182,7 @@ def _ranges(
 
 
 def _way(row: Any) -> Array:
-    """The designs of a method that were better than all before, and where it ended, (k, np)."""
+    """Designs (k, np) of a method that were each the best so far, with its end."""
     history = row.result.history
     values = np.where(history.diverged > 0, -np.inf, np.nan_to_num(history.model_return, nan=-np.inf))
     best = np.maximum.accumulate(values)
@@ -196,7 +197,7 @@ def _axis_label(space: DesignSpace, i: int) -> str:
 
 
 def plot_trade_off(found: Any) -> Figure:
-    """Of a `TradeOff`: what control brings against what the design costs, and the designs over the price."""
+    """Plot control's gain over the design cost, and designs over the price, of a `TradeOff`."""
     space = found.space
     shown = _axes_of(space)
     with styled():

@@ -1,4 +1,4 @@
-"""What a comparison of methods says, in words."""
+"""Verdicts of a comparison of methods, in words."""
 
 from __future__ import annotations
 
@@ -7,15 +7,13 @@ from typing import Any
 import numpy as np
 
 from ccdtools.co_design.design_controllers import tangent_note
+from ccdtools.co_design.tolerances import OUTSIDE_SHARE, OWN_OBJECTIVE, SAME_PLACE
 
-SAME = 0.5  # per cent of the reference's return that two methods may differ by and be equal
-APART = 5.0  # per cent between a method's own objective and the closed loop that are worth a word
-NEAR = 0.02  # of the unit box: designs this close are one
-OUTSIDE = 1e-3  # of the states outside the limits, beyond twice the reference's: worth a word
+SAME = 0.5  # Two methods are equal if they differ by at most this part of the reference's return [%].
 
 
 def method_verdicts(comparison: Any) -> list[str]:
-    """Of a `MethodComparison`: which methods are equal, which one wins, which lose, by which part; which refused."""
+    """Verdicts on a `MethodComparison`: methods that are equal, win, lose or refused, and why."""
     rows = [row for row in comparison.rows if row.result is not None]
     refused = [f"{row.name} refused: {row.refused}" for row in comparison.rows if row.result is None]
     if not rows:
@@ -33,16 +31,16 @@ def method_verdicts(comparison: Any) -> list[str]:
 
 def leaves_limits(comparison: Any, row: Any) -> bool:
     """Whether a method is outside the limits more often than the reference may be."""
-    return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE)
+    return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE_SHARE)
 
 
 def signed(percent: float) -> str:
-    """With its sign and two decimals; what rounds to nothing is 0."""
+    """Number as text with sign and two decimals; what rounds to nothing is 0."""
     return f"{percent:+.2f}" if abs(percent) >= 0.005 else "0"
 
 
 def _percent(comparison: Any, row: Any) -> tuple[float, float, float]:
-    """Difference to the reference and its interval, in per cent; NaN where there are no pairs."""
+    """Difference to the reference with its interval [%]; NaN without pairs."""
     if row.difference is None:
         return (np.nan, np.nan, np.nan)
     low, high = row.difference.ci95
@@ -68,7 +66,7 @@ def _equal(comparison: Any, rows: list[Any]) -> str:
     points = space.to_unit(np.array([row.result.design for row in same]))
     spread = float(np.ptp(points, axis=0).max())
     first = comparison[comparison.reference].result
-    if spread <= NEAR:
+    if spread <= SAME_PLACE:
         where = f"at one design, {space.describe(first.design)}"
     else:
         where = f"at designs up to {spread:.0%} of the box apart: the return is flat there"
@@ -104,14 +102,14 @@ def _difference(comparison: Any, row: Any) -> str:
 
 
 def _parts(comparison: Any, row: Any) -> str:
-    """The parts of a difference that were measured: by the design and by the controller, and what both were made for.
+    """Measured parts of a difference: by the design, the controller, and their objective.
 
     No cause is named: that would take the same method without the supposed cause.
     """
     result = row.result
     made_for = f"its criterion is the {result.criterion}" if result.criterion else ""
     loop = row.closed_loop.summary.mean
-    if made_for and abs(comparison.percent(result.objective - loop)) > APART:
+    if made_for and abs(comparison.percent(result.objective - loop)) > OWN_OBJECTIVE:
         made_for += f", {result.objective:.5g}, beside {loop:.5g} in closed loop"
     if row.from_design is None or row.from_control is None:
         return made_for

@@ -1,4 +1,4 @@
-"""A co-design from many first designs, side by side: whether they agree, and on what."""
+"""Co-design from many first designs: whether they agree, and on what."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ccdtools.table import Table
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MultiStart(Immutable):
-    """What a method found from each of several first designs, all with the same seed.
+    """Results of a method from several first designs, all with the same seed.
 
     Attributes
     ----------
@@ -57,16 +57,16 @@ class MultiStart(Immutable):
 
     @property
     def designs(self) -> Array:
-        """What each found, (n, np)."""
+        """Designs found (n, np), one per start."""
         return np.array([result.design for result in self.results])
 
     @property
     def spread(self) -> float:
-        """The largest distance of a design found from the best one, in parts of the ranges."""
+        """Largest distance of designs found from the best, in parts of the ranges."""
         return float(np.abs(self.space.to_unit(self.designs) - self.space.to_unit(self.best.design)).max())
 
     def table(self) -> list[dict[str, Any]]:
-        """One dictionary of plain values per start."""
+        """Plain values, one dictionary per start."""
         return [
             {
                 **{f"{name} at first": value for name, value in self.space.as_dict(start).items()},
@@ -90,7 +90,7 @@ def multi_start(
     problem: CoDesignProblem, starts: int | ArrayLike = 10, *, method: str | Method = "nested", seed: int = 0,
     jobs: int = 1, progress: bool = False,
 ) -> MultiStart:  # fmt: skip
-    """The same co-design from several first designs.
+    """Run the same co-design from several first designs.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def multi_start(
 
 
 def _from(problem: CoDesignProblem, method: Method, seed: int, design: Array) -> CoDesignResult:
-    """What one start leads to."""
+    """Result of one start."""
     return codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
 
 
@@ -147,7 +147,7 @@ def _value(result: CoDesignResult) -> float:
 
 
 def _rank(result: CoDesignResult) -> tuple[float, float, float]:
-    """What the best one is the least of."""
+    """Sort key: the best result has the least."""
     assert result.closed_loop is not None
     broken = result.status in (CoDesignStatus.INFEASIBLE, CoDesignStatus.LIMITS_BROKEN)
     value = _value(result)

@@ -1,4 +1,4 @@
-"""What a co-design is judged by: a cost of every step, a cost of the end, and a cost of the design itself."""
+"""Objective of a co-design: costs of steps, end and design."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_instance, as_weight
+from ccdtools.co_design.tolerances import PSD
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbolic_functions import as_symbolic
-
-PSD = 1e-9  # of the largest weight: a negative eigenvalue this small is rounding
 
 
 class Weights(NamedTuple):
@@ -70,15 +69,15 @@ class Objective(Immutable):
         raise NotImplementedError
 
     def final_rewards(self, x: Any, p: Any) -> Any:
-        """What the state (..., nx) at the end of an episode adds, (...,); None where nothing does."""
+        """Rewards (...,) of the state (..., nx) that ends an episode; None if nothing counts."""
         return None
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """The quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
+        """Quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
         raise NotImplementedError
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
-        """Derivatives (·, ·, np) of the weights by the design; zeros unless a subclass has others."""
+        """Derivatives (·, ·, np) of the weights; zeros unless a subclass has others."""
         return Weights(*(np.zeros((m, n, len(p))) for m, n in ((nx, nx), (nu, nu), (nx, nu))))
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
@@ -97,14 +96,17 @@ class Objective(Immutable):
         return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
 
     def made_by_control(self, value: Any, p: Any, steps: int) -> Any:
-        """How large a return is without the cost of its design, (...,): what differences are compared with.
+        """Size (...,) of a return without its design cost, which differences are compared with.
 
         A large J_d is a part of every return, and nothing that a controller does would matter beside it.
         """
         return abs(value + self.cost_of_design(p, steps))
 
     def over(self, steps: int) -> Self:
-        """The same with `design_cost` set against an episode of so many steps, if it says nothing of its own."""
+        """This objective with `design_cost` set against an episode of so many steps.
+
+        An objective that states its own episode keeps it.
+        """
         return self if self.design_cost is None or self.episode is not None else replace(self, episode=steps)
 
     def describe(self) -> dict[str, Any]:
@@ -156,7 +158,7 @@ class QuadraticObjective(Objective):
 
     @property
     def looks_back(self) -> bool:
-        """Whether there is a cross weight, or a subclass has rewards of its own, which may be of anything."""
+        """True if there is a cross weight, or a subclass has rewards of its own."""
         return self.S is not None or type(self).rewards is not QuadraticObjective.rewards
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
@@ -173,7 +175,7 @@ class QuadraticObjective(Objective):
         return Weights(self.Q, self.R, self.S)
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """Whether there is a weight, a cost of the design, or a subclass with rewards of its own."""
+        """True if there is a weight, a design cost, or a subclass with own rewards."""
         own = type(self).rewards is not QuadraticObjective.rewards
         return own or self.design_cost is not None or bool(self.Q.any() or self.R.any())
 
@@ -202,7 +204,7 @@ def as_objective(argument: str, value: Any) -> Objective:
 
 
 def is_semidefinite(H: Array) -> bool:
-    """Whether a symmetric matrix is finite and positive semidefinite up to rounding, with a unit diagonal."""
+    """True if a symmetric matrix is finite and positive semidefinite up to rounding, scaled."""
     if not np.isfinite(H).all():
         return False
     size = np.sqrt(np.abs(np.diag(H)))

@@ -1,4 +1,4 @@
-"""How the best design moves with a weight or a datum of its problem: best designs beside it, solved for anew."""
+"""Movement of the best design with a weight or datum, by solving anew beside it."""
 
 from __future__ import annotations
 
@@ -19,18 +19,16 @@ from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import SAME_SENSITIVITY, SMALL_SENSITIVITY
 from ccdtools.co_design.trade_off import ProblemOf, stated
 from ccdtools.exceptions import InputError
 
 INNER = ("lqr", "riccati")
-EVALUATIONS = 100  # of a search
-AGREE = 0.1  # of the slope: what the slopes to both sides may differ by,
-LITTLE = 0.01  # and of the box per change of the value by itself
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class OptimumSensitivity(Immutable):
-    """How the best design moves with a value θ.
+    """Movement of the best design with a value θ.
 
     Attributes
     ----------
@@ -62,10 +60,10 @@ class OptimumSensitivity(Immutable):
 
     @property
     def agrees(self) -> bool:
-        """Whether the slopes to both sides are the same within a tenth, and what does not matter."""
+        """True if the slopes to both sides agree within a tenth, up to negligible amounts."""
         size = max(abs(self.value), np.finfo(float).tiny)
         gap, slope = ((part / self.width) * size for part in (self.ahead - self.behind, self.slope))
-        return bool(np.linalg.norm(gap) <= AGREE * np.linalg.norm(slope) + LITTLE)
+        return bool(np.linalg.norm(gap) <= SAME_SENSITIVITY * np.linalg.norm(slope) + SMALL_SENSITIVITY)
 
     def __repr__(self) -> str:
         sides = zip(self.names, self.slope, self.behind, self.ahead)
@@ -81,7 +79,7 @@ def optimum_sensitivity(
     problem_of: ProblemOf, value: float, *, design: ArrayLike | None = None, inner: str = "lqr", step: float = 0.02,
     runs: int | None = None, seed: int = 0,
 ) -> OptimumSensitivity:  # fmt: skip
-    """The slope dp*/dθ of the best design by nested co-design, with respect to a value θ of its problem.
+    """Slope dp*/dθ of the best design by nested co-design, for a value θ.
 
     The best designs of θ and of a little more and less are searched along exact slopes on the same scenarios. Bounds,
     constraints and scenarios may depend on θ too. Limits on states are counted in it as far as the objective counts
@@ -154,7 +152,7 @@ def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: 
     v = space.allowed.rounded(np.clip(space.to_unit(design), 0.0, 1.0))
     value = value_of(cost, v)
     size = float(problem.made_by_control(-value, space.from_unit(v))) if np.isfinite(value) else 1.0
-    found = descend(cost, space, v, size=size or 1.0, evaluations=EVALUATIONS)
+    found = descend(cost, space, v, size=size or 1.0, evaluations=100)
     if not np.isfinite(found.cost):
         got = f"{space.describe(space.from_unit(v))}, which has no LQR to search by"
         raise InputError("design", got, "a design that can be stabilised, at every value that is looked at")

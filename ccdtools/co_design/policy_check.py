@@ -1,4 +1,4 @@
-"""Whether a policy is at an optimum that its gradient can see: its last layer retuned a little.
+"""Check that a policy is at an optimum, by retuning its last layer.
 
 The latent action l of a policy, before it is clipped to U, becomes exp(a) l + b + k x: a gain, an offset and a linear
 law beside it, for every input; b and k in units of what the policy itself does and sees. Along these few numbers the
@@ -25,18 +25,10 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in
 from ccdtools.co_design.episodes import Episode, latent_law, simulated
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import LEAST_ACTION, NO_GRADIENT, NOISIER, POLICY_STEPS, RETUNE_STEPS
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import scaled
-
-DIRECTIONS = 4  # random ones, along which gradient and differences are compared
-STEPS = (1e-2, 1e-3)  # of the differences, in parts of what a policy does
-LEAST = 1e-3  # of the range of an input: what a policy is taken to do that does less
-NOISIER = 2.0  # times: where smaller steps have such errors, returns jump, and only the larger step says something
-FIRST = {"gain": 0.5, "offset": 0.1, "law": 0.2}  # steps of the search
-EVALUATIONS = 10  # of the search for every number that is tuned, and no more than
-MOST = 60
-BLIND = 1e-9  # of the return: a run whose gradient is smaller has none
 
 
 class Retuned:
@@ -58,7 +50,7 @@ class Retuned:
         self._scenarios = (scenarios[0].double(), scenarios[1].double())
         self.shape = (problem.model.nu, 2 + problem.model.nx)
         x, latent = self._root_mean_squares()
-        self._unit = latent.clamp(LEAST, 1.0)[:, None]
+        self._unit = latent.clamp(LEAST_ACTION, 1.0)[:, None]
         self._law = self._unit / x.clamp(min=1e-12)
 
     def episode(self, r: Tensor, *, depths: bool = False) -> Episode:
@@ -75,18 +67,18 @@ class Retuned:
         return simulated(self._stepper, inputs, self._scenarios, depths=depths)
 
     def values(self, r: Tensor) -> Tensor:
-        """What counts of the returns, (n,)."""
+        """Values (n,) of the returns by the risk."""
         return self._stepper.problem.risk.values(self.episode(r).total)
 
     def on(self, scenarios: ScenarioTensors) -> Retuned:
-        """The same in other scenarios."""
+        """This policy in other scenarios."""
         other = copy.copy(self)
         other._scenarios = (scenarios[0].double(), scenarios[1].double())
         return other
 
     @torch.no_grad()
     def _root_mean_squares(self) -> tuple[Tensor, Tensor]:
-        """Sizes of the states (nx,) that the policy visits, and of its latent actions (nu,) there."""
+        """Sizes of the states (nx,) that the policy visits, and its latent actions (nu,)."""
         squares: list[Tensor] = []
         limit = self._stepper.limit.double()
 
@@ -102,19 +94,22 @@ class Retuned:
 
 
 def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> GradientCheck:
-    """Its slopes along a few random changes of its last layer: through the model, and by differences."""
+    """Slopes of a policy along a few random changes of its last layer.
+
+    They are taken through the model, and by differences.
+    """
     retuned = Retuned(problem, policy, scenarios)
     size = int(np.prod(retuned.shape))
-    drawn = np.random.default_rng(0).standard_normal((size, min(DIRECTIONS, size)))
+    drawn = np.random.default_rng(0).standard_normal((size, min(4, size)))
     directions = torch.tensor(np.linalg.qr(drawn)[0])
     r = torch.zeros((len(scenarios[0]), *retuned.shape), dtype=torch.float64, requires_grad=True)
     values = retuned.values(r)
     pathwise = torch.autograd.grad(values.sum(), r)[0].flatten(1) @ directions
     scale = float(problem.made_by_control(values.detach().mean(), torch.tensor(policy.design)))
-    coarse = _check(pathwise, _differences(retuned, directions, STEPS[0]), scale)
+    coarse = _check(pathwise, _differences(retuned, directions, POLICY_STEPS[0]), scale)
     if coarse.trusted:
         return coarse
-    fine = _check(pathwise, _differences(retuned, directions, STEPS[1]), scale)
+    fine = _check(pathwise, _differences(retuned, directions, POLICY_STEPS[1]), scale)
     steady = fine.finite_difference_error <= NOISIER * coarse.finite_difference_error
     return fine if steady.all() else coarse
 
@@ -133,7 +128,7 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
         names, by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), np.full(len(names), np.nan),
         standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
         standard_error(pathwise - by_difference).numpy(), scale,
-        float((pathwise.norm(dim=1) <= BLIND * scale).double().mean()),
+        float((pathwise.norm(dim=1) <= NO_GRADIENT * scale).double().mean()),
     )  # fmt: skip
 
 
@@ -141,7 +136,7 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
 def better_by_search(
     problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
 ) -> PairedDifference:
-    """By how much the best policy that a search on some scenarios finds is better, on fresh ones.
+    """Gain on fresh scenarios of the best policy that a search finds.
 
     None that leaves the limits further, or loses more runs, counts.
     """
@@ -151,13 +146,14 @@ def better_by_search(
     most = _left(retuned.episode(nothing, depths=True))
 
     def cost(z: Array) -> float:
-        """Of a vector of numbers."""
+        """Cost of a vector of numbers; infinite where limits are left further."""
         seen = retuned.episode(torch.tensor(z.reshape(retuned.shape)), depths=True)
         return -float(problem.risk.values(seen.total).mean()) if (_left(seen) <= most).all() else np.inf
 
-    steps = np.tile([FIRST["gain"], FIRST["offset"], *[FIRST["law"]] * (retuned.shape[1] - 2)], retuned.shape[0])
+    gain, offset, law = (RETUNE_STEPS[name] for name in ("gain", "offset", "law"))
+    steps = np.tile([gain, offset, *[law] * (retuned.shape[1] - 2)], retuned.shape[0])
     simplex = np.vstack([np.zeros(count), np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": min(EVALUATIONS * count, MOST), "adaptive": True}
+    options = {"initial_simplex": simplex, "maxfev": min(10 * count, 60), "adaptive": True}
     found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
     again = retuned.on(fresh)
     better = again.values(torch.tensor(found.reshape(retuned.shape)))
@@ -165,5 +161,5 @@ def better_by_search(
 
 
 def _left(seen: Episode) -> Array:
-    """How often and how far limits are left, and the share of the runs that are lost, (3,)."""
+    """Frequency and depth of violations, and the share of lost runs, (3,)."""
     return np.array([float(part.double().mean()) for part in (seen.outside, seen.peak, seen.diverged)])

@@ -1,4 +1,4 @@
-"""PPO's part in a co-design: episodes of the sampled policy, an update from them, and the paper's design gradient."""
+"""PPO in a co-design: sampled episodes, updates, and the paper's design gradient."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from learning.rollout import Rollout, collect
 
 
 class DesignEnv:
-    """`runs` episodes side by side; observations are (x, p), actions u in the units of the plant.
+    """Environment of `runs` episodes; observations (x, p), actions u in the plant's units.
 
     Episodes end together at the problem's time limit: truncated, or terminated where the objective has a terminal cost.
     One that diverges terminates and restarts from its own initial state.
@@ -69,7 +69,7 @@ class DesignEnv:
 
 
 class PPOPart:
-    """An agent, the episodes it learns from, and its optimisers, which live as long as the training.
+    """Agent with its episodes and its optimisers, which live as long as the training.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class PPOPart:
         return loss_gradient(self.problem, self.agent, v, prepare(self.agent, rollout, self.config), self.config)
 
     def update(self, rollout: Rollout, *, factor: float, actor: bool) -> None:
-        """One update of critic and, if asked, actor, at a part of their first rates."""
+        """Update the critic and, if asked, the actor, at a part of their first rates."""
         for optimiser, rate in (
             (self.optimisers.actor_optimiser, self.config.learning_rate),
             (self.optimisers.critic_optimiser, self.config.value_rate),

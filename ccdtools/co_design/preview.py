@@ -1,4 +1,4 @@
-"""Co-design with disturbances known ahead: the problem of the model that carries them in its state."""
+"""Co-design with disturbances known ahead, which the model carries in its state."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_instance, has_method
 from ccdtools.co_design.objective import Objective, QuadraticObjective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
+from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import as_limits
@@ -20,14 +21,13 @@ from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.preview import as_channels, previewed_state, with_preview
 from invariant_sets import Polytope
 
-DRAWN = 200  # episodes that say how large a disturbance is,
-ROOM = 3.0  # and how much larger than the largest of them it may be: a limit that binds would make an MPC infeasible
-
 
 def previewed_problem(
     problem: CoDesignProblem, steps: int, *, channels: Sequence[int] | None = None, W: Any = None
 ) -> CoDesignProblem:
-    """The same problem with disturbances known ahead: LQR, MPC, the expert and the learned policy see them.
+    """Problem with disturbances known ahead.
+
+    LQR, MPC, the expert and the learned policy see them.
 
     Its state is (x, w_k, …, w_{k+N−1}), see `with_preview`; a policy found for it runs on the plant itself as
     `Previewing(policy, steps)`. X_fea of so many states is out of reach: `expert_dataset` falls back on the region that
@@ -74,7 +74,7 @@ def previewed_problem(
 
 
 def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits:
-    """X and, for every sample of a preview, W: the limits of the state (x, w_k, …, w_{k+N−1}).
+    """Limits of the state (x, w_k, …, w_{k+N−1}): X and, for each sample, W.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class PreviewedObjective(Objective):
 
     @classmethod
     def of(cls, own: Objective, length: int) -> PreviewedObjective:
-        """With the cost of the design that the other has."""
+        """Objective `own` before a register, with the design cost of `own`."""
         return cls(own, length, design_cost=own.design_cost, episode=own.episode)
 
     def __repr__(self) -> str:
@@ -138,11 +138,11 @@ class PreviewedObjective(Objective):
         return self.own.rewards(self._own(x_next), u, None if x is None else self._own(x), p)
 
     def final_rewards(self, x: Any, p: Any) -> Any:
-        """What the other's end adds."""
+        """Rewards of the end by `own`, without the register."""
         return self.own.final_rewards(self._own(x), p)
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """The other's, with none on the register."""
+        """Weights of `own`, with none on the register."""
         return _with_register(self.own.weights(p, nx - self.length, nu), self.length)
 
     def check(self, nx: int, nu: int, designs: int) -> None:
@@ -150,7 +150,7 @@ class PreviewedObjective(Objective):
         self.own.check(nx - self.length, nu, designs)
 
     def describe(self) -> dict[str, Any]:
-        """The other's."""
+        """Description of `own`."""
         return self.own.describe()
 
     def _own(self, x: Any) -> Any:
@@ -165,11 +165,11 @@ def _with_register(own: Weights, length: int) -> Weights:
 
 
 def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
-    """The same limits, of the first nx states."""
+    """Limits of outputs of the first nx states."""
     own = limits.outputs
 
     def outputs(x: Any, u: Any, p: Any) -> Any:
-        """Of CasADi columns."""
+        """Outputs of CasADi columns, from the states without the register."""
         return own.function(nx, u.numel(), p.numel())(x[:nx], u, p)
 
     return replace(limits, outputs=outputs)
@@ -177,7 +177,7 @@ def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
 
 @dataclass(frozen=True, eq=False)
 class PreviewedScenarios(Immutable):
-    """Scenarios of a model with a register: its first content is what comes first, its disturbance what comes later.
+    """Scenarios of a model with a register: first its content, then its disturbance.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class PreviewedScenarios(Immutable):
 
     @property
     def disturbance(self) -> Any:
-        """What drives the model where its register does not matter; None where the scenarios do not say."""
+        """Disturbance of the model where its register does not matter; None without one."""
         return getattr(self.own, "disturbance", None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -208,7 +208,10 @@ class PreviewedScenarios(Immutable):
 
 
 def shifted(w: Array, steps: int, channels: Sequence[int]) -> Array:
-    """What enters a register of `steps` samples in place of disturbances (n, T + steps, nw), (n, T, nw)."""
+    """Disturbances (n, T, nw) that enter a register of `steps` samples.
+
+    They stand in place of disturbances (n, T + steps, nw).
+    """
     later = np.array(w[:, : w.shape[1] - steps])
     later[..., list(channels)] = w[:, steps:, list(channels)]
     return later
@@ -216,8 +219,8 @@ def shifted(w: Array, steps: int, channels: Sequence[int]) -> Array:
 
 def _drawn_bounds(problem: CoDesignProblem, known: tuple[int, ...]) -> tuple[ArrayField, ArrayField]:
     """Bounds of the disturbances known ahead, symmetric, from a few episodes."""
-    _, w = problem.scenarios.sample(DRAWN, problem.steps, np.random.default_rng(0))
-    largest = ROOM * np.abs(as_array("scenarios, disturbances", w)).max(axis=(0, 1))[list(known)]
+    _, w = problem.scenarios.sample(200, problem.steps, np.random.default_rng(0))
+    largest = PREVIEW_ROOM * np.abs(as_array("scenarios, disturbances", w)).max(axis=(0, 1))[list(known)]
     if not (largest > 0).all():
         cure = "Give their bounds W, or name other channels."
         raise InputError("problem", "a disturbance known ahead that is always zero", "one that is not", cure)

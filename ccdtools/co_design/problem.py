@@ -1,4 +1,4 @@
-"""A co-design problem: a model, its limits, its objective and the scenarios it is judged on."""
+"""Co-design problem: model, limits, objective and scenarios."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, bounds_
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
-from ccdtools.plants.design_space import FEASIBLE, DesignSpace
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
+from ccdtools.plants.tolerances import FEASIBLE
 from invariant_sets import Polytope
 
-DIVERGENCE = 1e3  # a run is lost when a state exceeds this many half-widths of X
-NARROWEST = 1e-5  # width of a box of designs beside its bounds, of which single precision resolves 1e-7
+DIVERGENCE = 1e3  # A run is lost when a state exceeds this many half-widths of X.
+NARROWEST = 1e-5  # A box of designs is too narrow below this part of its bounds: float32 resolves 1e-7.
 
 
 class Scenarios(Protocol):
@@ -47,11 +48,11 @@ class Scenarios(Protocol):
 
 
 class ErrorModel(Protocol):
-    """What a digital twin has learned of its model's error: a `Discrepancy`."""
+    """Error of a twin's model, as learned from logs: a `Discrepancy`."""
 
     @property
     def noise(self) -> str:
-        """What is added to the median: none, quantiles or replayed."""
+        """Addition to the median: none, quantiles or replayed."""
         ...
 
     @property
@@ -69,13 +70,13 @@ class ErrorModel(Protocol):
         ...
 
     def double(self) -> ErrorModel:
-        """The same in double precision."""
+        """This error model in double precision."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class FixedStart(Immutable):
-    """Every run from one state `x0` (nx,), with fresh disturbances."""
+    """Starts from one state `x0` (nx,), with fresh disturbances."""
 
     x0: ArrayField
     disturbance: Disturbance
@@ -96,7 +97,7 @@ class FixedStart(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoDesignProblem(Immutable):
-    """What is to be designed, and how a design and its policy are judged.
+    """Design task with the measure that designs and policies are compared by.
 
     Parameters
     ----------
@@ -261,7 +262,9 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """What drives the model for any number of steps, (runs, steps, ·): nw disturbances, or nx draws or errors.
+        """Disturbance, draws or errors (runs, steps, ·) for any number of steps.
+
+        They are nw disturbances, or nx draws or errors.
 
         Scenarios are asked for no more than an episode, which is all that they offer, and these follow one another;
         a `disturbance` of theirs has any length.
@@ -289,15 +292,15 @@ class CoDesignProblem(Immutable):
         return self.objective.weights(p, self.model.nx, self.model.nu)
 
     def made_by_control(self, value: Any, p: Any) -> Any:
-        """How large the return of an episode at a design is without the cost of the design."""
+        """Size of the return of an episode at a design, without the design's cost."""
         return abs(value + self.cost_of_design(p))
 
     def cost_of_design(self, p: Any) -> Any:
-        """What an episode pays for its design."""
+        """Cost of the design that an episode pays."""
         return self.objective.cost_of_design(p, self.steps - self.warm_up)
 
     def kept_by_mpc(self, p: Array) -> Polytope:
-        """The states that MPC keeps at a design: X, and limits of outputs that are linear in the state alone."""
+        """States that MPC keeps at a design: X, and linear output limits of states alone."""
         X = self.state_limits(p)
         return X if self.output_limits is None else self.output_limits.within(X, self.model.nu, p)
 
@@ -315,12 +318,12 @@ class CoDesignProblem(Immutable):
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
-        """Lower and upper input bounds, each (nu,); of a U that depends on the design the widest."""
+        """Input bounds, lower and upper (nu,); the widest of a U(p)."""
         return widest(self.U).bounding_box()
 
     @property
     def action_bounds(self) -> tuple[Array, Array] | DesignLimits:
-        """What `fit_actor_critic` takes for the bounds of a policy: those of U, or U as a function of the design."""
+        """Bounds of a policy for `fit_actor_critic`: U, or a function of the design."""
         return self.U if isinstance(self.U, DesignLimits) else self.input_bounds
 
     @property
@@ -356,7 +359,7 @@ def _check_widths(design: DesignSpace) -> None:
 
 
 def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """The limits as a set of that dimension; raise an `InputError` unless it is bounded and not empty."""
+    """Limits as a set of that dimension; an `InputError` if unbounded or empty."""
     limits = as_limits_over(name, value, size, of, space)
     if isinstance(limits, DesignLimits):
         return limits

@@ -1,4 +1,4 @@
-"""Episodes that start at random: uniformly within a set, by a distribution, or at one of some states."""
+"""Episodes with random starts: uniform in a set, by a distribution, or among states."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
 from invariant_sets import Polytope
 
-TRIED = 40  # points of a set's bounding box for each that is wanted; where too few lie in it, hit and run takes over
 KINDS = "a Polytope, a distribution such as Uniform(lower, upper), or states (n, nx)"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomStarts(Immutable):
-    """Every run from a state of its own, with fresh disturbances.
+    """Starts from a state of its own for every run, with fresh disturbances.
 
     Parameters
     ----------
@@ -103,7 +102,9 @@ class RandomStarts(Immutable):
 
 
 def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
-    """Points (n, dim) uniform in a bounded set: those of its box that lie in it, or by hit and run where few do.
+    """Points (n, dim) uniform in a bounded set.
+
+    They are those of its box that lie in it, or by hit and run where few do.
 
     Parameters
     ----------
@@ -116,7 +117,7 @@ def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
     Operations Research 32(6), 1984.
     """
     lower, upper = S.bounding_box()
-    tried = rng.uniform(lower, upper, (TRIED * n, S.dim))
+    tried = rng.uniform(lower, upper, (40 * n, S.dim))  # for each wanted; if few lie in S, hit and run takes over
     found = tried[S.contains(tried)]
     if len(found) >= n:
         return found[:n]

@@ -1,4 +1,4 @@
-"""What every co-design returns: the design and controller found, what they are worth, and how they came about."""
+"""Result of every co-design: design, controller, their worth and history."""
 
 from __future__ import annotations
 
@@ -14,11 +14,9 @@ from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
 from ccdtools.controllers.controllers import Controller
 from ccdtools.statistics import PairedDifference, Summary
-
-HEAVY = 2.0  # standard deviation of the runs, in parts of their mean, beyond which a few of them decide
-FAR = 0.5  # of the return in closed loop: an objective that predicts more than this did not see what happens
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,7 +50,7 @@ class History(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Valley(Immutable):
-    """A local optimum of J(p): where the landscape of saturated LQR has it, and where a co-design from there ended.
+    """Local optimum of J(p) by saturated LQR, with the end of a co-design from it.
 
     Attributes
     ----------
@@ -87,7 +85,7 @@ class Valley(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoopReturns(Immutable):
-    """What a controller brings at a design, run by run, on scenarios of a problem.
+    """Returns of a controller at a design, run by run, on a problem's scenarios.
 
     Attributes
     ----------
@@ -119,7 +117,7 @@ class ClosedLoopReturns(Immutable):
         return f"ClosedLoopReturns({self})"
 
     def __str__(self) -> str:
-        """What is counted, of how many runs, and what is not."""
+        """Value of the risk, with the numbers of runs kept and lost."""
         found = self.summary
         low, high = found.ci95
         what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
@@ -129,7 +127,7 @@ class ClosedLoopReturns(Immutable):
 
     @cached_property
     def summary(self) -> Summary:
-        """The risk, its 95 % interval and more of the runs that are not lost: see `summarise_in_risk`."""
+        """Risk, its 95 % interval and more of the runs kept: see `summarise_in_risk`."""
         return summarise_in_risk(self.risk, self.values, self.lost)
 
     def parts(self, runs: Indices) -> Array:
@@ -144,7 +142,7 @@ class ClosedLoopReturns(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Baseline(Immutable):
-    """What a result was compared with before it was called settled.
+    """Baseline that a result was compared with before it was called settled.
 
     Attributes
     ----------
@@ -250,12 +248,12 @@ class CoDesignResult(Immutable):
         return f"{type(self).__name__}({self.method}: {found}{loop}, {self.history!r})"
 
     def as_dict(self) -> dict[str, Any]:
-        """How it ended, as plain values for a file: JSON has what is not finite as null."""
+        """Plain values for a file: JSON has what is not finite as null."""
         plain: dict[str, Any] = jsonable(self._values())
         return plain
 
     def _values(self) -> dict[str, Any]:
-        """How it ended."""
+        """Status as plain values."""
         return {
             "status": self.status.name, "meaning": self.status.value, "advice": self.status.advice,
             "method": self.method, "valleys": [asdict(valley) for valley in self.valleys],
@@ -266,7 +264,7 @@ class CoDesignResult(Immutable):
         }  # fmt: skip
 
     def describe(self) -> list[str]:
-        """How it ended, what holds the design, and the other valleys, one line each."""
+        """Status, active constraints of the design, and other local optima, one line each."""
         lines = ([f"design: {self.described}"] if self.described else []) + self._ended()
         if self.active_constraints:
             values = (f"{name} = {value:.3g}" for name, value in self.active_constraints.items())
@@ -277,7 +275,7 @@ class CoDesignResult(Immutable):
         return lines
 
     def _ended(self) -> list[str]:
-        """How it ended, one line each."""
+        """Status and reason, one line each."""
         lines = [f"{self.method}: {self.status.value} after {self.evaluations} evaluations. {self.status.advice}"]
         if self.criterion and np.isfinite(self.objective):
             lines.append(f"{self.criterion}: {self.objective:.6g}")
@@ -288,7 +286,7 @@ class CoDesignResult(Immutable):
         return lines
 
     def _of_loop(self) -> list[str]:
-        """What it brings in closed loop, one line each."""
+        """Returns in closed loop, one line each."""
         if self.closed_loop is None:
             return []
         summary = self.closed_loop.summary
@@ -299,17 +297,17 @@ class CoDesignResult(Immutable):
         return [told, *_warnings(self.objective, summary)]
 
     def _remarks(self) -> list[str]:
-        """What else is to be known, one line each."""
+        """Other remarks, one line each."""
         return [*self.notes, *(f"beside it, {one!r}" for one in self.baselines)]
 
 
 def _warnings(objective: float, summary: Summary) -> list[str]:
-    """What a return in closed loop says against the method's own objective."""
+    """Warnings where the closed loop contradicts the method's own objective."""
     lines = []
     size = abs(summary.mean)
-    if summary.std > HEAVY * size:
+    if summary.std > FEW_RUNS_DECIDE * size:
         lines.append("a few runs cost far more than the rest: they are nearly lost, and the interval says little")
-    if np.isfinite(objective) and objective - summary.mean > FAR * size:
+    if np.isfinite(objective) and objective - summary.mean > UNFORESEEN * size:
         lines.append(
             "the closed loop brings far less than the method's own objective: what was optimised is not what happens, "
             "so look for a design in closed loop (nested, search, learning)"

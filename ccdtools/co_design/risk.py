@@ -1,4 +1,4 @@
-"""What of the returns of many runs is optimised: their mean, what the bad ones are, or the mean of the worst case."""
+"""Risk measures of returns: mean, tail, or mean of the worst case."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Mean:
         return returns
 
     def describe(self) -> str:
-        """In words."""
+        """Short description of the risk, for tables."""
         return "mean"
 
 
@@ -57,13 +57,13 @@ class MeanSpread:
         return returns - self.weight * (spread + squares / spread) / 2
 
     def describe(self) -> str:
-        """In words."""
+        """Short description of the risk, for tables."""
         return "mean minus spread" if self.weight == 1 else f"mean minus {self.weight:g} times the spread"
 
 
 @dataclass(frozen=True)
 class CVaR:
-    """The mean of the worst `share` of the returns, their conditional value at risk; of the worst one at least.
+    """Mean of the worst `share` of the returns, at least one: conditional value at risk.
 
     References
     ----------
@@ -90,13 +90,13 @@ class CVaR:
         return quantile + (returns - quantile).clamp(max=0.0) * (n / worst)
 
     def describe(self) -> str:
-        """In words."""
+        """Short description of the risk, for tables."""
         return f"mean of the worst {100 * self.share:.3g} %"
 
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The mean return of the worst case: of several masses, roads or drivers, the one that a design does worst in.
+    """Mean return of the worst case, of several masses, roads or drivers.
 
     The cases are those of the scenarios' `Cases`, met by the runs in turn. Within a case chance is averaged; between
     the cases nothing is. The least of the means has a kink where two cases are alike, which is where robust designs
@@ -126,11 +126,11 @@ class WorstCase:
             object.__setattr__(self, "cases", as_count("cases", self.cases, least=2))
 
     def describe(self) -> str:
-        """In words."""
+        """Short description of the risk, for tables."""
         return "worst case" if self.cases is None else f"worst of {self.cases} cases"
 
     def over(self, scenarios: Any) -> WorstCase:
-        """With the cases of scenarios, or of a disturbance.
+        """This worst case with the cases of scenarios, or of a disturbance.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class WorstCase:
         return measure + counted * (returns - means @ members)
 
     def _smoothed(self, means: Any) -> tuple[Any, Any]:
-        """The measure of the means of the cases, (..., 1), and its slopes in them, (..., m)."""
+        """Risk of the means of the cases (..., 1), with its slopes in them (..., m)."""
         exp, log = (np.exp, np.log) if isinstance(means, np.ndarray) else map(methodcaller, ("exp", "log"))
         worst, _ = _least(means)
         tau = self.smoothing * abs(worst) + TINY
@@ -193,7 +193,7 @@ def check_followed(risk: Risk, method: str, design_gradient: str) -> None:
 
 
 def fewest_runs(risk: Risk) -> int:
-    """How many runs a risk needs to say anything: one of every case."""
+    """Least number of runs that a risk needs: one of every case."""
     return (risk.cases or 1) if isinstance(risk, WorstCase) else 1
 
 
@@ -209,7 +209,10 @@ def _cases_of(scenarios: Any) -> int:
 
 
 def of_logged_runs(risk: Risk) -> Risk:
-    """What replays of logged runs can follow of a risk: for a worst case, whose cases are not known there, the mean."""
+    """Risk that replays of logged runs can follow.
+
+    A worst case, whose cases are not known there, becomes the mean.
+    """
     return MEAN if isinstance(risk, WorstCase) else risk
 
 
@@ -230,6 +233,9 @@ def as_risk(argument: str, value: Any) -> Risk:
 
 
 def measure(risk: Risk) -> str:
-    """A risk in words: "mean", "mean of the worst 10 %"; of one that has no words of its own, the name of its class."""
+    """Name of a risk: "mean", "mean of the worst 10 %".
+
+    A risk without words of its own has the name of its class.
+    """
     describe = getattr(risk, "describe", None)
     return describe() if callable(describe) else type(risk).__name__

@@ -1,4 +1,4 @@
-"""Risks of the runs that were kept, with their intervals: a run that is lost is counted, and not averaged in.
+"""Risks of runs, with intervals; lost runs are counted and not averaged in.
 
 References
 ----------
@@ -18,7 +18,7 @@ NONE = (float("nan"), float("nan"))
 
 
 def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
-    """The risk of returns (n,); of a worst case, whose runs have the numbers `runs`, the least mean itself.
+    """Risk of returns (n,); for a worst case with `runs` numbered, the least mean.
 
     NaN where nothing can be said: of no run, or of a worst case without a run of one of its cases.
     """
@@ -32,7 +32,7 @@ def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
 def parts_of_risk(
     risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None
 ) -> Array:  # fmt: skip
-    """The part that every group of runs has in a risk of their returns (n,), (g,): their mean is the risk.
+    """Part (g,) of each group of runs in a risk of returns (n,); their mean is the risk.
 
     The part of a group is how far the risk moves when it is left out; of runs that are groups of their own, and a risk
     of this package, by its derivative. NaN of a single group.
@@ -58,7 +58,10 @@ def parts_of_risk(
 
 
 def in_tail(risk: Risk, runs: Indices) -> int:
-    """How many of the runs (n,) with these numbers decide a risk: its share of them, or those of the rarest case."""
+    """Number of the runs (n,) that decide a risk.
+
+    It is the risk's share of them, or the runs of the rarest case.
+    """
     if isinstance(risk, CVaR):
         return int(risk.share * len(runs) + 1e-9)
     if isinstance(risk, WorstCase):
@@ -75,7 +78,7 @@ def too_few(risk: Risk, runs: Indices) -> str:
 
 
 def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
-    """The risk of the runs that are not lost, with its 95 % interval, of returns (n,) of which some are `lost` (n,).
+    """Risk, with 95 % interval, of returns (n,) without those of `lost` (n,) runs.
 
     `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
     that fewer than ten runs decide the risk, which then has no interval.
@@ -94,14 +97,14 @@ def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
 
 
 def of_kept_runs(risk: Risk, returns: Array, lost: Mask) -> tuple[float, float, float]:
-    """The risk of the runs that are not lost, the standard deviation of their returns, and the fraction lost."""
+    """Risk and standard deviation of the returns kept, and the fraction lost."""
     runs = np.flatnonzero(~lost)
     std = float(returns[runs].std(ddof=1)) if len(runs) > 1 else 0.0
     return risk_of(risk, returns[runs], runs), std, float(lost.mean())
 
 
 def difference_of_parts(risk: Risk, parts: Array, runs: Indices) -> PairedDifference:
-    """Mean of the differences of parts (n,) in a risk, of common runs with these numbers, with its 95 % interval."""
+    """Mean difference of parts (n,) in a risk of common runs, with its 95 % interval."""
     mean = float(parts.mean()) if len(parts) else float("nan")
     if isinstance(risk, Mean):
         return PairedDifference(mean, summarise(parts).ci95)

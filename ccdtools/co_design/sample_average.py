@@ -1,4 +1,4 @@
-"""A mean cost on fixed scenarios as a smooth function of one vector: weights of a policy, and a design; its climb."""
+"""Mean cost on fixed scenarios, smooth in one vector of weights and design, and its climb."""
 
 from __future__ import annotations
 
@@ -12,18 +12,11 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.feasible import DesignRegion
-
-UNIT_OF_Z = 0.03  # unit of z: how far the first step of a climb goes at most, in weights and in the unit box
-PER_UNIT = UNIT_OF_Z**-2  # unit of the value: where there are bounds, a first step is no longer than the gradient
-TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
-STEEPEST = 1e3  # relative gradients are clipped here
-LOST = 1e9 * PER_UNIT  # value where the cost is not finite
-MEMORY = 20  # pairs that L-BFGS keeps
-OPTIONS = {"maxcor": MEMORY, "ftol": 1e-7, "gtol": 1e-5 / UNIT_OF_Z}
+from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VALUE, PER_UNIT, STEEPEST, UNIT_OF_Z
 
 
 class SampleAverage:
-    """Relative cost and its gradient at a vector z (m,); the weights and the design are set to it.
+    """Relative cost and gradient at a vector z (m,), which sets weights and design.
 
     Parameters
     ----------
@@ -83,25 +76,28 @@ class SampleAverage:
         return np.asarray(UNIT_OF_Z * z[-len(self._parts[-1]) :])
 
     def __call__(self, z: Array) -> tuple[float, Array]:
-        """Cost, beyond `TALL` its logarithm, and the clipped gradient (m,); `LOST` and level where it is not finite."""
+        """Cost, beyond `COMPRESS_ABOVE` its logarithm, and the clipped gradient (m,).
+
+        Where the cost is not finite, it is `LOST_VALUE` and level.
+        """
         if not self.put(z):
-            return LOST, np.zeros_like(z)
+            return LOST_VALUE, np.zeros_like(z)
         cost = self._cost()
         gradients = [gradient.double().ravel() for gradient in torch.autograd.grad(cost, self._parts)]
         if self._moving and self._slope is not None:
             gradients[-1] = -self._slope()
         gradient: Array = torch.cat(gradients).numpy() / self._scale
         value = cost.item() / self._scale
-        if value > TALL:
-            gradient /= value / TALL
-            value = TALL * (1.0 + np.log(value / TALL))
+        if value > COMPRESS_ABOVE:
+            gradient /= value / COMPRESS_ABOVE
+            value = COMPRESS_ABOVE * (1.0 + np.log(value / COMPRESS_ABOVE))
         if self._region is not None:
             at = slice(-len(self._place), None)
             added, gradient[at] = self._region.extended(self._raw(z), self._place, gradient[at])
             value += added
         length = float(np.linalg.norm(gradient))
         if not (np.isfinite(value) and np.isfinite(length)):
-            return LOST, np.zeros_like(gradient)
+            return LOST_VALUE, np.zeros_like(gradient)
         clipped = gradient * min(1.0, STEEPEST / max(length, STEEPEST))
         return PER_UNIT * value, PER_UNIT * UNIT_OF_Z * clipped
 
@@ -111,7 +107,7 @@ class _StoppedError(Exception):
 
 
 class Climb:
-    """At most so many evaluations of a cost and its gradient.
+    """Climb by at most so many evaluations of a cost and its gradient.
 
     Parameters
     ----------
@@ -137,7 +133,7 @@ class Climb:
 
     def run(self) -> None:
         """Climb until it is level or the evaluations are spent; policy and design are those of the lowest point."""
-        options = OPTIONS | {"maxfun": 10 * self._left, "maxiter": self._left}
+        options = CLIMB_OPTIONS | {"maxfun": 10 * self._left, "maxiter": self._left}
         bounds = self._average.bounds
         with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
             minimize(self, self._average.first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)

@@ -1,4 +1,4 @@
-"""LQR of the linearisation over the states that its own closed loop visits, beside that of the tangent at rest.
+"""LQR of the linearisation over the states its own loop visits, beside the tangent's.
 
 Friction, dead zones and springs that stiffen look at rest like another plant than where the loop goes. Fitted are the
 matrices that predict x⁺ best, in least squares over the states and inputs of the loop; the loop with their LQR visits
@@ -25,18 +25,14 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import EXCITATION, SECANT_GAIN
 from ccdtools.controllers.controllers import LinearFeedback, Passive
 from mpc import NotStabilisableError, lqr
-
-RUNS = 32  # scenarios of 100 steps that the fit is over
-ROUNDS = 4  # fits, each over the loop of the one before
-BETTER = 5e-3  # of the return: a smaller gain is not worth a search without exact slopes
-EXCITED = 0.3  # of half the input's range: standard deviation of the inputs of the first fit
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Immutable):
-    """x⁺ ≈ A x + B u over the states that a loop visits, and LQR of it.
+    """Linearisation x⁺ ≈ A x + B u over visited states, and its LQR.
 
     Attributes
     ----------
@@ -58,8 +54,8 @@ class Linearisation(Immutable):
 
     @property
     def better(self) -> bool:
-        """Whether it beats the tangent in closed loop by more than 0.5 % of its return."""
-        return not self.tangent_return >= self.mean_return - BETTER * self.size
+        """True if the secant's return in closed loop exceeds the tangent's by 0.5 %."""
+        return not self.tangent_return >= self.mean_return - SECANT_GAIN * self.size
 
     def __str__(self) -> str:
         tangent = "none" if np.isnan(self.tangent_return) else f"{self.tangent_return:.5g}"
@@ -72,7 +68,7 @@ class Linearisation(Immutable):
 def stochastic_linearisation(
     problem: CoDesignProblem, design: ArrayLike, rng: np.random.Generator
 ) -> Linearisation:  # fmt: skip
-    """The linearisation over the states that its own LQR visits on scenarios of a problem, at one design.
+    """Linearisation at a design over the states that its own LQR visits on scenarios.
 
     Of four rounds, each fitted over the loop of the one before, the best in closed loop is returned.
 
@@ -96,18 +92,18 @@ def stochastic_linearisation(
 
 def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTensors:
     """The scenarios that a fit is over."""
-    x0, w = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
+    x0, w = scenario_tensors(problem, fewer_runs(32, problem.steps), rng)
     return x0.double(), w.double()
 
 
 def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Linearisation:
-    """The best linearisation of the rounds on given scenarios, a function of the design (np,) alone."""
+    """Best linearisation of the rounds on given scenarios, from the design (np,) alone."""
     rng = np.random.default_rng(0)
     bounds = problem.input_bounds_at(p)
     weights = problem.weights(p).keywords()
 
     def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
-        """States and inputs (n, ·) that the loop visits within the divergence limit, and the mean return."""
+        """States and inputs (n, ·) that the loop visits before diverging, and the mean return."""
         pairs = []
 
         def followed(x: Tensor) -> Tensor:
@@ -128,9 +124,9 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
         states = driven(Passive(problem.model.nu))[0]
         tangent = float("nan")
     half = np.where(np.isfinite(bounds[1] - bounds[0]), bounds[1] - bounds[0], 1.0) / 2
-    inputs = np.clip(EXCITED * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
+    inputs = np.clip(EXCITATION * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
     best: Linearisation | None = None
-    for _ in range(ROUNDS):
+    for _ in range(4):  # each fits over the loop of the one before
         A, B = _least_squares(problem, p, states, inputs, rng)
         try:
             law = LinearFeedback(lqr(A, B, **weights)[0], *bounds)

@@ -1,4 +1,4 @@
-"""Which set each design gets: X_fea(p) as far as the budget goes, else the region of saturated LQR, else X.
+"""Choice of each design's set: X_fea(p) within the budget, LQR's region, or X.
 
 The budget is one of work, which every machine counts alike: steps of the recursion times the square of the facets, as
 each facet of a step is held against all others. A time limit is stated as the seconds that such work takes on a usual
@@ -15,23 +15,19 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import ABORT, FEWEST_DESIGNS, SET_WORK
 from ccdtools.progress import counted
 from invariant_sets import ParametricSet, Polytope
 from invariant_sets.results import Status
 
 SETS = ("auto", "lqr", "none")
-WORK = 50_000  # steps times squared facets: what a usual processor does in a second, or more of it
-FACETS = 8  # of one set, at most, for every second of the limit
-FEWEST = 64  # designs that candidates may share
-PROBES = 5  # sets that are computed to see how much work one is
-ABORT = 4.0  # times the limit: processor time after which no further set is computed; one set has the limit itself
 LATE = ", by the clock: another machine may get further"
 USABLE = (Status.CONVERGED, Status.EMPTY)
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How much may be spent on sets, and whether bars are shown.
+class SetBudget:
+    """Budget of sets, with whether bars are shown.
 
     Attributes
     ----------
@@ -54,7 +50,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class SetCounts:
-    """How many designs got which set, and why.
+    """Number of designs with each kind of set, and the reason.
 
     Attributes
     ----------
@@ -83,7 +79,7 @@ class SetCounts:
     leaving: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """What results.json keeps: counts and reason, without what is measured in seconds."""
+        """Plain values for results.json: counts and reason, without times."""
         return {"option": self.option, "X_fea": self.feasible, "lqr": self.lqr, "X": self.limits,
                 "reason": self.reason, "text": str(self)}  # fmt: skip
 
@@ -96,30 +92,35 @@ class SetCounts:
         return ", ".join(parts) + (f": {self.reason}" if self.reason else "") + left
 
 
-def affordable_designs(problem: CoDesignProblem, sets: ParametricSet, samples: int, effort: Effort) -> tuple[int, str]:
-    """How many designs can have a set within the budget, and if too few can, why; `samples` if every candidate can."""
+def affordable_designs(
+    problem: CoDesignProblem, sets: ParametricSet, samples: int, budget: SetBudget
+) -> tuple[int, str]:
+    """Number of designs that can have a set within the budget, with any reason.
+
+    It is `samples` if every candidate can have its own.
+    """
     work = []
-    for design in problem.design.spread()[::-1][: min(PROBES, samples)]:
+    for design in problem.design.spread()[::-1][: min(5, samples)]:  # sets that show how much work one is
         result = sets.result(design)
         if result.status not in USABLE:
             late = LATE if result.status is Status.TIME_LIMIT else ""
             return 0, f"X_fea(p) was not found: {result.status.name}{late}"
         work.append(max(result.iterations, 1) * max(len(result.set.b), 1) ** 2)
-    number = min(float(samples), effort.seconds * WORK / float(np.mean(work)))
-    if number < min(FEWEST, samples):
-        return 0, f"X_fea(p) of {FEWEST} designs is more work than allowed"
+    number = min(float(samples), budget.seconds * SET_WORK / float(np.mean(work)))
+    if number < min(FEWEST_DESIGNS, samples):
+        return 0, f"X_fea(p) of {FEWEST_DESIGNS} designs is more work than allowed"
     return int(number), ""
 
 
-def found_sets(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[list[Polytope | None], SetCounts]:
-    """X_fea of each design (n, np), None where the recursion did not end in one, and what was counted."""
+def found_sets(sets: ParametricSet, designs: Array, budget: SetBudget) -> tuple[list[Polytope | None], SetCounts]:
+    """X_fea of each design (n, np), None where the recursion fails, with counts."""
     begun = time.thread_time()
     unique, index = np.unique(designs, axis=0, return_inverse=True)
     order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come
     known: dict[int, Polytope | None] = {}
     aborted = False
-    for i in counted(order, "X_fea(p)", total=len(order), progress=effort.progress):
-        aborted = aborted or time.thread_time() - begun > ABORT * effort.seconds
+    for i in counted(order, "X_fea(p)", total=len(order), progress=budget.progress):
+        aborted = aborted or time.thread_time() - begun > ABORT * budget.seconds
         result = None if aborted else sets.result(unique[i])
         aborted = aborted or (result is not None and result.status is Status.TIME_LIMIT)
         known[int(i)] = result.set if result is not None and result.status in USABLE else None
@@ -128,13 +129,13 @@ def found_sets(sets: ParametricSet, designs: Array, effort: Effort) -> tuple[lis
     reason = "" if found == len(known) else "X_fea(p) was not found within its facets"
     if aborted:
         reason = f"aborted after {seconds:.3g} s of processor time{LATE}"
-    counts = SetCounts(effort.option, found, len(known) - found, 0, reason, seconds)
+    counts = SetCounts(budget.option, found, len(known) - found, 0, reason, seconds)
     return [known[int(i)] for i in index.ravel()], counts
 
 
-def limited(sets: ParametricSet, effort: Effort) -> ParametricSet:
+def limited(sets: ParametricSet, budget: SetBudget) -> ParametricSet:
     """The family with the facets of one set that the budget allows; far beyond it, its time is limited."""
-    if not np.isfinite(effort.seconds):
+    if not np.isfinite(budget.seconds):
         return sets
-    facets = max(min(sets.max_facets, int(FACETS * effort.seconds)), 1)
-    return replace(sets, max_facets=facets, time_limit=effort.seconds)
+    facets = max(min(sets.max_facets, int(8 * budget.seconds)), 1)  # 8 for every second of the limit
+    return replace(sets, max_facets=facets, time_limit=budget.seconds)

@@ -1,4 +1,6 @@
-"""Whether a co-design has settled: said once, of the controller that is handed out, after its closed loop was measured.
+"""Check that a co-design has settled.
+
+It is made once, of the controller handed out, after its closed loop was measured.
 
 What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
 far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, its
@@ -22,7 +24,7 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.learned_result import LearnedCoDesign
-from ccdtools.co_design.limit_tolerance import BY_MPC, FLOOR, NOTHING, UNTIL_LEFT, Pair, tolerance_at
+from ccdtools.co_design.limit_tolerance import BY_MPC, NOTHING, UNTIL_LEFT, Pair, tolerance_at
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.method_pairs import RUNS as LOOP_RUNS
 from ccdtools.co_design.method_pairs import closed_loop_returns
@@ -35,6 +37,7 @@ from ccdtools.co_design.risk import measure
 from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, SETTLED_LOSS, SETTLING_RUNS
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -42,12 +45,6 @@ from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference
 from mpc import MPCError
-
-LOSS = 5e-3  # of the return that control makes: a settled controller is worse than no baseline by more
-RUNS = 256  # scenarios of 100 steps, of nested LQR and of the checks of a policy; of its gradient twice as many
-EVALUATIONS = 20  # of nested LQR
-HALVINGS = 4  # of the way from a design that keeps the limits to one that does not
-BLIND = 0.5  # of the runs: a policy without a gradient in more of them is not led by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +66,7 @@ class Settling:
     designing: bool = True
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
-        """The result with its closed loop, its limits and baselines, and the status that these leave it."""
+        """Result with its closed loop, limits and baselines, and the status they leave."""
         at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
         own = (getattr(self.problem.model, "jump", ""), acting_together(self.problem))
@@ -89,13 +86,13 @@ class Settling:
         return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
 
     def _loop(self, controller: Any, design: Array) -> ClosedLoopReturns:
-        """What a controller brings at a design on the fresh scenarios."""
+        """Returns of a controller at a design on the fresh scenarios."""
         return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios))
 
     def _limits(
         self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
     ) -> LimitsOutcome | None:  # fmt: skip
-        """How a closed loop keeps the limits, beside what is asked for at its design; None where nothing is.
+        """Violations of a closed loop beside its design's tolerance; None without one.
 
         What a method found to be asked for, `own`, stands, unless it never saw the limits left.
         """
@@ -107,7 +104,7 @@ class Settling:
             return None
         if not isinstance(asked, str):
             allowed, source = Pair(*asked), "asked for"
-        elif not max(seen.values()) > FLOOR:
+        elif not max(seen.values()) > LEAST_TOLERANCE:
             allowed, source = UNTIL_LEFT.allowed, UNTIL_LEFT.source
         else:
             v = torch.tensor(self.problem.design.to_unit(design))
@@ -116,7 +113,7 @@ class Settling:
             errors = Pair(*np.hypot(errors.values(), of_mpc.values()).tolist())
         return LimitsOutcome(seen, allowed, source, NOTHING, self.problem.output_limits is not None, errors)
 
-    def _drawn(self, number: int, runs: int = RUNS) -> tuple[torch.Tensor, torch.Tensor]:
+    def _drawn(self, number: int, runs: int = SETTLING_RUNS) -> tuple[torch.Tensor, torch.Tensor]:
         """Scenarios of the checks, others for every number."""
         rng = copy.deepcopy(self.scenarios)
         for _ in range(number):
@@ -145,8 +142,8 @@ class Settling:
                     yield "LQR of the same design, of its secant", secant.controller
 
     def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
-        """Where a short nested LQR leads from a design."""
-        method = Nested("lqr", runs=RUNS, starts=1, evaluations=EVALUATIONS)
+        """Result of a short nested LQR from a design."""
+        method = Nested("lqr", runs=SETTLING_RUNS, starts=1, evaluations=20)
         try:
             best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
         except (MPCError, InputError):
@@ -163,7 +160,7 @@ class Settling:
         space = self.problem.design
         begin, end = space.to_unit(kept.design), space.to_unit(beyond)
         near, far = 0.0, 1.0
-        for _ in range(HALVINGS):
+        for _ in range(4):
             share = (near + far) / 2
             design = space.project(space.from_unit(begin + share * (end - begin)))
             other = None
@@ -184,7 +181,7 @@ class Settling:
     def _baseline(
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
     ) -> Baseline | None:
-        """A controller at a design beside the one handed out; None where it loses runs or leaves the limits."""
+        """Baseline at a design; None where it loses runs or leaves the limits."""
         other = self._loop(controller, design)
         limits = self._limits(other, design, limits)
         if other.lost.any() or not (limits is None or limits.kept):
@@ -201,14 +198,14 @@ class Settling:
         return Baseline(name, design, relative, measure(self.problem.risk))
 
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
-        """The result of a policy; settled if it is at an optimum, as its gradient and a plain search see it."""
+        """Result of a policy; settled if at an optimum, by its gradient and a plain search."""
         policy = result.controller
         assert isinstance(policy, LearnedPolicy)
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
-            check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * RUNS))
+            check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
             wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
-            if check.blind > BLIND:
+            if check.blind > BLIND_SHARE:
                 wrong = f"the policy has no gradient in {check.blind:.0%} of the runs"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
@@ -219,5 +216,5 @@ class Settling:
 
 
 def _better(baseline: Baseline) -> bool:
-    """Whether a baseline is better by more than a settled result may lose, beyond chance; in the mean without one."""
-    return baseline.gain.mean > LOSS and not baseline.gain.ci95[0] <= 0
+    """True if a baseline is better, beyond chance, by more than a settled result may lose; in the mean without one."""
+    return baseline.gain.mean > SETTLED_LOSS and not baseline.gain.ci95[0] <= 0

@@ -1,4 +1,4 @@
-"""How a co-design ended, and what to do about it."""
+"""Status of a co-design, with advice."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class CoDesignStatus(Enum):
-    """How a co-design ended."""
+    """Status of a co-design."""
 
     CONVERGED = "converged"
     AT_BOUND = "converged, with the design at a bound"  # of the box, or an active constraint
@@ -27,7 +27,7 @@ class CoDesignStatus(Enum):
 
     @property
     def advice(self) -> str:
-        """What to do next, in one sentence."""
+        """Advice on the next step, in one sentence."""
         return _ADVICE[self]
 
 

@@ -1,4 +1,4 @@
-"""What a co-design optimises, and the iterates it compares."""
+"""Task of a co-design, and the iterates that it compares."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from learning.networks import ActorCritic
 
 
 class LimitPenalty(Protocol):
-    """What keeps a co-design within its state limits: a cost whose multipliers grow while they are not kept."""
+    """Penalty of state limits: its multipliers grow while they are not kept."""
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """What leaving X costs episodes at the point `v` of the unit box, (), as part of the return; differentiable."""
+        """Cost () of leaving X at the point `v`, as part of the return; differentiable.
+
+        It is differentiable.
+        """
         ...
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """What is paid for more of either depth, and for another design, while episodes are such as these."""
+        """Price of either depth, and of another design, for episodes such as these."""
         ...
 
     def violation(self, episode: Episode) -> float:
-        """By how much the tolerance is exceeded; 0 where it is kept."""
+        """Excess over the tolerance; 0 where it is kept."""
         ...
 
     @property
@@ -37,17 +40,17 @@ class LimitPenalty(Protocol):
         ...
 
     def updated(self, episode: Episode, v: Tensor, scenarios: ScenarioTensors) -> LimitPenalty:
-        """The penalty of the next steps, after the episodes of an evaluation at the point `v` of the unit box."""
+        """Penalty of the next steps, after an evaluation's episodes at the point `v`."""
         ...
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
-        """How the iterate of these episodes keeps the limits."""
+        """Violation of the limits by the iterate of these episodes."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is optimised, and how.
+    """Objective of a co-design, with its settings.
 
     Attributes
     ----------
@@ -76,7 +79,7 @@ class Task:
 
     @property
     def smooth(self) -> bool:
-        """Whether policy and design both follow gradients through the model alone, and at least one of them moves."""
+        """True if policy and design follow gradients through the model alone, and one moves."""
         alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"
         return alone and (self.pathwise or self.moving)
 
@@ -108,7 +111,7 @@ class Iterate:
         return float(self.returns.mean())
 
     def beats(self, other: Iterate) -> bool:
-        """Whether it is preferred: limits kept before limits broken, then by its violation or its return."""
+        """True if this iterate is preferred, by limits kept, then by violation or return."""
         if self.violation > 0 or other.violation > 0:
             return self.violation < other.violation
         return self.score > other.score

@@ -1,4 +1,4 @@
-"""What control brings against what the design costs: the best designs over a price, or over any other datum."""
+"""Trade-off of control against design cost, over a price or another datum."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class TradeOff(Immutable):
 
     @property
     def efficient(self) -> Mask:
-        """The designs (n,) that no other one beats in both cost and return by more than a thousandth of their range.
+        """Designs (n,) that none beats in cost and return by a thousandth of their range.
 
         None whose runs are all lost.
         """
@@ -71,11 +71,11 @@ class TradeOff(Immutable):
 
     @property
     def word(self) -> str:
-        """What is varied."""
+        """Name of what is varied."""
         return "price of the design" if self.priced else "value"
 
     def table(self) -> list[dict[str, Any]]:
-        """One dictionary of plain values per price."""
+        """Plain values, one dictionary per price."""
         return [
             {
                 self.word: float(value), **self.space.as_dict(design), "design_cost": float(cost),
@@ -89,7 +89,7 @@ class TradeOff(Immutable):
         ]  # fmt: skip
 
     def plot(self) -> Any:
-        """A matplotlib figure: return against cost of the design, and the designs over the price."""
+        """Figure of return against design cost, and of designs over the price."""
         from ccdtools.co_design.method_plots import plot_trade_off
 
         return plot_trade_off(self)
@@ -112,7 +112,7 @@ def trade_off(
     problem: CoDesignProblem | ProblemOf, values: ArrayLike, *, method: str | Method = "nested", seed: int = 0,
     design: ArrayLike | None = None, jobs: int = 1, progress: bool = False,
 ) -> TradeOff:  # fmt: skip
-    """Best designs of a problem over prices of its design, or over any other datum.
+    """Best designs over prices of the design, or any other datum.
 
     With a weighted sum the convex part of the set of efficient designs is found: where returns and costs have a dent,
     the designs jump over it.
@@ -203,7 +203,7 @@ def _at_price(problem: CoDesignProblem, price: float) -> CoDesignProblem:
 
 
 def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -> tuple[Any, ...]:
-    """The result at a value, what its design costs there, its return without that, and the box of designs."""
+    """Result at a value, the design's cost, the return without it, and the box."""
     problem = of(value)
     result = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
     assert result.closed_loop is not None
@@ -213,7 +213,7 @@ def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -
 
 
 def _intervals(results: tuple[CoDesignResult, ...], costs: Array, returns: Array) -> Array:
-    """Intervals (n, 2) of the returns without design costs, by their pairs with the highest one."""
+    """Intervals (n, 2) of returns without design costs, by pairs with the highest."""
     loops = [result.closed_loop for result in results if result.closed_loop is not None]
     runs = min(len(loop.values) for loop in loops)  # of longer episodes fewer are measured
     kept = np.flatnonzero(~np.logical_or.reduce([loop.lost[:runs] for loop in loops]))

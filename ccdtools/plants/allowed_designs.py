@@ -1,4 +1,4 @@
-"""The part of a box of designs that constraints and whole numbers leave, in the coordinates of the unit box."""
+"""Part of the unit box of designs that constraints and whole numbers leave."""
 
 from __future__ import annotations
 
@@ -13,14 +13,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array
-from ccdtools.plants.design_constraints import EXACT, UnitConstraints
+from ccdtools.plants.design_constraints import UnitConstraints
 from ccdtools.plants.nearest_design import allowed_point, nearest, nearest_whole
-
-SAMPLES = 256  # points of a Sobol sequence, beside centre and corners
-MAX_CORNERS = 10  # parameters of which every combination of bounds is looked at
-ANCHORS = 64  # allowed points that are kept to search from
-STARTS = 8  # of a search for one allowed point, and of the one for the nearest
-COMBINATIONS = 100  # of whole numbers that are tried, the nearest first
+from ccdtools.plants.tolerances import ALLOWED_STARTS, BOX_SAMPLES, EXACT, MAX_CORNERS, TRIED_COMBINATIONS
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +39,7 @@ class AllowedDesigns:
 
     @cached_property
     def width(self) -> Array:
-        """What an entry is divided by: its range, and one where it is fixed, (np,)."""
+        """Divisor of each entry (np,): its range, or one where it is fixed."""
         width = self.upper - self.lower
         return np.where(width > 0, width, 1.0)
 
@@ -67,19 +62,19 @@ class AllowedDesigns:
 
     @cached_property
     def _samples(self) -> Array:
-        """Points of the whole unit box, (n, np): centre, a Sobol sequence and the corners of its first ten entries."""
+        """Points (n, np) of the unit box: centre, Sobol sequence, corners of ten entries."""
         moving = np.flatnonzero(self._moving)
-        points = np.zeros((1 + SAMPLES, len(self.lower)))
+        points = np.zeros((1 + BOX_SAMPLES, len(self.lower)))
         if not len(moving):
             return points[:1]
         points[:, moving] = 0.5
-        points[1:, moving] = qmc.Sobol(len(moving), rng=np.random.default_rng(0)).random(SAMPLES)
+        points[1:, moving] = qmc.Sobol(len(moving), rng=np.random.default_rng(0)).random(BOX_SAMPLES)
         corners = np.tile(points[0], (2 ** min(len(moving), MAX_CORNERS), 1))
         corners[:, moving[:MAX_CORNERS]] = list(product((0.0, 1.0), repeat=min(len(moving), MAX_CORNERS)))
         return np.vstack([points, corners])
 
     def where_not_finite(self) -> Array | None:
-        """A point of the unit box at which a constraint is not finite; None if there is none among the samples."""
+        """Point of the unit box at which a constraint is not finite; None without one."""
         if self.limits is None or not self.limits.not_finite.any():
             return None
         return np.asarray(self._samples[int(np.argmax(self.limits.not_finite))])
@@ -102,20 +97,20 @@ class AllowedDesigns:
         samples = self.rounded(self._samples)
         inside = samples[self.violation(samples) <= EXACT]
         if len(inside):
-            return inside[:ANCHORS]
+            return inside[:64]  # kept to search from
         return self.least_violated[None][self.violation(self.least_violated[None]) <= EXACT]
 
     @cached_property
     def least_violated(self) -> Array:
-        """The point (np,) that breaks the constraints least among those that searches from the samples find."""
+        """Point (np,) of least violation that searches from the samples find."""
         assert self.limits is not None
         samples = self.rounded(self._samples)
         samples = samples[np.argsort(self.violation(samples), kind="stable")]
-        tried = [*samples[:STARTS], *samples[STARTS :: max(1, len(samples) // STARTS)]]
+        tried = [*samples[:ALLOWED_STARTS], *samples[ALLOWED_STARTS :: max(1, len(samples) // ALLOWED_STARTS)]]
         if self.whole.any():
             between = allowed_point(self.limits, samples[0], self._moving)[0]
             for centre in (between, samples[0]):
-                tried += list(self._by_whole_numbers(centre)[:COMBINATIONS])
+                tried += list(self._by_whole_numbers(centre)[:TRIED_COMBINATIONS])
         least, violation = samples[0], np.inf
         for start in tried:
             u, broken = allowed_point(self.limits, start, self.free)
@@ -134,7 +129,7 @@ class AllowedDesigns:
         return points
 
     def combinations(self) -> Array:
-        """Every combination of whole numbers (n, np), in the unit box; the other entries are 0."""
+        """Combinations of whole numbers (n, np) in the unit box; other entries are 0."""
         first = np.zeros(len(self.lower))
         return self._by_whole_numbers(self.rounded(first))
 
@@ -147,7 +142,7 @@ class AllowedDesigns:
         if not self.whole.any():
             return self.near_with(v, thorough=True)
         best = self._of_whole_numbers(v, v)
-        known = sorted(self.known, key=lambda one: _apart(one, v))[:STARTS]
+        known = sorted(self.known, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         if best is None and self.limits is not None:
             between = nearest(self.limits, v, free=self._moving, starts=known, thorough=True)
             best = None if between is None else self._of_whole_numbers(between, v)
@@ -156,7 +151,7 @@ class AllowedDesigns:
     def _of_whole_numbers(self, centre: Array, v: Array) -> Array | None:
         """The nearest allowed point to `v` among those with whole numbers about a point."""
         best: Array | None = None
-        for held in self._by_whole_numbers(centre)[:COMBINATIONS]:
+        for held in self._by_whole_numbers(centre)[:TRIED_COMBINATIONS]:
             if best is not None and _apart(held, centre) >= _apart(best, centre):
                 break
             found = self.near_with(np.where(self.whole, held, v), thorough=True)
@@ -165,14 +160,16 @@ class AllowedDesigns:
         return best
 
     def near_with(self, v: Array, starts: Sequence[Array] = (), *, thorough: bool = False) -> Array | None:
-        """The nearest allowed point to `v` (np,) with its fixed entries and whole numbers; None if none is found.
+        """Nearest allowed point to `v` (np,) with its fixed entries; None without one.
+
+        Its whole numbers are those of `v`.
 
         Searches begin at `v`, at `starts` and at known points: see `nearest`.
         """
         if self.limits is None or self.limits.violation(v) <= EXACT:
             return v
         same = self.known[(np.abs(self.known - v) <= 1e-9)[:, ~self.free].all(axis=1)]
-        known = sorted(same, key=lambda one: _apart(one, v))[:STARTS]
+        known = sorted(same, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         return nearest(self.limits, v, free=self.free, starts=[*starts, *known], thorough=thorough)
 
 

@@ -1,4 +1,4 @@
-"""CasADi functions on batches of NumPy arrays or torch tensors: each instruction becomes one array operation."""
+"""CasADi functions on batches of arrays or tensors, one operation per instruction."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ KNOWN = {
 
 
 class Tape:
-    """The instructions of an SX function, for batches: every value is an array over the batch or a number.
+    """Instructions of an SX function for batches of arrays or numbers.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Tape:
         self.instructions = [self._instruction(k) for k in steps]
 
     def _instruction(self, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
-        """Operation, places of its inputs, places of its outputs, and the number that a constant is."""
+        """Operation, places of its inputs and outputs, and the value of a constant."""
         f = self.function
         op = f.instruction_id(k)
         number = float(f.instruction_constant(k)) if op == ca.OP_CONST else 0.0

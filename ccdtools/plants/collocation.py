@@ -10,15 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
-
-STAGES = 3
-MOST_ITERATIONS = 50  # of Newton's method
-CLOSE = 1e-7  # of the size of a state: a Newton step so small is followed by one last, which doubles the digits
-FLOOR = 1e-12  # of the extent of a state: a Newton step that is small beside it, however near to 0 the state is
-STALLED = 1e-9  # of the extent of a state: a Newton step so small that no longer shrinks is what rounding leaves
-SHRINKS = 0.5  # a step of at most so much of the one before it does
-CONVERGED = 1e-13  # residual and step of CasADi's own Newton solver, in extents of the states
-DIFFERENTIABLE = 2  # last Newton steps that derivatives go through: one gives the first, two the second and third
+from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, NEWTON_ITERATIONS, STAGES, STALLED
 
 
 class ImplicitStep:
@@ -62,7 +54,7 @@ class ImplicitStep:
         rates = ca.horzcat(*(self.f(unit * z[:, j], u, w, p) for j in range(STAGES)))
         residual = z - ca.repmat(x / unit, 1, STAGES) - h * (rates / ca.repmat(unit, 1, STAGES)) @ ca.DM(self.weights).T
         equations = {"x": ca.vec(z), "p": ca.vertcat(x, u, w, p), "g": ca.vec(residual)}
-        options = {"max_iter": MOST_ITERATIONS, "error_on_fail": False, "abstol": CONVERGED, "abstolStep": CONVERGED}
+        options = {"max_iter": NEWTON_ITERATIONS, "error_on_fail": False, "abstol": CONVERGED, "abstolStep": CONVERGED}
         solve = ca.rootfinder("stages", "newton", equations, options)
         given = [ca.MX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp")]
         after = given[0]
@@ -99,7 +91,7 @@ class ImplicitStep:
             return self._solved(xp, x, along)[..., -1, :]
         with xp.no_grad():
             Z = self._solved(xp, x.detach(), tuple(a.detach() for a in along))
-        for _ in range(DIFFERENTIABLE):
+        for _ in range(2):  # one gives the first derivatives, two the second and third
             Z = Z - self._newton(xp, Z, x, along)
         return Z[..., -1, :]
 
@@ -110,13 +102,13 @@ class ImplicitStep:
         largest = abs(Z)
         before = largest + float("inf")
         done = ~xp.isfinite(Z).all(-1).all(-1)
-        for _ in range(MOST_ITERATIONS):
+        for _ in range(NEWTON_ITERATIONS):
             step = self._newton(xp, Z, x, along)
             Z = Z - step
             largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
             size = largest.max(-2, keepdims=True) if xp is np else largest.amax(-2, keepdim=True)
             small = (abs(step) <= CLOSE * size) | (abs(step) <= FLOOR * scale)
-            small = small | ((abs(step) <= STALLED * scale) & (abs(step) > SHRINKS * before))
+            small = small | ((abs(step) <= STALLED * scale) & (abs(step) > 0.5 * before))  # it no longer shrinks
             done = done | small.all(-1).all(-1)
             before = abs(step)
             if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):

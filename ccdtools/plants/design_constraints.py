@@ -1,4 +1,4 @@
-"""Constraints g(p) ≤ 0 on the designs of a box: as CasADi expressions, and over the unit box."""
+"""Constraints g(p) ≤ 0 on designs, in CasADi and over the unit box."""
 
 from __future__ import annotations
 
@@ -14,19 +14,11 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known, term_sizes
+from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EPSILON, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE, TINY
 from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 EXAMPLE = "a function of p that gives expressions, each to be ≤ 0, such as lambda p: p[0] + p[1] - 3.0"
-EXTENT = (0.05, 0.95)  # quantiles of a constraint over the box, between which its size is measured: a pole is left out
-EXACT = 1e-9  # violation, as `UnitConstraints.violation` has it, that is rounding
-ON_EDGE = 1e-7  # of the unit box: a constraint whose edge is closer may hold a design
-BESIDE = 1e-3  # of the unit box: samples that are closer to an edge say nothing of a constraint's size about it
-BESIDE_LEVEL = 1e-6  # of the unit box: normals are those so far off an edge, where none is level
-LEVEL = 1e-12  # slope beside the value below which a constraint is level
-TINY = 1e-300
-EPSILON = 2.0**-52
-CURVED = 0.1  # curvature of the distance along the constraints below which its own curvature is left out
 
 
 def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
@@ -55,7 +47,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
 
 
 def constraint_names(names: Any, count: int) -> tuple[str, ...]:
-    """One different name for each constraint; "constraint 1", … by default."""
+    """Names of the constraints, all different; "constraint 1", … by default."""
     if isinstance(names, tuple) and not names:
         return tuple(f"constraint {i + 1}" for i in range(count))
     given = as_names("constraint_names", names, count)
@@ -102,7 +94,7 @@ class UnitConstraints:
         raw = _mapped(self._g, samples)
         self.not_finite = ~np.isfinite(raw).all(axis=1)
         known = np.where(np.isfinite(raw), raw, 0.0)
-        extent = np.ptp(np.quantile(known, EXTENT, axis=0), axis=0)
+        extent = np.ptp(np.quantile(known, EXTENT_QUANTILES, axis=0), axis=0)
         size = np.abs(known).max(axis=0)
         self._scale = np.where(extent > 1e-12 * size, extent, np.where(size > 0, size, 1.0))
         compressed = ca.asinh(g / ca.DM(self._near_edge(known, samples)))
@@ -115,7 +107,7 @@ class UnitConstraints:
         """Size of each constraint about its edge, (ng,): the least among the samples that are not all but on it."""
         slopes = self._slopes(samples)[1]
         size = np.abs(values)
-        far = (size > 0) & (size > BESIDE * np.where(np.isfinite(slopes), slopes, 0.0))
+        far = (size > 0) & (size > NEAR_EDGE * np.where(np.isfinite(slopes), slopes, 0.0))
         least = np.where(far, size, np.inf).min(axis=0)
         return np.where(np.isfinite(least), least, self._scale)
 
@@ -130,19 +122,21 @@ class UnitConstraints:
         return len(self._scale)
 
     def values(self, v: Array) -> Array:
-        """What a search brings to zero, (ng,) at a point: of the sign of g, and of slope one across its edge.
+        """Scaled constraints (ng,) at a point: sign of g, slope one across the edge.
+
+        A search brings them to zero.
 
         It is g/|∇g| of an asinh of g, which makes a straight one of an exponential, and of less than one.
         """
         return np.asarray(self._values(v), dtype=float).ravel()
 
     def jacobian(self, v: Array) -> Array:
-        """Its slopes (ng, np); zero where they are too steep for a number."""
+        """Slopes of the scaled constraints (ng, np); non-finite ones are zero."""
         slopes = np.asarray(self._jacobian(v), dtype=float)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def violation(self, v: Array) -> Any:
-        """The largest violation, (), or (n,) at points (n, np); infinite where a constraint is not finite.
+        """Largest violation () or (n,) at points (n, np); infinite where a constraint is.
 
         Of a constraint it is the larger of g/|∇g|, in lengths of the unit box and below one, and g in parts of how
         much g varies over the box. What rounding may make of a zero is zero.
@@ -158,7 +152,7 @@ class UnitConstraints:
         return worst if v.ndim == 2 else worst[0]
 
     def edges(self, v: Array, off: Array | None = None) -> tuple[Array, Array]:
-        """Outward unit normals (ng, np) of the constraints at a point, and how far their edges are, (ng,).
+        """Outward unit normals (ng, np) of the constraints at a point, and their distances (ng,).
 
         The distances are those of straight constraints: of signs opposite to those of g, infinite where g is level.
         With `off`, a direction (np,) that leads out, the normals are those beside the point, for constraints that are
@@ -174,7 +168,9 @@ class UnitConstraints:
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
-        """What holds a point against a push: see `held`. Here the edges are those of constraints and unit box at `u`.
+        """Prices of the edges that hold a point against a push: see `held`.
+
+        Here the edges are those of constraints and unit box at `u`.
 
         Returns
         -------
@@ -211,7 +207,7 @@ class UnitConstraints:
 
 
 def _beside(v: Array, off: Array | None) -> Array:
-    """The point of the unit box (np,) so far off that what is level at `v` no longer is."""
+    """Point (np,) of the unit box just off a place where constraints are level."""
     length = 0.0 if off is None else float(np.linalg.norm(off))
     return v if off is None or length == 0 else np.clip(v + BESIDE_LEVEL * off / length, 0.0, 1.0)
 

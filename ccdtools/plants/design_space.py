@@ -1,4 +1,4 @@
-"""The box of designs a plant may take, and what constraints and whole numbers leave of it."""
+"""Box of designs of a plant, and what constraints and whole numbers leave."""
 
 from __future__ import annotations
 
@@ -15,12 +15,9 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.allowed_designs import MAX_CORNERS, AllowedDesigns
+from ccdtools.plants.allowed_designs import AllowedDesigns
 from ccdtools.plants.design_constraints import compiled, constraint_names
-
-SAME_DESIGN = 1e-3  # of the range of every parameter: two designs that differ by less are one
-FEASIBLE = 1e-6  # violation, as `DesignSpace.violation` has it, up to which a design keeps a constraint
-INTERIOR = 64  # seeded points inside the box, beside its centre and corners
+from ccdtools.plants.tolerances import FEASIBLE, MAX_CORNERS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -200,7 +197,7 @@ class DesignSpace(Immutable):
         return self.settled(found)
 
     def settled(self, v: ArrayLike) -> Array:
-        """The design (np,) of a feasible point of the unit box, its whole numbers exactly so."""
+        """Design (np,) of a feasible point of the unit box, with exact whole numbers."""
         p = self.from_unit(v)
         p[self.whole] = np.round(p[self.whole])
         return p
@@ -217,7 +214,7 @@ class DesignSpace(Immutable):
 
     @cached_property
     def allowed(self) -> AllowedDesigns:
-        """What constraints and whole numbers leave of the unit box."""
+        """Part of the unit box that constraints and whole numbers leave."""
         return AllowedDesigns(self.lower, self.upper, self.whole, self.constraints)
 
     @property
@@ -269,7 +266,7 @@ class DesignSpace(Immutable):
         moving = np.flatnonzero(self.free)[:MAX_CORNERS]
         corners = np.full((2 ** len(moving), self.dim), 0.5)
         corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
-        interior = self.latin_hypercube(INTERIOR, np.random.default_rng(0))
+        interior = self.latin_hypercube(64, np.random.default_rng(0))
         return np.vstack([self.from_unit(corners), self.centre[None], interior])
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
@@ -279,7 +276,7 @@ class DesignSpace(Immutable):
         return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n) if self.dim else np.zeros((n, 0)))
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
-        """Names of the parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
+        """Names of parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         lower, upper = self.outermost
         width = upper - lower
@@ -300,7 +297,7 @@ class DesignSpace(Immutable):
         return self.check([given[name] for name in self.names], argument="values")
 
     def describe(self, p: ArrayLike) -> str:
-        """One design as text, with units."""
+        """Text of one design, with units."""
         values = zip(self.names, as_vector("p", p, self.dim), self.units)
         return ", ".join(f"{name} = {value:.6g}{_unit(unit)}" for name, value, unit in values)
 

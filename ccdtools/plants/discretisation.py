@@ -1,4 +1,4 @@
-"""Discrete models of plants: exact and symbolic in the design of linear ones, integrated to an accuracy of others."""
+"""Discrete models of plants: exact if linear, integrated to an accuracy otherwise."""
 
 from __future__ import annotations
 
@@ -23,9 +23,7 @@ from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
-
-ACCURACY = 1e-6  # of half the range of each state, a sample
-MOST_PARTS = {"rk4": 64, "collocation": 64}  # of a sample
+from ccdtools.plants.tolerances import ACCURACY, MOST_PARTS
 
 
 def discretise(
@@ -110,13 +108,13 @@ def discretise(
 
 
 def _jump(plant: Plant, region: Region | None) -> Jump | None:
-    """A jump of the right-hand side within the region, or anywhere; None where none is found."""
+    """Jump of the right-hand side within the region, or anywhere; None without one."""
     boxes = () if region is None else region.boxes[:3]
     return plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
 
 
 def _jump_text(plant: Plant, jump: Jump) -> str:
-    """What is lost at a jump, and where."""
+    """Text on the accuracy that is lost at a jump, and where."""
     parts = {"x": jump.x, "u": jump.u, "w": jump.w}
     place = ", ".join(f"{name} = {(value.round(6) + 0.0).tolist()}" for name, value in parts.items())
     first = "a sample in which the state crosses it is integrated to first order only, and " if plant.continuous else ""
@@ -139,7 +137,7 @@ def _exact(plant: Plant, dt: float) -> LinearModel:
 
 
 def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
-    """Where a nonlinear plant is to be accurate; None where nothing is said."""
+    """Region where a nonlinear plant is to be accurate; None if nothing is stated."""
     if X is None:
         if U is not None or W is not None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
@@ -158,7 +156,7 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
 
 
 def _over_designs(name: str, value: Any, plant: Plant) -> Any:
-    """The widest bounds that a function of p gives over the box of designs; anything else as it is."""
+    """Widest bounds over the box of designs of a function of p; others as given."""
     if not callable(value) or isinstance(value, type):
         return value
     try:
@@ -221,7 +219,7 @@ def _accurate(
 def _fewest(
     plant: Plant, dt: float, parts: int, error: IntegrationError, accuracy: float, region: Region
 ) -> tuple[int, IntegrationError]:
-    """The fewest Runge–Kutta parts that keep the accuracy, with their error, where half as many do not."""
+    """Fewest Runge–Kutta parts that keep the accuracy, with their error."""
     low = parts // 2
     while parts - low > 1:
         middle = (low + parts) // 2
@@ -234,13 +232,13 @@ def _fewest(
 
 
 def _error(plant: Plant, dt: float, method: str, parts: int, region: Region) -> IntegrationError:
-    """What steps of so many parts are wrong by."""
+    """Error of steps of so many parts."""
     coarse, fine = (_step(plant, dt, method, number, region) for number in (parts, 2 * parts))
     return measured_error(coarse, fine, region)
 
 
 def _place(plant: Plant, error: IntegrationError) -> str:
-    """Where an error is largest."""
+    """Text on the place where an error is largest."""
     parts = {"x": error.x, "u": error.u, "w": error.w}
     return ", ".join([*(f"{name} = {v.round(6).tolist()}" for name, v in parts.items() if v.size),
                       *([plant.design.describe(error.p)] if plant.design.dim else [])])  # fmt: skip

@@ -1,4 +1,4 @@
-"""Where a plant rests, as a function of its design."""
+"""Equilibrium of a plant, as a function of its design."""
 
 from __future__ import annotations
 
@@ -15,16 +15,13 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_floats, as_instance, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.rates import ROUNDING, Rates, independent, newton_step, rest_near
-
-PATHS = ((1, 0), (1, 1), (1, 2), (1, 4), *((n, 2) for n in (2, 4, 8, 16, 32, 64)))  # stations, Newton steps at each
-POLISH = 5  # last Newton steps, where there is a way
-SAME = 1e-3  # of the largest value of an entry over the designs: two ways that end nearer than that end at one rest
+from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
+from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equilibrium(Immutable):
-    """A state and input at which a plant rests, and how they follow the design.
+    """State and input at which a plant rests, with their change by the design.
 
     Attributes
     ----------
@@ -77,7 +74,7 @@ class Equilibrium(Immutable):
 
     @cached_property
     def function(self) -> ca.Function:
-        """p → (x, u) at rest, as an expression: Newton's method along the way from the design here to another.
+        """Expression p → (x, u) at rest, by Newton's method from the design here.
 
         The way has as few stations, and each as few steps, as the box of designs needs: one step where the plant is
         linear. It ends where the longest way ends, so that no step leaps to another rest.
@@ -98,7 +95,8 @@ class Equilibrium(Immutable):
         longest = np.asarray(_followed(step, start, self.p, designs.T, *PATHS[-1])).reshape(len(start), len(designs))
         rests = np.array([rates.at_rest(z, q) for z, q in zip(longest.T, designs)])
         size = np.abs(longest[:, rests])
-        near = (SAME * size.max(axis=1, initial=0.0) + ROUNDING * size.max(initial=0.0))[:, None] + np.column_stack(
+        rounding = RATE_ROUNDING * size.max(initial=0.0)
+        near = (SAME_REST * size.max(axis=1, initial=0.0) + rounding)[:, None] + np.column_stack(
             [rates.resolution(z, q, rows, chosen) for z, q in zip(longest.T, designs)]
         )
         for stations, steps in PATHS:
@@ -117,7 +115,7 @@ class Equilibrium(Immutable):
 
 
 def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, steps: int) -> Any:
-    """Where so many Newton steps lead at each station on the way from `p0` to the designs `p` (np, n), (nx + nu, n).
+    """Ends (nx + nu, n) of Newton steps from station to station, from `p0` to designs `p` (np, n).
 
     Stations are denser at both ends, where a rest may be about to vanish at a bound of the box.
     """
@@ -125,7 +123,7 @@ def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, s
     origin = ca.repmat(ca.DM(p0), 1, p.shape[1])
     for k in range(1, stations + 1):
         station = origin + (p - origin) * (0.5 - 0.5 * math.cos(math.pi * k / stations))
-        for _ in range(steps + POLISH * (k == stations > 1)):
+        for _ in range(steps + 5 * (k == stations > 1)):  # 5 last steps where there is a way
             found = step(found, station)
     return found
 

@@ -1,4 +1,6 @@
-"""What a plant does between samples, symbolic in the design: held or straight inputs, and white noise.
+"""Inputs and white noise between samples, symbolic in the design.
+
+Inputs are held or straight.
 
 References
 ----------
@@ -23,14 +25,13 @@ from ccdtools.checks import as_instance, as_positive, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.plant import Plant, linear_matrices
-
-TAYLOR_DEGREE = 14  # with ‖M‖₁ ≤ 1/2 the first neglected term is (1/2)¹⁵/15! ≈ 2e-17
+from ccdtools.plants.tolerances import TAYLOR_DEGREE
 
 
 def zero_order_hold(
     A: ca.SX, B: ca.SX, E: ca.SX, dt: float, *, symbols: ca.SX, design: DesignSpace | None
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Discrete A, B, E from continuous ones, symbolic in `symbols`: exp([[A, B, E], [0, 0, 0]] dt)."""
+    """Discrete A, B, E from continuous ones: exp([[A, B, E], [0, 0, 0]] dt) in `symbols`."""
     nx = A.shape[0]
     inputs = B.shape[1] + E.shape[1]
     M = ca.SX(nx + inputs, nx + inputs)
@@ -115,7 +116,7 @@ class FirstOrderHold:
 
 
 def first_order_hold(plant: Plant, dt: float | None = None) -> FirstOrderHold:
-    """The exact model of a linear plant whose inputs and disturbances go straight from sample to sample.
+    """Exact model of a linear plant whose inputs and disturbances are straight between samples.
 
     A recorded road, sampled, is nearer to that than to steps. A controller cannot know u⁺; `discretise` holds u.
 

@@ -1,4 +1,4 @@
-"""How far a numerical step is from the exact one, measured over limits and designs."""
+"""Error of a numerical step, measured over limits and designs."""
 
 from __future__ import annotations
 
@@ -10,19 +10,14 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, Immutable
-
-POINTS = 1024  # of a round, spread over the limits and designs
-ROUNDS = 3  # each after the first looks around the worst points so far,
-WORST = 16  # of these,
-NEARBY = 0.15  # within so much of every range in the second, and the square of it in the third
-SAFETY = 3.0  # of what is stated over the largest difference: 16/15 if smooth, 2 with a kink, and what was missed
+from ccdtools.plants.tolerances import AROUND_WORST, ERROR_POINTS, SAFETY
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Region(Immutable):
-    """Where an error is measured: states, inputs and disturbances within bounds, and the box of designs."""
+    """Region of an error: bounds of states, inputs, disturbances, and the box of designs."""
 
     lower: Array  # (nx + nu + nw + np,)
     upper: Array  # (nx + nu + nw + np,)
@@ -35,7 +30,7 @@ class Region(Immutable):
         cls, *boxes: tuple[Array, Array],
         of_design: tuple[Any, Any] = (None, None),
     ) -> Region:  # fmt: skip
-        """From the bounds of x, u, w and p."""
+        """Region from the bounds of x, u, w and p."""
         lower, upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
         return cls(lower, upper, tuple(len(box[0]) for box in boxes), of_design)  # type: ignore[arg-type]
 
@@ -72,7 +67,7 @@ class Region(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class IntegrationError(Immutable):
-    """What a step may be wrong by.
+    """Largest error of a step.
 
     Attributes
     ----------
@@ -94,7 +89,7 @@ class IntegrationError(Immutable):
 
 
 def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
-    """The difference of two steps over a region: a spread of points with corners, then the surroundings of the worst.
+    """Difference of two steps over a region: spread points, corners, surroundings of the worst.
 
     Parameters
     ----------
@@ -103,16 +98,16 @@ def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
     """
     rng = np.random.default_rng(0)
     dim = len(region.lower)
-    spread = qmc.Sobol(dim, rng=rng).random(POINTS)
-    corners = np.round(spread[: POINTS // 4])
+    spread = qmc.Sobol(dim, rng=rng).random(ERROR_POINTS)
+    corners = np.round(spread[: ERROR_POINTS // 4])
     points = np.vstack([spread, corners, np.full((1, dim), 0.5)])
     known = points[:0]
     values = np.zeros((0, region.sizes[0]))
-    for nearby in (NEARBY**k for k in range(1, ROUNDS + 1)):
+    for nearby in (AROUND_WORST**k for k in range(1, 4)):
         known = np.vstack([known, points])
         values = np.vstack([values, _differences(step, finer, region, points)])
-        worst = known[np.argsort((values / region.extent).max(axis=1))[-WORST:]]
-        around = rng.choice(worst, POINTS // 2)
+        worst = known[np.argsort((values / region.extent).max(axis=1))[-16:]]
+        around = rng.choice(worst, ERROR_POINTS // 2)
         points = np.clip(around + nearby * rng.uniform(-1, 1, around.shape), 0.0, 1.0)
     bound = SAFETY * values.max(axis=0)
     place = region.parts(known[[int(np.argmax((values / region.extent).max(axis=1)))]])

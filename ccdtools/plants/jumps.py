@@ -1,4 +1,7 @@
-"""Where the right-hand side of a plant jumps in x, u or w: derivatives say nothing of it."""
+"""Jumps of a plant's right-hand side in x, u or w.
+
+Derivatives say nothing of them.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +15,20 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable
 from ccdtools.plants.casadi_arrays import Tape, Vectorised
 from ccdtools.plants.symbols import elements
+from ccdtools.plants.tolerances import AT_POINT, JUMP_LINES, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
 
 NAMES = {
     ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",
     ca.OP_COPYSIGN: "copysign", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
     ca.OP_NE: "!=", ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_NOT: "not",
 }  # fmt: skip
-DECIDES = {ca.OP_IF_ELSE_ZERO: (0,), ca.OP_COPYSIGN: (1,)}  # inputs that a switch is thrown by; all of them in others
-SIZES = 10.0 ** np.arange(-3, 4)  # of the points between which jumps are looked for where there are no limits
-LINES = 64  # of each size, or a multiple of them within limits
-HALVINGS = 60  # of a line, until its ends are neighbours
-NEARBY = 1e-6  # of a line: a jump is most of what changes over so much of it, a kink is not
-AT = 1e-9  # of a point: how far around it a jump is one at the point
-ROUNDING = 1e-12  # of the largest rates: what is no jump
+DECIDES = {ca.OP_IF_ELSE_ZERO: (0,), ca.OP_COPYSIGN: (1,)}  # These inputs throw a switch; all of them in others.
 SMOOTHER = "State the jump as something steep that is smooth, such as tanh(v / width) in place of sign(v)."
 
 
 @dataclass(frozen=True, eq=False)
 class Jump(Immutable):
-    """One place at which a right-hand side jumps."""
+    """Place at which a right-hand side jumps."""
 
     row: int  # of the right-hand side, the one that jumps most for its size
     names: tuple[str, ...]  # the operations that do
@@ -42,7 +40,7 @@ class Jump(Immutable):
 
 
 class Switches:
-    """The operations of f(x, u, w, p) that are thrown by x, u or w and may make it jump.
+    """Operations of f(x, u, w, p) that x, u or w throw and that may jump.
 
     Parameters
     ----------
@@ -99,25 +97,25 @@ class Switches:
         return any(self.names)
 
     def within(self, boxes: Sequence[tuple[Array, Array]], design: tuple[Array, Array]) -> Jump | None:
-        """A jump within bounds of x, u and w, or None where none is found; of `boxes` () anywhere."""
+        """Jump within bounds of x, u and w, or anywhere if `boxes` is (); None without one."""
         if not self:
             return None
         rng = np.random.default_rng(0)
-        n = LINES * len(SIZES)
+        n = JUMP_LINES * len(JUMP_SIZES)
         if boxes:
             low, high = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
             ends = [rng.uniform(low, high, (n, len(low))) for _ in range(2)]
         else:
-            size = np.repeat(SIZES, LINES)[:, None]
+            size = np.repeat(JUMP_SIZES, JUMP_LINES)[:, None]
             ends = [size * rng.uniform(-1, 1, (n, sum(self.sizes[:3]))) for _ in range(2)]
-        return self._between(ends[0], ends[1], rng.uniform(*design, (n, self.sizes[3])), NEARBY)
+        return self._between(ends[0], ends[1], rng.uniform(*design, (n, self.sizes[3])), JUMP_WIDTH)
 
     def at(self, z: Array, p: Array) -> Jump | None:
         """A jump at a point z = (x, u, w) and a design."""
         if not self:
             return None
-        away = AT * np.maximum(np.abs(z), 1.0) * np.random.default_rng(0).uniform(-1, 1, (LINES, len(z)))
-        return self._between(z - away, z + away, np.tile(p, (LINES, 1)), 1.0)
+        away = AT_POINT * np.maximum(np.abs(z), 1.0) * np.random.default_rng(0).uniform(-1, 1, (JUMP_LINES, len(z)))
+        return self._between(z - away, z + away, np.tile(p, (JUMP_LINES, 1)), 1.0)
 
     def _between(self, start: Array, end: Array, p: Array, near: float) -> Jump | None:
         """The largest jump on lines (n, ·) from `start` to `end`, found by halving what holds a thrown switch."""
@@ -125,7 +123,7 @@ class Switches:
         parts = np.cumsum(self.sizes[:3])[:-1]
 
         def at(function: Vectorised, t: Array) -> Array:
-            """Its values (n, ·) at the shares `t` (n,) of the lines."""
+            """Values (n, ·) of a function at the shares `t` (n,) of the lines."""
             z = start + t[:, None] * (end - start)
             return np.asarray(function(*np.split(z, parts, axis=1), p))
 
@@ -134,7 +132,7 @@ class Switches:
         thrown = (own != at(positions, high)).any(axis=1)
         if not thrown.any():
             return None
-        for _ in range(HALVINGS):
+        for _ in range(60):  # until its ends are neighbours
             middle = 0.5 * (low + high)
             before = (at(positions, middle) == own).all(axis=1)
             low, high = np.where(before, middle, low), np.where(before, high, middle)
@@ -142,7 +140,7 @@ class Switches:
             gap = np.abs(at(f, high) - at(f, low))
             around = np.abs(at(f, np.minimum(high + near, 1.0)) - at(f, np.maximum(low - near, 0.0)))
             largest = np.nanmax(np.abs(np.vstack([at(f, low), at(f, high)])), axis=0, initial=0.0)
-            jumps = (gap > 0.5 * around) & (gap > ROUNDING * largest) & thrown[:, None]
+            jumps = (gap > 0.5 * around) & (gap > NO_JUMP * largest) & thrown[:, None]
             jumps &= np.array([bool(names) for names in self.names])
             if not jumps.any():
                 return None

@@ -145,7 +145,7 @@ class LinearModel:
 
     @property
     def affine(self) -> bool:
-        """Whether there is a constant term: x = 0, u = 0 is then no equilibrium."""
+        """True if a constant term moves the equilibrium from x = 0, u = 0."""
         return not self._c.is_zero()
 
     @property
@@ -198,7 +198,7 @@ class LinearModel:
         return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
     def state_space(self, p: ArrayLike = ()):
-        """The model at one design as a `control.StateSpace` with inputs u, outputs x and its dt.
+        """Model at one design as a `control.StateSpace`: inputs u, outputs x, its dt.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class LinearModel:
         return control.ss(A, B, np.eye(self.nx), np.zeros((self.nx, self.nu)), self.dt)
 
     def within(self, design: DesignSpace) -> LinearModel:
-        """The same model over another box of designs."""
+        """This model over another box of designs."""
         return replace(self, design=design)
 
     def with_errors(self) -> LinearModel:

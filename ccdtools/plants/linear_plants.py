@@ -86,7 +86,7 @@ def plant_from_matrices(
 
 
 def plant_from_state_space(system: Any, *, dt: float | None = None, E: ArrayLike | None = None) -> Plant:
-    """The plant of a `control.StateSpace`, without a design; its outputs are y = C x + D u.
+    """Plant of a `control.StateSpace` without a design, with outputs y = C x + D u.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a discrete model of a plant may be, and what a co-design and a digital twin ask of it."""
+"""Kinds of discrete plant models, for co-designs and digital twins."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.tolerances import MODEL_AT_REST
 
 Model: TypeAlias = LinearModel | SampledModel
 
-AT_REST = 1e-9  # of the states that one column of the model makes of an input or state of size one
 DEVIATIONS = "State it about its equilibrium: discretise(deviations(plant, equilibrium(plant, p)))."
 
 
 class PlantOfModel:
-    """A plant to simulate whose sizes, sampling time and designs are those of its `model`."""
+    """Plant to simulate, with sizes, sampling time and designs of its `model`."""
 
     model: Model
 
@@ -67,7 +67,7 @@ def as_regulated_model(argument: str, value: Any) -> Model:
         A, B, _ = model.matrices(p)
         moved = np.abs(model.undisturbed(p)(np.zeros(model.nx), np.zeros(model.nu)))
         size = np.maximum(np.abs(A).sum(axis=1), np.abs(B).sum(axis=1))
-        if not (moved <= AT_REST * np.maximum(size, np.finfo(float).tiny)).all():
+        if not (moved <= MODEL_AT_REST * np.maximum(size, np.finfo(float).tiny)).all():
             i = int(np.argmax(moved))
             where = f"{model.plant.state_names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
             got = f"a plant that does not rest at x = 0, u = 0: {where}"

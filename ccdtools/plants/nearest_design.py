@@ -14,16 +14,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.plants.design_constraints import EXACT, UnitConstraints
-
-NEAREST = 1e-5  # of the distance: what its part along the constraints may be where a point is the nearest
-GRID = 4096  # combinations of whole numbers that are looked at
+from ccdtools.plants.design_constraints import UnitConstraints
+from ccdtools.plants.tolerances import EXACT, NEAREST
 
 
 def nearest(
     limits: UnitConstraints, v: Array, *, free: Array, starts: Iterable[Array] = (), thorough: bool = False
 ) -> Array | None:
-    """The point nearest to `v` that the constraints allow, its held entries as they are; None if none is found.
+    """Allowed point nearest to `v` with the same held entries; None if none is found.
 
     Parameters
     ----------
@@ -40,7 +38,7 @@ def nearest(
         return v
 
     def places() -> Iterator[Array]:
-        """Where searches begin."""
+        """Starts of the searches."""
         yield v
         yield allowed_point(limits, v, free)[0]
         yield from starts
@@ -62,21 +60,21 @@ def nearest(
 
 
 def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
-    """A point that the constraints allow, or the least violated one that a search finds, and its violation."""
+    """Allowed point, or the least violated one that a search finds, and its violation."""
     u = _searched(limits, start, free)
     violations = limits.violation(np.array([start, u]))
     return (u, violations[1]) if violations[1] < violations[0] else (start, violations[0])
 
 
 def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Array:
-    """Whole numbers (n, k) within bounds, sorted by their distance from `values` in units of `width`.
+    """Whole numbers (n, k) within bounds, by distance from `values` in `width`.
 
     All of them where these are few; of more, those in a box about the values.
     """
     low = np.ceil(lower - 1e-9)
     count = np.floor(upper + 1e-9) - low + 1
     most = count.copy()
-    while np.prod(count) > GRID:
+    while np.prod(count) > 4096:  # combinations of whole numbers
         longest = np.argmax(count)
         count[longest] = np.ceil(count[longest] / 2)
     first = np.clip(np.round(values) - count // 2, low, low + most - count)

@@ -1,4 +1,4 @@
-"""CasADi functions on the rows of NumPy arrays: by CasADi's own machine for few rows, by operations in place for many.
+"""CasADi functions on rows of arrays: CasADi's machine for few, in place for many.
 
 An array operation takes most of a microsecond however few rows there are, CasADi's machine a nanosecond or two for an
 instruction and row. Results differ by rounding. In place, two to three times as fast as by operations that return new
@@ -16,9 +16,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Operations, Tape, numpy_operations
+from ccdtools.plants.tolerances import KEPT_SIZES
 
-FEW = 192  # rows up to which CasADi's machine is the faster one; they are even at 200 to 300
-KEPT = 16  # numbers of rows that a function is held ready for
 IN_PLACE: Operations = {
     ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
     ca.OP_SQ: np.square, ca.OP_TWICE: lambda a, out: np.add(a, a, out),
@@ -64,14 +63,14 @@ class Native:
         if made is None:
             name = f"{self._function.name()}_{rows}"
             made = self._function.map(name, "serial", rows, list(common), [])
-            for oldest in list(self._for_rows)[: max(0, len(self._for_rows) - KEPT + 1)]:
+            for oldest in list(self._for_rows)[: max(0, len(self._for_rows) - KEPT_SIZES + 1)]:
                 self._for_rows.pop(oldest, None)  # another thread may have been faster
             self._for_rows[rows, common] = made
         return made
 
 
 class InPlace:
-    """The instructions of a function, ready to be carried out on arrays that stay where they are.
+    """Instructions of a function, carried out in place on arrays.
 
     Parameters
     ----------
@@ -112,7 +111,7 @@ class InPlace:
 
 
 def as_rows(columns: Array) -> Array:
-    """Numbers (n, k) as rows (k, n) of their own, in double precision; (k,) as they are."""
+    """Rows (k, n) of numbers (n, k) in double precision; (k,) as they are."""
     return np.array(columns.T, dtype=float, order="C")
 
 

@@ -1,4 +1,6 @@
-"""The step of a sampled model as one torch operation with its own first derivative: for long episodes.
+"""Step of a sampled model as one torch operation with its first derivative.
+
+It is for long episodes.
 
 Torch records every instruction of a step; here one record holds a whole sample. Of few runs both ways go by CasADi's
 own machine, of many by NumPy. That is many times faster, and once differentiable.
@@ -17,8 +19,9 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Tape, check_sizes
-from ccdtools.plants.on_rows import FEW, InPlace, Native, as_rows
+from ccdtools.plants.on_rows import InPlace, Native, as_rows
 from ccdtools.plants.runge_kutta import ExplicitStep
+from ccdtools.plants.tolerances import FEW_ROWS
 
 
 class PathwiseStep:
@@ -62,7 +65,7 @@ class PathwiseStep:
 
     def advanced(self, x: Array, held: tuple[Array, ...]) -> tuple[Array, list[Array]]:
         """x⁺ (n, nx), and of many runs the states (nx, n) before each part of the sample, and at its end."""
-        if len(x) <= FEW:
+        if len(x) <= FEW_ROWS:
             return self._step.rows(x, held), []
         states = self._step.path(x, held)
         return states[-1].T, states
@@ -73,7 +76,7 @@ class PathwiseStep:
         return np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
 
     def _back(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> Array:
-        """The same side by side, part by part from the end of the sample."""
+        """Slopes of many runs side by side, part by part from the end of the sample."""
         state = np.empty_like(states[0])
         factor = as_rows(multiplier)
         part = InPlace(self._of_part, [state, *map(as_rows, held), factor])

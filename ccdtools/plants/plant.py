@@ -169,7 +169,7 @@ class Plant:
 
     @cached_property
     def nonlinear_states(self) -> tuple[str, ...]:
-        """Names of the states whose dynamics are not linear in x, u and w, up to a constant term.
+        """Names of the states with dynamics not affine in x, u and w.
 
         Whatever may jump there counts, though its derivative is constant.
         """
@@ -180,12 +180,12 @@ class Plant:
 
     @cached_property
     def switches(self) -> Switches:
-        """Operations by which the dynamics may jump in x, u or w: sign, floor, comparisons and the like."""
+        """Operations by which dynamics may jump in x, u or w: sign, floor, comparisons."""
         return Switches(self.right_hand_side)
 
     @property
     def linear(self) -> bool:
-        """Whether the dynamics are linear in x, u and w, up to a constant term; any dependence on p."""
+        """True if the dynamics are affine in x, u and w, whatever p."""
         return not self.nonlinear_states
 
     @cached_property
@@ -238,7 +238,7 @@ def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
 
 
 def _bound(argument: str, value: Any, size: int) -> Array:
-    """One side of the limits of the outputs (size,), which may be infinite."""
+    """Bound of the outputs on one side (size,), which may be infinite."""
     bound = as_floats(argument, value)
     if bound.shape not in ((), (size,)) or np.isnan(bound).any():
         raise InputError(argument, f"{bound.tolist()} of shape {bound.shape}", f"a number, or ({size},) of them")

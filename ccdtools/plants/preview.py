@@ -36,7 +36,7 @@ def with_preview(model: Model, steps: int, *, channels: Sequence[int] | None = N
 
 
 def with_preview(model: Model | Plant, steps: int, *, channels: Sequence[int] | None = None) -> Model | Plant:
-    """The model whose state is (x, w_k, …, w_{k+N−1}) and whose disturbance is w_{k+N}, N samples ahead.
+    """Model with state (x, w_k, …, w_{k+N−1}) and disturbance w_{k+N}, N samples ahead.
 
     Its LQR is optimal preview control, and whatever else sees its state sees the preview. It has as many inputs and
     disturbances as before, and stays symbolic in its design.

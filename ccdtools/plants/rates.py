@@ -1,4 +1,4 @@
-"""What a plant does at a state and input: its rates, their derivatives, and where they vanish."""
+"""Rates of a plant at a state and input, their derivatives and zeros."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import term_sizes
-
-ROUNDING = 1e-9  # of the terms that a rate is the sum of: what is left of it at rest
-DEPENDENT = 1e-9  # of the largest pivot: a row or column of the Jacobian that says nothing new
-STARTS = 20  # from which an equilibrium is looked for, the guess first
+from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING
 
 
 class Rates:
-    """What a plant does at (x, u): dx/dt, or the change of a discrete one, with its derivatives."""
+    """Rates of a plant at (x, u): dx/dt or discrete change, with derivatives."""
 
     def __init__(self, plant: Plant, w: Array) -> None:
         self.z = ca.vertcat(plant.x, plant.u)
@@ -55,7 +52,7 @@ class Rates:
         return bool((np.abs(rate) <= self._rounding(z, p)).all())
 
     def resolution(self, z: Array, p: Array, rows: Indices, chosen: list[int]) -> Array:
-        """How far what is left of the rates at rest moves the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
+        """Distance that rates left at rest move the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
         moved = np.zeros(len(z))
         J = self.jacobian(z, p)[rows][:, chosen]
         if len(chosen) and np.isfinite(J).all():
@@ -63,11 +60,11 @@ class Rates:
         return moved
 
     def _rounding(self, z: Array, p: Array) -> Array:
-        """What is left of each rate (nx,) at rest by rounding."""
+        """Rest of each rate (nx,) that rounding leaves at an equilibrium."""
         J = np.abs(self.jacobian(z, p))
-        size = J @ np.abs(z) + J.max(axis=1) * ROUNDING
+        size = J @ np.abs(z) + J.max(axis=1) * RATE_ROUNDING
         terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)
-        return np.asarray(ROUNDING * np.maximum(size, terms))
+        return np.asarray(RATE_ROUNDING * np.maximum(size, terms))
 
     @cached_property
     def _terms(self) -> ca.Function:
@@ -76,12 +73,12 @@ class Rates:
 
 
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
-    """The point (nx + nu,) at which nothing moves, from the guess or from points around it."""
+    """Point (nx + nu,) at rest, from the guess or from points around it."""
     rng = np.random.default_rng(0)
     nx = rates.states
     sizes = np.r_[np.full(nx, _size(z[:nx])), np.full(len(z) - nx, _size(z[nx:]))]
     best: tuple[float, Array] = (np.inf, z)
-    for start in range(STARTS):
+    for start in range(20):  # the guess first
         reached = z.copy()
         if start:
             away = 10.0 ** (-(start // 2) if start % 2 else start // 2)  # farther and nearer, a decade at a time
@@ -106,7 +103,7 @@ def _size(given: Array) -> float:
 
 
 def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
-    """The least rates near a point, by least squares in the free entries, then by Newton's method to rounding."""
+    """Point of least rates nearby, by least squares, then Newton's method to rounding."""
 
     def at(v: Any) -> Array:
         """The point with those free entries."""
@@ -141,14 +138,14 @@ def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
 
 
 def independent(J: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of J, as many as its rank, that make a regular matrix."""
+    """Rows and columns of J that make a regular matrix of its rank."""
     length = np.abs(J).max(axis=1, initial=0.0)
     J = J / np.where(length > 0, length, 1.0)[:, None]
     if J.size == 0 or not J.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     R, columns = qr(J, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(R))
-    rank = int((diagonal > DEPENDENT * diagonal[0]).sum())
+    rank = int((diagonal > DEPENDENT_PIVOT * diagonal[0]).sum())
     columns = np.sort(columns[:rank])
     _, rows = qr(J[:, columns].T, mode="r", pivoting=True)
     return np.sort(rows[:rank]), columns

@@ -10,13 +10,12 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.casadi_arrays import Tape, Vectorised, check_sizes
-from ccdtools.plants.on_rows import FEW, InPlace, Native, as_rows
-
-AT_ONCE = 2048  # runs whose numbers fit into the processor's cache
+from ccdtools.plants.on_rows import InPlace, Native, as_rows
+from ccdtools.plants.tolerances import FEW_ROWS, RUNS_AT_ONCE
 
 
 class ExplicitStep:
-    """(x, u, w, p) → x⁺ by repeating one expression: a Runge–Kutta substep, or the map of a discrete plant.
+    """Step (x, u, w, p) → x⁺ that repeats a Runge–Kutta substep or a discrete map.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ class ExplicitStep:
 
     @cached_property
     def _vectorised(self) -> Vectorised:
-        """One substep on tensors."""
+        """Substep on tensors."""
         return Vectorised(self.substep)
 
     @cached_property
@@ -56,7 +55,7 @@ class ExplicitStep:
 
     @cached_property
     def _tape(self) -> Tape:
-        """One substep on many rows of arrays."""
+        """Substep on many rows of arrays."""
         return Tape(self.substep, "dynamics")
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
@@ -69,7 +68,7 @@ class ExplicitStep:
         return x
 
     def _of_arrays(self, *arguments: Array) -> Array:
-        """The same of arrays; of single precision in double inside."""
+        """Step of arrays; those of single precision are double inside."""
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arguments))
         runs = int(np.prod(batch))
         common = [a.ndim == 1 for a in arguments] if batch else [False] * 4
@@ -80,9 +79,9 @@ class ExplicitStep:
 
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
         """x⁺ (n, nx) of states (n, nx) and u, w and p, (n, ·) or (·,) of what is common to all."""
-        if len(x) <= FEW:
+        if len(x) <= FEW_ROWS:
             return self._native(x, *held)
-        parts = [slice(i, i + AT_ONCE) for i in range(0, len(x), AT_ONCE)]
+        parts = [slice(i, i + RUNS_AT_ONCE) for i in range(0, len(x), RUNS_AT_ONCE)]
         return np.vstack([self.path(x[i], tuple(a if a.ndim == 1 else a[i] for a in held))[-1].T for i in parts])
 
     def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:

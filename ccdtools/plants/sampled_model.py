@@ -1,4 +1,4 @@
-"""A nonlinear plant as a discrete model: a step that is differentiable in x, u, w and the design."""
+"""Discrete model of a nonlinear plant, differentiable in x, u, w and the design."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class WithErrors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledModel:
-    """x⁺ = f(x, u, w, p) of a nonlinear plant, with u and w held over a sample.
+    """Model x⁺ = f(x, u, w, p) of a nonlinear plant, u and w held over a sample.
 
     Made by `discretise`.
 
@@ -133,7 +133,9 @@ class SampledModel:
 
     @cached_property
     def pathwise(self) -> Any:
-        """The same on torch tensors (n, ·) with p (np,) or (n, np), differentiable once, several times faster.
+        """Step on torch tensors (n, ·) with p (np,) or (n, np), several times faster than `advance`.
+
+        It is differentiable once.
 
         Where the step is implicit, `advance`.
         """
@@ -155,7 +157,10 @@ class SampledModel:
         return ImplicitStep(f, self.dt, self.substeps, self.scale)
 
     def within(self, design: DesignSpace) -> SampledModel:
-        """The same model over another box of designs; where it reaches beyond its own, the error is not known."""
+        """This model over another box of designs.
+
+        Where that reaches beyond its own, the error is not known.
+        """
         own = self.plant.design
         inside = design.dim == own.dim and bool(((design.lower >= own.lower) & (design.upper <= own.upper)).all())
         return replace(self, plant=replace(self.plant, design=design), error=self.error if inside else None)

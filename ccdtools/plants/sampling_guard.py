@@ -16,10 +16,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
-
-SHARE = 0.8  # of half the sampling rate: oscillations above it have under 2.5 samples a period
-SAMPLES_PER_PERIOD = 10  # of the sampling time that is recommended instead
-DEAD = math.log(0.01)  # a mode that falls below 1 % within one sample leaves nothing to alias
+from ccdtools.plants.tolerances import RESOLVED_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +35,18 @@ class FastestMode(Immutable):
     @property
     def resolved(self) -> bool:
         """Whether the oscillation stays below 0.8 of half the sampling rate."""
-        return self.frequency < SHARE * self.nyquist
+        return self.frequency < RESOLVED_SHARE * self.nyquist
 
     @property
     def better_dt(self) -> float:
-        """Sampling time [s] with ten samples a period of the oscillation, rounded down to one digit."""
-        wanted = 1 / (SAMPLES_PER_PERIOD * self.frequency) if self.frequency > 0 else self.dt
+        """Sampling time [s] of ten samples a period, rounded down to one digit."""
+        wanted = 1 / (10 * self.frequency) if self.frequency > 0 else self.dt  # 10 samples a period
         digit = 10.0 ** math.floor(math.log10(wanted))
         return math.floor(wanted / digit * (1 + 1e-12)) * digit
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> FastestMode:
-    """The fastest oscillation of ẋ = A(p) x over the box: samples, then a local search from the fastest of them.
+    """Fastest oscillation of ẋ = A(p) x over the box, by samples and search.
 
     Parameters
     ----------
@@ -66,7 +63,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
         if not np.isfinite(matrix).all():  # said elsewhere, with the design
             return 0.0
         modes = np.linalg.eigvals(matrix)
-        living = modes[modes.real * dt > DEAD]
+        living = modes[modes.real * dt > math.log(0.01)]  # what falls below 1 % within a sample is not aliased
         return float(np.abs(living.imag).max(initial=0.0)) / (2 * np.pi)
 
     points = design.to_unit(design.spread())
@@ -84,7 +81,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
 
 
 def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None) -> str:
-    """One sentence if a plant oscillates near or beyond half the sampling rate at some design; else nothing.
+    """Note on oscillations near or beyond half the sampling rate; else nothing.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Functions that a user states in Python on CasADi columns: compiled once for each set of sizes, and checked."""
+"""User's functions of CasADi columns, compiled once for each set of sizes, and checked."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools_ground.door import brief
 from ccdtools_ground.user_functions import stopped
-
-LONGEST = 200  # characters of an expression that is shown
 
 Sizes = tuple[int, ...]
 
@@ -43,7 +41,7 @@ class SymbolicFunction:
         self._at_rest: dict[tuple[str, Sizes], ca.Function] = {}
 
     def function(self, *sizes: int) -> ca.Function:
-        """As a `casadi.Function` of columns of these sizes.
+        """Function of columns of these sizes, as a `casadi.Function`.
 
         Raises
         ------
@@ -55,7 +53,7 @@ class SymbolicFunction:
         return self._functions[sizes]
 
     def scalar(self, *sizes: int) -> Vectorised:
-        """The same on arrays or tensors (..., size), with values (..., 1).
+        """Function with one value (..., 1) on arrays or tensors (..., size).
 
         Raises
         ------
@@ -68,7 +66,7 @@ class SymbolicFunction:
         return self.vector(*sizes)
 
     def vector(self, *sizes: int) -> Vectorised:
-        """The same with values (..., m)."""
+        """Function with values (..., m) on arrays or tensors (..., size)."""
         if sizes not in self._compiled:
             self._compiled[sizes] = Vectorised(self.function(*sizes))
         return self._compiled[sizes]
@@ -81,15 +79,15 @@ class SymbolicFunction:
 
     @property
     def values(self) -> int:
-        """How many values it has, for the sizes that it was used with first."""
+        """Number of values, for the sizes that the function was used with first."""
         return next(iter(self._functions.values())).numel_out(0)
 
     def hessian(self, *sizes: int) -> ca.Function:
-        """The Hessian of its scalar with respect to all arguments but the last, where these are 0, of the last."""
+        """Hessian of the scalar at 0 by all arguments but the last, as a function of the last."""
         return self._derived("hessian", sizes, lambda value, free: [ca.hessian(value, free)[0]])
 
     def linear(self, *sizes: int) -> ca.Function:
-        """Its values and their Jacobian with respect to all arguments but the last, where these are 0, of the last."""
+        """Values and Jacobian at 0 by all arguments but the last, as a function of the last."""
         return self._derived("linear", sizes, lambda value, free: [value, ca.jacobian(value, free)])
 
     def _derived(self, name: str, sizes: Sizes, make: Callable[[ca.SX, ca.SX], list[ca.SX]]) -> ca.Function:
@@ -122,11 +120,11 @@ class SymbolicFunction:
         for function in self._functions.values():
             columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
             text = " ".join(str(function(*columns)).split())
-            return brief(text, LONGEST)
+            return brief(text, 200)  # characters
         return f"{self.argument}({', '.join(self.names)})"
 
     def serialized(self) -> dict[str, str]:
-        """Its expressions as text, by sizes."""
+        """Expressions of the function as text, by sizes."""
         return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
 
     def __getstate__(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""CasADi symbols and expressions: checked, and packed so that objects that hold them can be pickled."""
+"""CasADi symbols and expressions: checked, and packed to be pickled."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
 
 
 def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
-    """Sizes of the terms that the entries of a function are the sums of, to which their rounding is in proportion.
+    """Sizes of the terms in a function's entries, to which rounding is proportional.
 
     Of functions that are called from within, the result alone counts.
     """

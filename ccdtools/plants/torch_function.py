@@ -16,7 +16,9 @@ from ccdtools.plants.casadi_arrays import Tape, torch_operations
 
 
 def to_torch(function: ca.Function) -> TorchFunction:
-    """A CasADi function on batches of torch tensors, of any type, on any device, differentiable any number of times.
+    """CasADi function on batches of torch tensors, differentiable any number of times.
+
+    Tensors may be of any type and on any device.
 
     Each scalar instruction of the function becomes one torch operation over the whole batch, so torch differentiates
     it by itself. A function without scalar instructions (it calls an integrator, a solver or C code) is evaluated by
@@ -104,7 +106,7 @@ class TorchFunction:
         return out[0] if len(out) == 1 else tuple(out)
 
     def _columns(self, arguments: tuple[Tensor, ...]) -> list[Tensor]:
-        """Each input as (..., entries), entries by columns as CasADi counts them."""
+        """Inputs as (..., entries) each, entries by columns as CasADi counts them."""
         f = self.function
         names = f.name_in()
         if len(arguments) != f.n_in():

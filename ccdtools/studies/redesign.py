@@ -13,7 +13,8 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.risk import measure
 from ccdtools.evidence.evidence import NOTHING
 from ccdtools.evidence.verdict import Status, Verdict
-from ccdtools.plants.design_space import SAME_DESIGN, DesignSpace
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.tolerances import SAME_DESIGN
 from ccdtools.statistics import Summary, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice

@@ -29,10 +29,11 @@ from ccdtools.design_limits import Limits, as_limits_over, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
-from ccdtools.plants.discretisation import ACCURACY, discretise
+from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import METHODS, SampledModel
+from ccdtools.plants.tolerances import ACCURACY
 from ccdtools.studies.disturbance_checks import check_disturbance
 from ccdtools.studies.options import FILTERS, SETS
 from ccdtools.studies.plant_checks import check_finite, check_same_plant

@@ -13,8 +13,9 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, MPC_RUNS, Pair
+from ccdtools.co_design.limit_tolerance import Pair
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MPC_RUNS
 from ccdtools.evidence.evidence import Violation
 from ccdtools.limits import StateLimits
 from ccdtools.outside import Outside
@@ -51,7 +52,7 @@ def violation(
     limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
     own = Outside.of(after, limits, plant, problem.output_limits)
     other = Outside.of(before, former, plant, problem.output_limits)
-    if max(_pair(own).values()) <= FLOOR and isinstance(asked, str):
+    if max(_pair(own).values()) <= LEAST_TOLERANCE and isinstance(asked, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]
     if not suspect:
@@ -68,7 +69,7 @@ def violation(
 
 def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
     """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
-    least = Pair(FLOOR, FLOOR)
+    least = Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
     except InputError:
@@ -78,7 +79,7 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
     if run.diverged.all():
         return least
     done = _pair(Outside.of(run, limits, None, problem.output_limits))
-    return Pair(*(max(FLOOR, BESIDE_MPC * value) for value in done.values()))
+    return Pair(*(max(LEAST_TOLERANCE, BESIDE_MPC * value) for value in done.values()))
 
 
 def _pair(outside: Outside, runs: int | None = None) -> Pair:

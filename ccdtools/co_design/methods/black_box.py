@@ -1,4 +1,4 @@
-"""A search's view of a problem: values at any point of the unit box, that can be compared."""
+"""Comparable values of a problem at any point of the unit box, for a search."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.limit_tolerance import FLOOR
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import tamed
+from ccdtools.co_design.methods.descent import compressed
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import (
+    BETTER_SHARE,
+    DISTANCE_COST,
+    LEAST_TOLERANCE,
+    LOST_COST,
+    SIZE_EVALUATIONS,
+    VIOLATION_COST,
+)
 from mpc import NotStabilisableError
-
-FIRST = 20  # evaluations that say how large costs are:
-BETTER = 0.25  # the better ones of them, as designs that lose their runs say nothing
-OUTSIDE = 10.0  # of the cost, per unit-box length squared: what a point loses for its distance from the feasible ones
-BROKEN = 0.05  # of the cost: what exceeding the tolerance of limits by the least that counts costs
-LOST = 1e3  # relative cost of a design where nothing works
 
 
 class ClosedLoop:
@@ -30,7 +31,7 @@ class ClosedLoop:
         self.penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
 
     def __call__(self, v: Array) -> tuple[float, float]:
-        """At a point of the unit box."""
+        """Cost and limit violation at a point of the unit box."""
         try:
             if self.penalty is None:
                 seen = self.cost.seen(v)
@@ -42,14 +43,17 @@ class ClosedLoop:
         return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
-        """How the limits are kept at a point, beside the tolerance there itself: on the way it is extrapolated."""
+        """Violation of the limits at a point, beside the tolerance measured there.
+
+        On the way the tolerance is extrapolated.
+        """
         seen, penalty = self.cost.updated(StateLimitPenalty(self.cost.problem), v)
         return penalty.outcome(seen)
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What was seen at free entries z.
+class Evaluation:
+    """Evaluation at free entries z.
 
     Attributes
     ----------
@@ -69,7 +73,10 @@ class Look:
 
 
 class BlackBox:
-    """Values at any point of the unit box: that of the nearest feasible design, less a little for the distance."""
+    """Value of the nearest feasible design at any point of the unit box.
+
+    A little is taken off for the distance.
+    """
 
     def __init__(self, problem: CoDesignProblem, value: Any, start: Array) -> None:
         self.problem = problem
@@ -79,7 +86,7 @@ class BlackBox:
         self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
         self.best_v = self.start
         self.rows: list[tuple] = []
-        self.looks: list[Look] = []
+        self.looks: list[Evaluation] = []
 
     @property
     def first(self) -> Array:
@@ -88,12 +95,12 @@ class BlackBox:
 
     @property
     def size(self) -> float:
-        """How large costs are."""
+        """Size of costs."""
         known = [abs(look.cost) for look in self.looks if np.isfinite(look.cost) and look.cost != 0]
-        return float(np.quantile(known[:FIRST], BETTER)) if known else 1.0
+        return float(np.quantile(known[:SIZE_EVALUATIONS], BETTER_SHARE)) if known else 1.0
 
     def begin(self, budget: int, rng: np.random.Generator) -> None:
-        """Look at the start, and at random points until there is a value."""
+        """Evaluation at the start, and at random points until there is a value."""
         z = self.first
         for _ in range(budget):
             self(z)
@@ -102,30 +109,31 @@ class BlackBox:
             z = rng.random(len(z))
 
     def __call__(self, z: Array) -> float:
-        """What is to be small at free entries `z`."""
+        """Merit at free entries `z`, which is to be small."""
         self.looks.append(self._looked(z))
         return self.merit(self.looks[-1])
 
-    def merit(self, look: Look) -> float:
-        """The same of what was seen, by the size that is known now."""
+    def merit(self, look: Evaluation) -> float:
+        """Merit of an evaluation, by the size of costs that is known now."""
         size = self.size
         if not np.isfinite(look.cost):
-            return LOST * size
-        return float(size * (tamed(look.cost / size) + OUTSIDE * look.away + BROKEN * look.violation / FLOOR))
+            return LOST_COST * size
+        violation = VIOLATION_COST * look.violation / LEAST_TOLERANCE
+        return float(size * (compressed(look.cost / size) + DISTANCE_COST * look.away + violation))
 
-    def _looked(self, z: Array) -> Look:
+    def _looked(self, z: Array) -> Evaluation:
         """Evaluate the feasible design that is nearest."""
         asked = self.start.copy()
         asked[self.free] = np.clip(z, 0.0, 1.0)
         allowed = self.problem.design.allowed
         v = allowed.near(allowed.rounded(asked))
         if v is None:
-            return Look(z, np.inf)
+            return Evaluation(z, np.inf)
         cost, violation = self.value(v)
         count = len(self.rows) + 1
         self.rows.append((count, count, self.problem.design.settled(v), -cost, 0.0, 0.0))
         if not np.isfinite(cost):
-            return Look(z, np.inf)
+            return Evaluation(z, np.inf)
         if (violation, cost) < self.best:
             self.best, self.best_v = (violation, cost), v
-        return Look(z, cost, float(np.sum((asked - v) ** 2)), violation)
+        return Evaluation(z, cost, float(np.sum((asked - v) ** 2)), violation)

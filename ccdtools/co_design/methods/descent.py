@@ -1,4 +1,4 @@
-"""The search over the designs of one start: least cost within bounds and constraints, along exact slopes.
+"""Local search over designs along exact slopes, within bounds and constraints.
 
 References
 ----------
@@ -16,26 +16,21 @@ from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.feasible import DesignRegion
+from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.tolerances import EXACT
 
 Cost = Callable[[Array], tuple[float, Array]]
 
-TALL = 2.0  # relative cost from which on it counts by its logarithm: into lost runs it grows by 1e7 within one step
-LOST = 1e3  # relative cost of a design where there is none
-AGAIN = 3  # searches that follow one another while they gain
-GAINED = 1e-7  # of the cost
-FEASIBLE = 1e-9  # violation of a point that counts as feasible, in the unit box
-INSIDE = 1e-10  # how far inside the edges the search keeps
-ON_EDGE = 1e-9  # of the unit box: a point this close to a bound is on it
 
 
 class _SpentError(Exception):
-    """No evaluation is left."""
+    """Raised when no evaluation is left."""
 
 
 @dataclass(eq=False)
 class Descent:
-    """Where a search ended."""
+    """End of a local search."""
 
     v: Array  # (np,): the best feasible point of the unit box that was evaluated
     cost: float
@@ -51,13 +46,16 @@ def value_of(cost: Any, v: Array) -> float:
     return cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
 
 
-def tamed(relative: float) -> float:
-    """A relative cost, beyond `TALL` as a logarithm."""
-    return float(relative) if relative <= TALL else TALL * (1 + float(np.log(relative / TALL)))
+def compressed(relative: float) -> float:
+    """A relative cost, beyond `COMPRESS_ABOVE` as a logarithm."""
+    high = relative > COMPRESS_ABOVE
+    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
 
 
 def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
-    """From a feasible point of the unit box to the least cost that is found, fixed entries and whole numbers held.
+    """Least cost found from a feasible point of the unit box.
+
+    Fixed entries and whole numbers are held.
 
     Parameters
     ----------
@@ -78,11 +76,11 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
     watched = _Watched(cost, space, v, size, evaluations)
     found = watched.found
     constraints = [] if limits is None else [{
-        "type": "ineq", "fun": lambda z: -limits.values(watched.at(z)) - INSIDE,
+        "type": "ineq", "fun": lambda z: -limits.values(watched.at(z)) - INSIDE_EDGES,
         "jac": lambda z: -limits.jacobian(watched.at(z))[:, free],
     }]  # fmt: skip
     try:
-        for _ in range(AGAIN):
+        for _ in range(3):  # searches follow one another while they gain
             before = found.cost
             minimize(watched.value, found.v[free], jac=watched.slope, method="SLSQP",
                      bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,
@@ -97,7 +95,7 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
 
 @dataclass(eq=False)
 class _Point:
-    """A point of the unit box that was looked at; no slope as long as nobody asked for it."""
+    """Evaluated point of the unit box, with a slope once one was asked for."""
 
     v: Array
     cost: float
@@ -105,7 +103,7 @@ class _Point:
 
 
 class _Watched:
-    """A cost as a search sees it, of the free entries z alone; what is best so far is kept in `found`."""
+    """Cost of the free entries z for a search; the best so far is kept in `found`."""
 
     def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self.cost = cost
@@ -122,19 +120,19 @@ class _Watched:
     def at(self, z: Array) -> Array:
         """The whole point with the free entries `z`."""
         point = self.start.copy()
-        point[self.free] = np.where(z < ON_EDGE, 0.0, np.where(z > 1 - ON_EDGE, 1.0, z))
+        point[self.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
         return point
 
     def value(self, z: Array) -> float:
-        """Relative cost, beyond `TALL` its logarithm."""
+        """Relative cost, beyond `COMPRESS_ABOVE` its logarithm."""
         point = self._point(z)
         relative = point.cost / self.size
         if not np.isfinite(relative) or (point.slope is not None and not np.isfinite(point.slope).all()):
-            return LOST
-        return tamed(relative)
+            return LOST_COST
+        return compressed(relative)
 
     def slope(self, z: Array) -> Array:
-        """Its slope along the free entries."""
+        """Slope of the relative cost along the free entries."""
         point = self._point(z)
         relative = point.cost / self.size
         if not np.isfinite(relative):
@@ -142,7 +140,7 @@ class _Watched:
         slope = self._slope(point)[self.free]
         if not np.isfinite(slope).all():
             return np.zeros(len(z))
-        return slope / self.size * (TALL / relative if relative > TALL else 1.0)
+        return slope / self.size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0)
 
     def complete(self) -> None:
         """Have the slope at the best point."""
@@ -157,7 +155,7 @@ class _Watched:
         return point.slope
 
     def _point(self, z: Array) -> _Point:
-        """What is known at a point; the last one is remembered.
+        """Evaluations at a point; the last one is remembered.
 
         Raises
         ------
@@ -174,7 +172,7 @@ class _Watched:
         point = _Point(v, *self.cost(v)) if self.apart is None else _Point(v, self.apart.value(v), None)
         found.evaluations += 1
         self._last = point
-        if point.cost < found.cost and self.space.allowed.violation(v) <= FEASIBLE:
+        if point.cost < found.cost and self.space.allowed.violation(v) <= EXACT:
             found.v, found.cost, self._best = v, point.cost, point
             found.path.append((v, point.cost))
         return point

@@ -1,4 +1,4 @@
-"""A cost of the design alone: what a search over designs asks for, and where one of them ended."""
+"""Cost of the design alone, for searches, and the end of one of them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class End:
 
 
 class DesignCost(ABC):
-    """Minus a return at points of the unit box, with its slope, and the controller of every design.
+    """Cost, minus a return, over the unit box, with slope and controller of each design.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class DesignCost(ABC):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What tables call it."""
+        """Name of the cost in tables."""
 
     @abstractmethod
     def __call__(self, v: Array) -> tuple[float, Array]:
@@ -85,7 +85,7 @@ class DesignCost(ABC):
         return len(self.rows)
 
     def worth_a_start(self, v: Array) -> bool:
-        """Whether a search may begin at a point, as far as a look that costs nothing tells."""
+        """True if a search may begin at a point, as far as a cheap evaluation tells."""
         return True
 
     def first_point(self, v: Array) -> tuple[Array, float]:
@@ -101,12 +101,12 @@ class DesignCost(ABC):
         return end
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
-        """What there is to say where no start has a cost."""
+        """Explanation where no start has a cost."""
         space = self.problem.design
         got = f"{space.describe(space.settled(v))} to start from, where there is nothing to search by: {self.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
 
     def history(self) -> History:
-        """All evaluations so far."""
+        """Record of all evaluations so far."""
         return History(*(np.array(column) for column in zip(*self.rows)))

@@ -1,4 +1,4 @@
-"""Where the searches of a method start, and what holds the design that one ended at."""
+"""Starts of the searches of a method, and active constraints where one ended."""
 
 from __future__ import annotations
 
@@ -11,19 +11,17 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.methods.descent import Cost, value_of
 from ccdtools.co_design.result import Valley
-from ccdtools.plants.design_constraints import ON_EDGE, held
+from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
+from ccdtools.plants.design_constraints import held
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.tolerances import ON_EDGE
 
-STEP = 1e-4  # of the unit box: of the differences that a slope is confirmed by
-AGREE = 0.05  # of a slope: what differences and it may differ by,
-LEVEL = 1e-3  # and of the cost per length of the unit box
 OTHERS = "other whole numbers were never looked at: raise starts"
-SAME_PLACE = 0.02  # of the box: two starts this close are one
 
 
 @dataclass(frozen=True)
 class Held:
-    """What holds a design: prices of its active bounds and constraints, and what is left of the slope.
+    """Prices of the active bounds and constraints of a design, and the slope left.
 
     Attributes
     ----------
@@ -37,8 +35,10 @@ class Held:
     rest: float
 
 
-def held_by(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
-    """What holds a point of the unit box where the cost has this slope (np,); of one that is unknown, NaN is left.
+def active_set_at(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
+    """Active bounds and constraints of a point where the cost has this slope (np,).
+
+    Where the slope is unknown, NaN is left.
 
     Active limits of the closed loop are constraints, too: by name, the slopes (np,) of their violations.
     """
@@ -73,21 +73,21 @@ def _steepness(space: DesignSpace, v: Array) -> Array:
 
 
 def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
-    """Whether central differences of the cost show its slope, in one random direction of the free entries."""
+    """True if central differences confirm the slope along one random free direction."""
     free = space.allowed.free
     if not free.any():
         return True
     direction = np.where(free, np.random.default_rng(0).standard_normal(len(v)), 0.0)
     direction /= np.abs(direction).max()
-    centre = np.where(free, np.clip(v, STEP, 1 - STEP), v)
-    ahead, behind = (value_of(cost, centre + side * STEP * direction) for side in (1, -1))
+    centre = np.where(free, np.clip(v, COST_STEP, 1 - COST_STEP), v)
+    ahead, behind = (value_of(cost, centre + side * COST_STEP * direction) for side in (1, -1))
     about = cost(centre)[1]
-    shown = (ahead - behind) / (2 * STEP)
-    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREE * abs(shown) + LEVEL * size)
+    shown = (ahead - behind) / (2 * COST_STEP)
+    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREEING * abs(shown) + LEVEL_SLOPE * size)
 
 
 def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
-    """The given design, and the bottoms of the best valleys that lie elsewhere, in the unit box."""
+    """Points to start from: the given design, and the best other local optima."""
     starts = [space.allowed.rounded(space.to_unit(design))]
     for valley in found:
         v = space.to_unit(valley.design)

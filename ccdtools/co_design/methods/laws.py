@@ -1,4 +1,4 @@
-"""Control laws that belong to a design: what a nested search closes the loop with at every design it looks at."""
+"""Control laws that belong to a design, for the loops of nested search."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class PassiveLaw:
     differentiable = True
 
     def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """No input."""
+        """Law without input."""
         return lambda x: x.new_zeros(len(x), problem.model.nu)
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """No input."""
+        """Controller without input."""
         return Passive(problem.model.nu)
 
 
@@ -78,7 +78,10 @@ class _OnLineLaw(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecantLaw(_OnLineLaw):
-    """Saturated LQR of the linearisation over the states that the loop of each design visits on given scenarios."""
+    """Saturated LQR of the linearisation over the states that each design's loop visits.
+
+    They are visited on given scenarios.
+    """
 
     scenarios: ScenarioTensors
     words = "saturated LQR of the secant over the visited states"
@@ -97,7 +100,7 @@ class MPCLaw(_OnLineLaw):
 
     @property
     def words(self) -> str:
-        """What it is, in words."""
+        """Name of the MPC with its horizon, in words."""
         return f"{'nonlinear' if self.nonlinear else 'linear'} MPC (N = {self.horizon})"
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
@@ -124,5 +127,5 @@ class _Gain(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
-        """By the chain rule."""
+        """Gradient by the design (np,), by the chain rule."""
         return torch.einsum("ux,uxp->p", gradient, ctx.slopes), None

@@ -1,4 +1,4 @@
-"""Co-design by learning, along gradients through the model, by PPO, or by both; its starts and their race."""
+"""Co-design by gradients through the model, PPO, or both; its starts and their race."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.expert import expert_dataset
-from ccdtools.co_design.landscape import COMBINATIONS, combinations, valleys
+from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
@@ -27,6 +27,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.risk import check_followed, measure
 from ccdtools.co_design.task import LimitPenalty, Task
+from ccdtools.co_design.tolerances import CLIMBED_COMBINATIONS, SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -36,17 +37,10 @@ from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 from mpc import MPCError
 
-SPOILT_RUNS = 64  # scenarios that a warm start is looked at on
-SAMPLES = 1000  # candidates of the expert's data, where no agent is given
-SAME_PLACE = 0.02  # of the box: two starts this close are one
-HOPEFUL = 0.2  # of the best valley's return, without the cost of its design: one worse by more is not climbed from
-FEW = 4  # starts with the best of many combinations of whole numbers
-MAPPED = 3  # parameters, up to which a second valley of the landscape is climbed from by default
-
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """A policy and a design that climb together, from a policy that imitates an expert.
+    """Policy and design that climb together, from an imitated expert.
 
     Attributes
     ----------
@@ -83,7 +77,7 @@ class Learned:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return self.by
 
     def run(
@@ -113,7 +107,7 @@ class Learned:
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
     """An agent that imitates saturated LQR over X and the box of designs."""
-    data = expert_dataset(problem, samples=SAMPLES, rng=rng, progress=progress)
+    data = expert_dataset(problem, samples=1000, rng=rng, progress=progress)
     return fit_actor_critic(
         data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
         input_bounds=problem.observation_bounds, rng=rng, progress=progress,
@@ -121,20 +115,20 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
-    """Whether a policy loses runs that saturated LQR of its design keeps, or a fifth of what that brings."""
+    """True if a policy loses runs that LQR keeps, or a fifth of its return."""
     drawn = copy.deepcopy(rng)
     try:
         lqr = saturated_lqr(problem, design)
     except MPCError:
         return False
     own, other = (
-        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=SPOILT_RUNS)
+        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=64)
         for controller in (LearnedPolicy(agent, design), lqr)
     )
     if own.lost.any() or other.lost.any():
         return own.lost_share > other.lost_share
     size = float(problem.made_by_control(other.summary.mean, design))
-    return other.summary.mean - own.summary.mean > HOPEFUL * size
+    return other.summary.mean - own.summary.mean > WORTH_A_START * size
 
 
 def _result(
@@ -157,7 +151,7 @@ def _result(
 
 @torch.no_grad()
 def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dict[str, float]:
-    """What design and policy gained, one after the other, on the evaluation scenarios."""
+    """Gains by design and policy, one after the other, on the evaluation scenarios."""
     first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
     before, moved = (
         task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()
@@ -167,7 +161,7 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
 
 
 def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
-    """The valleys, with where the best co-design that began on each of them ended; `design` is the given one."""
+    """Local optima with the end of the best co-design from each."""
     named = []
     for valley in found:
         places = [valley.design, design] if valley.given else [valley.design]
@@ -206,7 +200,7 @@ def _check_objective(problem: CoDesignProblem) -> None:
 
 
 def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """The valleys of the landscape; none where the design is frozen or one start is asked for."""
+    """Local optima of the landscape; none if the design is frozen or has one start."""
     if not task.designing or task.config.starts == 1:
         return ()
     return valleys(task.problem, design, rng=rng)
@@ -219,7 +213,7 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
     starts = [np.asarray(design, dtype=float)]
     for valley in found:
         best = found[0].lqr_return
-        hopeful = valley.lqr_return >= best - HOPEFUL * task.problem.made_by_control(best, found[0].design)
+        hopeful = valley.lqr_return >= best - WORTH_A_START * task.problem.made_by_control(best, found[0].design)
         elsewhere = all(_apart(space, space.to_unit(valley.design), space.to_unit(one)) for one in starts)
         if len(starts) < most and hopeful and elsewhere:
             starts.append(valley.design)
@@ -227,11 +221,11 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
 
 
 def _by_default(space: DesignSpace) -> int:
-    """Starts, unless a number is asked for: of a few combinations of whole numbers all."""
+    """Number of starts by default; of a few combinations of whole numbers all."""
     if space.integer:
         number = combinations(space)
-        return 1 + int(number) if number <= COMBINATIONS else FEW
-    return 3 if space.free.sum() <= MAPPED else 2
+        return 1 + int(number) if number <= CLIMBED_COMBINATIONS else 4  # starts with the best of many combinations
+    return 3 if space.free.sum() <= 3 else 2  # a second local optimum is climbed from in up to 3
 
 
 def race(
@@ -271,7 +265,7 @@ def leader(ascents: list[Ascent]) -> Ascent:
 
 
 def _hopeful(one: Ascent, first: Ascent) -> bool:
-    """Whether an ascent may still overtake the first one from elsewhere, and loses no run that that one keeps."""
+    """True if an ascent may overtake the first, and loses none of its runs."""
     if one.best.lost > first.best.lost:
         return False
     if not _apart(one.task.problem.design, one.best.v.numpy(), first.best.v.numpy()):
@@ -282,6 +276,6 @@ def _hopeful(one: Ascent, first: Ascent) -> bool:
 
 
 def _apart(space: DesignSpace, v: Array, other: Array) -> bool:
-    """Whether two points of the unit box are different places, as other whole numbers always are."""
+    """True if two points of the unit box differ, as other whole numbers always do."""
     away = np.abs(v - other)
     return bool(away.max() > SAME_PLACE or (away * space.allowed.width)[space.whole].max(initial=0.0) > 0.5)

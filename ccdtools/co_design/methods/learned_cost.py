@@ -1,4 +1,4 @@
-"""The cost of a policy that is trained anew at every design, with its slope.
+"""Cost, with slope, of a policy that is trained anew at every design.
 
 By the envelope theorem the slope of the best policy's cost is that of the cost with the policy held.
 
@@ -22,16 +22,15 @@ from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import POLICY_ITERATIONS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from learning.networks import ActorCritic
 
-ITERATIONS = 40  # of the policy at every design
-
 
 @dataclass(eq=False)
 class LearnedCost(DesignCost):
-    """Minus the mean return of the policy of each design, trained from that of the design before.
+    """Cost, minus the mean return, of the policy trained from that of the last design.
 
     Parameters
     ----------
@@ -55,13 +54,13 @@ class LearnedCost(DesignCost):
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Description of the cost in words."""
         return f"a policy trained by {self.by} at every design, on {len(self.scenarios[0])} scenarios"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
         """Cost and its slope (np,) at a point (np,) of the unit box."""
         p = self.problem.design.from_unit(v)
-        config = CoDesignConfig(iterations=ITERATIONS, design_rate=0.0, starts=1)
+        config = CoDesignConfig(iterations=POLICY_ITERATIONS, design_rate=0.0, starts=1)
         inner = Learned(by=self.by, agent=self.agent, config=config)
         self.agent = inner.run(replace(self.problem, limit_tolerance="off"), p, self.rng).agent
         self._trained.append((p, self.agent))
@@ -71,7 +70,7 @@ class LearnedCost(DesignCost):
         (slope,) = torch.autograd.grad(cost, point)
         count = len(self.rows) + 1
         lost = float(seen.diverged.double().mean())
-        self.rows.append((count, count * ITERATIONS, p, -cost.item(), 0.0, lost))
+        self.rows.append((count, count * POLICY_ITERATIONS, p, -cost.item(), 0.0, lost))
         return cost.item(), slope.double().numpy()
 
     def controller(self, p: Array) -> Controller:

@@ -1,4 +1,7 @@
-"""A law in closed loop that keeps its limits: the search over designs again and again, while leaving them is cheap."""
+"""Closed-loop cost of a law within its limits.
+
+The search over designs is repeated while leaving the limits is cheap.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,20 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import FEASIBLE, descend
+from ccdtools.co_design.methods.descent import descend
 from ccdtools.co_design.methods.design_cost import End
 from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import (
+    NEGLIGIBLE_GAIN,
+    PRICE_GROWTH,
+    ROUNDS_AT_ONE_DESIGN,
+    ROUNDS_WITHOUT_GAIN,
+    USED_SHARE,
+)
+from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError
-
-ROUNDS = 30  # of the multipliers of limits, at most;
-QUIET = 2  # that gain nothing more among designs that keep the limits,
-STILL = 6  # or that bring no other design where none keeps them, are enough
-LITTLE = 1e-3  # of the return that control makes: a gain of a round without consequence
-DEARER = 2.0  # times the price of limits, beside what it grows by anyway, where a round has not led within them
-HALVINGS = 8  # of the way from a design that keeps the limits to one that does not
-USED = 0.8  # of a tolerance, from which on a limit may hold a design: prices aim at nine tenths
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +37,7 @@ class LimitedEnd(End):
 
 
 class LimitedLoopCost(LoopCost):
-    """`LoopCost` whose search ends at the cheapest design that keeps the limits to their tolerance."""
+    """`LoopCost` with a search for the cheapest design that keeps the limits to their tolerance."""
 
     def least(self, v: Array, *, size: float, evaluations: int) -> End:
         """The end of the search again and again; from where it ended without a price."""
@@ -42,7 +45,7 @@ class LimitedLoopCost(LoopCost):
         found = descend(cost, self.problem.design, v, size=size, evaluations=evaluations)
         penalty = StateLimitPenalty(self.problem)
         ends: list[LimitedEnd] = []
-        for _ in range(ROUNDS if np.isfinite(found.cost) else 0):
+        for _ in range(30 if np.isfinite(found.cost) else 0):  # rounds of the multipliers
             seen, penalty = cost.updated(penalty, found.v)
             if bool(seen.diverged.any()):
                 break
@@ -54,7 +57,7 @@ class LimitedLoopCost(LoopCost):
             if not penalty.active or enough or _settled(ends):
                 break
             if not unpriced and violation > 0:
-                penalty = penalty.dearer(DEARER)
+                penalty = penalty.dearer(PRICE_GROWTH)
             cost = LimitedLoopCost(self.problem, self.law, self.scenarios, penalty, cost.rows, cost.evaluations)
             found = descend(cost, self.problem.design, found.v, size=size, evaluations=evaluations)
         if not ends:
@@ -66,15 +69,14 @@ class LimitedLoopCost(LoopCost):
         return cost.nearer(best, min(broken, key=lambda end: end.violation))
 
     def nearer(self, best: LimitedEnd, broken: LimitedEnd) -> LimitedEnd:
-        """Of the designs on the way from one that keeps the limits to a cheaper one that does not, the cheapest that
-        does.
+        """Cheapest design that keeps the limits, on the way from one that does to a cheaper one that does not.
 
         Prices aim a little within the limits, so that something of the way is left.
         """
         begin = best.found.v
         assert best.penalty is not None
         near, far = 0.0, 1.0
-        for _ in range(HALVINGS):
+        for _ in range(8):
             share = (near + far) / 2
             v = begin + share * (broken.found.v - begin)
             self.evaluations += 1
@@ -85,7 +87,7 @@ class LimitedLoopCost(LoopCost):
                 continue
             plain = float(-self.problem.risk.values(seen.total).mean())
             penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
-            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > FEASIBLE
+            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > EXACT
             if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
                 far = share
             else:
@@ -94,7 +96,7 @@ class LimitedLoopCost(LoopCost):
         return best
 
     def examined(self, end: End) -> End:
-        """The end with its limits; those that have a price and are used up are constraints, whatever that came to."""
+        """End of the search with its limits; those priced and used up count as constraints."""
         if not isinstance(end, LimitedEnd) or end.penalty is None:
             return end
         v = end.found.v
@@ -105,7 +107,7 @@ class LimitedLoopCost(LoopCost):
         named = zip(("mean violation of the limits", "peak violation of the limits"), violations)
         measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
         used = zip(*(measure.values() for measure in measures))
-        active = [price > 0 and value + error >= USED * most for value, error, most, price in used]
+        active = [price > 0 and value + error >= USED_SHARE * most for value, error, most, price in used]
         return replace(end, limits=outcome, found=replace(end.found, slope=slope),
                        active=dict(one for one, is_so in zip(named, active) if is_so))  # fmt: skip
 
@@ -117,7 +119,7 @@ class LimitedLoopCost(LoopCost):
 
 
 def loop_cost(problem: CoDesignProblem, law: DesignLaw, scenarios: ScenarioTensors) -> LoopCost:
-    """The cost of a law in closed loop, within the limits of the problem where it has a tolerance for them."""
+    """Cost of a law in closed loop, within limits that have a tolerance."""
     return (LoopCost if problem.limit_tolerance == "off" else LimitedLoopCost)(problem, law, scenarios)
 
 
@@ -126,6 +128,7 @@ def _settled(ends: list[LimitedEnd]) -> bool:
     kept = [end.violation <= 0 for end in ends]
     if any(kept):
         costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
-        return len(ends) > QUIET and bool(costs[-1 - QUIET] - costs[-1] <= QUIET * LITTLE * ends[-1].size)
-    last = [end.found.v for end in ends[-STILL:]]
-    return len(last) == STILL and all(np.array_equal(v, last[0]) for v in last)
+        n = ROUNDS_WITHOUT_GAIN
+        return len(ends) > n and bool(costs[-1 - n] - costs[-1] <= n * NEGLIGIBLE_GAIN * ends[-1].size)
+    last = [end.found.v for end in ends[-ROUNDS_AT_ONE_DESIGN:]]
+    return len(last) == ROUNDS_AT_ONE_DESIGN and all(np.array_equal(v, last[0]) for v in last)

@@ -1,4 +1,7 @@
-"""The cost of a law in closed loop, with its slope by the design; with limits, searched again while they are priced."""
+"""Closed-loop cost of a law with its slope by the design.
+
+With limits it is searched again while they are priced.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +21,14 @@ from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.task import LimitPenalty
+from ccdtools.co_design.tolerances import COST_STEP
 from ccdtools.controllers.controllers import Controller
 from mpc import NotStabilisableError
-
-STEP = 1e-4  # of the unit box: of differences
 
 
 @dataclass(eq=False)
 class LoopCost(DesignCost):
-    """Minus the mean return of a law at points of the unit box, all on the same scenarios.
+    """Cost, minus the mean return, of a law over the unit box, on the same scenarios.
 
     Parameters
     ----------
@@ -53,11 +55,11 @@ class LoopCost(DesignCost):
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Description of the cost in words."""
         return f"{self.law.words} in closed loop on {len(self.scenarios[0])} scenarios"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,); infinite where the law has no gain there."""
+        """Cost and slope (np,) at a point (np,); infinite where the law has no gain."""
         if self.slope_is_expensive:
             return self.value(v), self.slope(v)
         point = torch.tensor(v, dtype=torch.float64, requires_grad=True)
@@ -82,7 +84,7 @@ class LoopCost(DesignCost):
         slopes = np.zeros((count, len(v)))
         for i in np.flatnonzero(self.problem.design.allowed.free):
             ends = []
-            for side in (STEP, -STEP):
+            for side in (COST_STEP, -COST_STEP):
                 at = v.copy()
                 at[i] = np.clip(v[i] + side, 0.0, 1.0)
                 ends.append((at[i], values(at)))
@@ -115,7 +117,7 @@ class LoopCost(DesignCost):
 
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
-        """Its episodes at a point, with what leaves the limits."""
+        """Episodes of the law at a point, with their violations of the limits."""
         return self._episode(torch.tensor(v, dtype=torch.float64), depths=True)
 
     def _episode(self, v: Tensor, *, depths: bool = False) -> Episode:

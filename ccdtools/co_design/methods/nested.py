@@ -1,4 +1,4 @@
-"""Nested co-design: an outer search over the designs, and inside it the controller of each design.
+"""Nested co-design: outer search over designs, and the controller of each inside.
 
 References
 ----------
@@ -24,7 +24,7 @@ from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, SecantLaw
 from ccdtools.co_design.methods.limited_loop_cost import loop_cost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
-from ccdtools.co_design.methods.searched import Plan, searched
+from ccdtools.co_design.methods.searched import SearchBudget, searched
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
@@ -33,10 +33,10 @@ from ccdtools.plants.sampled_model import SampledModel
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 
-RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # scenarios of 100 steps
+RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # Scenarios of 100 steps
 NAMES = {"lqr": "LQR", "mpc": "MPC", "nmpc": "NMPC", "riccati": "Riccati", "trajectory": "trajectory", "rl": "RL"}
-OUTER = {"rl": 12}  # evaluations, where the inside takes long
-ALL = 100
+OUTER = {"rl": 12}  # Evaluations, where the inside takes long.
+EVALUATIONS = 100  # Evaluations of the others.
 
 
 @dataclass(frozen=True)
@@ -97,39 +97,39 @@ class Nested:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return f"nested {NAMES[self.inner]}"
 
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The best design found from a feasible design (np,) and other valleys, with its controller."""
+        """Best design found from a feasible one (np,) and other starts, with its controller."""
         starts = 1 if self.inner == "rl" else self.starts
-        plan = Plan(self.name, starts, self.evaluations or OUTER.get(self.inner, ALL))
+        budget = SearchBudget(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
-            return self._of_better_linearisation(plan, problem, design, rng, progress)
-        return searched(plan, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)
+            return self._of_better_linearisation(budget, problem, design, rng, progress)
+        return searched(budget, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)
 
     def _of_better_linearisation(
-        self, plan: Plan, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
+        self, budget: SearchBudget, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
     ) -> CoDesignResult:  # fmt: skip
-        """The result of LQR of the tangent, or of the secant where that is asked for or better in closed loop."""
+        """Result of LQR of the tangent, or of the secant if asked for or better."""
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
                 tangent = searched(
-                    plan, problem, lambda v: loop_cost(problem, LQRLaw(), scenarios), design, rng, progress=progress
+                    budget, problem, lambda v: loop_cost(problem, LQRLaw(), scenarios), design, rng, progress=progress
                 )
         scenario = visited(problem, rng)
         if tangent is not None:
             here = fitted(problem, tangent.design, scenario)
             if not here.better:
                 return replace(tangent, notes=(*tangent.notes, str(here)))
-        plan = replace(plan, starts=1)
+        budget = replace(budget, starts=1)
         first = design if tangent is None else np.asarray(tangent.design)
         law = SecantLaw(scenario)
-        found = searched(plan, problem, lambda v: loop_cost(problem, law, scenarios), first, rng, progress=progress)
+        found = searched(budget, problem, lambda v: loop_cost(problem, law, scenarios), first, rng, progress=progress)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
         return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))

@@ -1,4 +1,4 @@
-"""A co-design problem as one of optimal control: trajectories under given disturbances, and the design beside them."""
+"""Optimal control problem of a co-design: trajectories under given disturbances, and the design."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ccdtools.co_design.methods.path_limits import input_names, path_limits, sta
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
+from ccdtools.co_design.tolerances import SATURATION
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
-SOFT = 1e-3  # of the range of an input: how far from a bound its saturation is rounded off
 CURE = "Nested or learned co-design simulates the problem as it is."
 
 
@@ -86,7 +86,9 @@ def open_loop_problem(
 def at_the_mean(
     problem: CoDesignProblem, stated: Callable[[CoDesignProblem], OptimalControlProblem], **given: Any
 ) -> Solution | None:
-    """Where to start a program that counts the spread of costs: its optimum for their mean; None if it counts none.
+    """Optimum for the mean of costs, to start a program that counts their spread.
+
+    None if it counts none.
 
     From elsewhere a solver begins far from the limits, where costs are best all alike: at the kink of no spread.
     """
@@ -98,9 +100,9 @@ def at_the_mean(
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """u = −K x, saturated: K among the parameters, after the design, so that it is found with it.
+    """Saturated feedback u = −K x, with K among the parameters after the design.
 
-    The saturation is rounded off, by at most half of `SOFT` times the range of an input, so that it has derivatives.
+    The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
     """
 
     problem: CoDesignProblem
@@ -113,12 +115,12 @@ class Feedback:
 
     @property
     def lower(self) -> Array:
-        """No bounds."""
+        """Infinite lower bounds of the gain."""
         return np.full(self.K.size, -np.inf)
 
     @property
     def upper(self) -> Array:
-        """No bounds."""
+        """Infinite upper bounds of the gain."""
         return np.full(self.K.size, np.inf)
 
     def inputs(self, x: Any, p: Any, size: int) -> Any:
@@ -129,12 +131,12 @@ class Feedback:
             lower, upper = ca.vertsplit(U.both.function(size)(p[:size]), U.dim)
         else:
             lower, upper = (ca.DM(bound) for bound in self.problem.input_bounds)
-        soft = SOFT * (upper - lower)
+        soft = SATURATION * (upper - lower)
         return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
 
 
 def _risk(problem: CoDesignProblem) -> dict[str, Any]:
-    """What of the costs of the scenarios counts."""
+    """Measure of risk of the scenarios' costs."""
     if isinstance(problem.risk, MeanSpread):
         return {"risk": "spread", "spread": problem.risk.weight}
     return {"risk": "worst" if isinstance(problem.risk, WorstCase) else "sum"}
@@ -158,7 +160,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
 
 
 def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: Any) -> Phase:
-    """One scenario."""
+    """Phase of the program for one scenario."""
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     step = problem.model.step
     stage, terminal = costs(problem)
@@ -173,7 +175,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
         return step(x, u if feedback is None else feedback.inputs(x, p, size), w, p[:size])
 
     def stage_cost(x: Any, u: Any, p: Any) -> Any:
-        """Of the present state."""
+        """Stage cost of the present state."""
         return stage(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
 
     def path(x: Any, u: Any, p: Any) -> Any:
@@ -191,7 +193,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
 
 
 def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
-    """(x, u, p) → cost of a step, by its present state, and (x, p) → that of the end."""
+    """Functions (x, u, p) → cost of a step by its present state, and (x, p) → cost of the end."""
     objective = problem.objective
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     if isinstance(objective, CustomObjective):
@@ -212,13 +214,13 @@ def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
 
 
 def first_cost(problem: CoDesignProblem, x0: Array) -> float:
-    """What the stage costs charge for a first state, which an objective of next states does not."""
+    """Stage cost of a first state, which an objective of next states leaves out."""
     objective = problem.objective
     return float(x0 @ objective.Q @ x0) if isinstance(objective, QuadraticObjective) else 0.0
 
 
 def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Scenarios as arrays (n, nx) and (n, T, nw); of a worst case one of every case."""
+    """Scenarios as arrays (n, nx) and (n, T, nw); one of every worst case."""
     if isinstance(problem.risk, WorstCase):
         runs = problem.risk.cases or runs
     x0, w = scenario_tensors(problem, runs, rng)
@@ -226,7 +228,7 @@ def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tupl
 
 
 def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
-    """Trajectories of saturated LQR (times, x, u) to start a program from, held where they run away."""
+    """Trajectories (times, x, u) of saturated LQR as a guess, held where they diverge."""
     x0, w = scenarios
     try:
         law: Any = saturated_lqr(problem, design)

@@ -1,4 +1,4 @@
-"""The limits of a problem along a trajectory: as expressions that are ≤ 0, and in words."""
+"""Limits of a problem along a trajectory, as expressions ≤ 0 and in words."""
 
 from __future__ import annotations
 
@@ -23,14 +23,17 @@ GIVEN = ("dynamics", "start of")
 
 @dataclass(frozen=True)
 class PathLimit:
-    """Some limits along a trajectory."""
+    """Limits along a trajectory."""
 
     values: Callable[[Any, Any, Any], Any]  # each to be ≤ 0
     texts: tuple[str, ...]  # each in words
 
 
 def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit, ...]:
-    """Those on states, inputs and outputs that are no bounds of the inputs; those of inputs are not if `fed_back`."""
+    """Limits on states, inputs and outputs that are no bounds of the inputs.
+
+    Limits on inputs are left out if `fed_back`.
+    """
     size = problem.design.dim
     found = []
     if isinstance(problem.U, DesignLimits) and not fed_back:
@@ -51,7 +54,7 @@ def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit,
 
 
 def told(problem: CoDesignProblem, solution: Any, *, fed_back: bool = False) -> tuple[str, ...]:
-    """What there is to say of the solution of a program of trajectories that is no optimum."""
+    """Notes on a solution of a program of trajectories that is no optimum."""
     if solution.solved:
         return ()
     broken = in_words(problem, solution.conflicts, fed_back=fed_back)
@@ -60,7 +63,7 @@ def told(problem: CoDesignProblem, solution: Any, *, fed_back: bool = False) -> 
 
 
 def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: bool) -> tuple[str, ...]:
-    """What contradicts itself in a program of trajectories, in the names of its problem, each limit once.
+    """Contradictions in a program of trajectories, in its problem's names, each limit once.
 
     Dynamics and starts are named where nothing else is: they are given.
     """
@@ -74,27 +77,27 @@ def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: 
 
 
 def state_names(problem: CoDesignProblem) -> tuple[str, ...]:
-    """Those of its plant, else x1, x2, …."""
+    """Names of the plant's states, else x1, x2, …."""
     return _names(problem, "state_names", "x", problem.model.nx)
 
 
 def input_names(problem: CoDesignProblem) -> tuple[str, ...]:
-    """Those of its plant, else u1, u2, …."""
+    """Names of the plant's inputs, else u1, u2, …."""
     return _names(problem, "input_names", "u", problem.model.nu)
 
 
 def _names(problem: CoDesignProblem, which: str, letter: str, size: int) -> tuple[str, ...]:
-    """So many names."""
+    """Names of the plant for so many entries, or a letter with numbers."""
     given = getattr(getattr(problem.model, "plant", None), which, None)
     return tuple(given) if given else tuple(f"{letter}{i + 1}" for i in range(size))
 
 
 def _beyond(limits: DesignLimits, size: int, of: Any, names: tuple[str, ...]) -> PathLimit:
-    """How far bounds that depend on the design are exceeded."""
+    """Excess over bounds that depend on the design."""
     both = limits.both.function(size)
 
     def beyond(x: Any, u: Any, p: Any) -> Any:
-        """Each ≤ 0."""
+        """Rows that are ≤ 0 where the bounds are kept."""
         lower, upper = ca.vertsplit(both(p), limits.dim)
         return ca.vertcat(of(x, u) - upper, lower - of(x, u))
 
@@ -104,14 +107,14 @@ def _beyond(limits: DesignLimits, size: int, of: Any, names: tuple[str, ...]) ->
 
 
 def _outputs(limits: OutputLimits, sizes: tuple[int, int, int]) -> PathLimit:
-    """How far limits of outputs are exceeded."""
+    """Excess over limits of outputs."""
     function = limits.outputs.function(*sizes)
     ny = function.numel_out(0)
     low, high = (np.broadcast_to(bound, (ny,)) for bound in (limits.lower, limits.upper))
     above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
 
     def beyond(x: Any, u: Any, p: Any) -> Any:
-        """Each ≤ 0."""
+        """Rows that are ≤ 0 where the limits are kept."""
         y = function(x, u, p)
         return ca.vertcat(y[above] - ca.DM(high[above]), ca.DM(low[below]) - y[below])
 
@@ -119,5 +122,5 @@ def _outputs(limits: OutputLimits, sizes: tuple[int, int, int]) -> PathLimit:
 
 
 def _kept(exceeded: str) -> str:
-    """What keeping a limit means, of the words for exceeding it."""
+    """Words for keeping a limit, from those for exceeding it."""
     return exceeded.replace(" > ", " ≤ ").replace(" < ", " ≥ ")

@@ -1,4 +1,4 @@
-"""The expected cost of LQR that never saturates, by the Riccati equation: exact, without a single simulation."""
+"""Expected cost of LQR that never saturates, exact by the Riccati equation."""
 
 from __future__ import annotations
 
@@ -19,13 +19,10 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from mpc import NotStabilisableError
 
-SAMPLES = 4096  # starts and disturbances that their second moments are taken from
-SEED = 0
-
 
 @dataclass(eq=False)
 class RiccatiCost(DesignCost):
-    """E[x0ᵀ P x0] + T tr(P E W Eᵀ) and the cost of the design, with its exact slope.
+    """Cost E[x0ᵀ P x0] + T tr(P E W Eᵀ) plus that of the design, with exact slope.
 
     What the episodes of a linear model cost to the end of time, if inputs never saturate and the disturbance is white
     with covariance W. Of a model that is not linear it is that of its linearisation at rest, and of a cost that is not
@@ -56,12 +53,12 @@ class RiccatiCost(DesignCost):
             if is_so:
                 cure = "Nested('lqr') simulates the problem as it is."
                 raise InputError("method", f"the Riccati equation for a problem with {got}", "one of mean costs", cure)
-        x0, w = problem.scenarios.sample(SAMPLES, problem.steps, np.random.default_rng(SEED))
+        x0, w = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))  # for second moments
         self._starts = x0.T @ x0 / len(x0)
         self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,) of the unit box; infinite where there is no LQR."""
+        """Cost and slope (np,) at a point (np,) of the unit box; infinite without LQR."""
         problem = self.problem
         p = problem.design.from_unit(v)
         try:
@@ -80,12 +77,12 @@ class RiccatiCost(DesignCost):
         return value, (slope + rest_slope) * problem.design.allowed.width
 
     def _first(self) -> float:
-        """What the first states cost, which rewards of next states leave out."""
+        """Cost of the first states, which rewards of next states leave out."""
         objective = self.problem.objective
         return float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
 
     def _at_rest(self, p: Array) -> tuple[float, Array]:
-        """What the design costs, and an episode at rest, with its slope (np,)."""
+        """Cost of the design and of an episode at rest, with its slope (np,)."""
         nx, nu, size = self.problem.model.nx, self.problem.model.nu, len(p)
         objective, steps = self.problem.objective, self.problem.steps
         symbol = ca.SX.sym("p", size)

@@ -22,20 +22,19 @@ from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.black_box import FIRST, BlackBox, ClosedLoop, Look
+from ccdtools.co_design.methods.black_box import BlackBox, ClosedLoop, Evaluation
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import CMA_SETTLED, SIZE_EVALUATIONS
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
-BUDGET = {"cma": 300, "bayesian": 60}  # evaluations
-RUNS = {"lqr": 256, "mpc": 32}  # scenarios of 100 steps
-FIRST_STEP = 0.25  # of CMA-ES, in the unit box
-SETTLED = 1e-3  # of the unit box: spread of CMA-ES at which it has converged
+BUDGET = {"cma": 300, "bayesian": 60}  # Evaluations, by library.
+RUNS = {"lqr": 256, "mpc": 32}  # Scenarios of 100 steps, by controller.
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class Search:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return {"cma": "CMA-ES", "bayesian": "Bayesian search"}[self.library]
 
     def run(
@@ -96,7 +95,7 @@ class Search:
             given = self.of
 
             def measured(v: Array) -> tuple[float, float]:
-                """Of the user's function."""
+                """Cost by the user's function, and no violation."""
                 value = given(problem.design.settled(v))
                 try:
                     (number,) = map(float, np.ravel(value))
@@ -138,7 +137,7 @@ class Search:
 
 
 def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """CMA-ES from the start, then from random points while evaluations are left; whether it has converged."""
+    """Run CMA-ES from the start, then random points while evaluations last; return convergence."""
     settled = False
     start = box.looks[-1].z
     while len(box.rows) < budget:
@@ -151,17 +150,17 @@ def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) 
 
 
 def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """One run of CMA-ES of so many evaluations at most; whether it has converged."""
+    """Run CMA-ES once with at most so many evaluations; return whether it has converged."""
     import cma
 
     n = len(first)
     start = np.full(max(n, 2), 0.5)  # a covariance needs two entries: of one parameter the second idles, and costs
     start[:n] = first
     options = {
-        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "tolx": SETTLED, "tolfun": 0.0,
+        "bounds": [0.0, 1.0], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "tolx": CMA_SETTLED, "tolfun": 0.0,
         "tolfunhist": 0.0,
     }  # fmt: skip
-    strategy = cma.CMAEvolutionStrategy(start, FIRST_STEP, options)
+    strategy = cma.CMAEvolutionStrategy(start, 0.25, options)  # first step in the unit box
     while not strategy.stop():
         points = strategy.ask()
         left, budget = budget, budget - len(points)
@@ -197,15 +196,15 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
     low, high = space.lower[box.free], space.upper[box.free]
     level = np.inf
 
-    def known(look: Look) -> Any:
-        """What was seen, as a trial."""
+    def known(look: Evaluation) -> Any:
+        """Evaluation as a trial of Optuna."""
         least, most = (end[box.free] for end in space.outermost)
         asked = np.where(whole, np.clip(np.round(low + look.z * (high - low)), least, most), look.z)
         params = {name: int(a) if w else float(a) for name, a, w in zip(ranges, asked, whole)}
         return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(look), level))
 
     def value(trial: Any) -> float:
-        """Of the point that a trial asks for."""
+        """Merit at the point that a trial of Optuna asks for."""
         shown_bar.update()
         asked = np.array([
             trial.suggest_int(name, of.low, of.high) if w else trial.suggest_float(name, 0.0, 1.0)
@@ -214,9 +213,10 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
         return min(box(np.where(whole, (asked - low) / (high - low), asked)), level)
 
     try:
-        for until in range(min(FIRST, budget), budget + FIRST, FIRST):
+        for until in range(min(SIZE_EVALUATIONS, budget), budget + SIZE_EVALUATIONS, SIZE_EVALUATIONS):
             # a process that follows the cliffs of lost runs sees nothing of the valleys: the worse half is one level
-            level = float(np.median([box.merit(look) for look in box.looks])) if len(box.looks) >= FIRST else np.inf
+            enough = len(box.looks) >= SIZE_EVALUATIONS
+            level = float(np.median([box.merit(look) for look in box.looks])) if enough else np.inf
             study = optuna.create_study(sampler=sampler)
             study.add_trials([known(look) for look in box.looks])
             study.optimize(value, n_trials=max(min(until, budget) - len(box.looks), 0))

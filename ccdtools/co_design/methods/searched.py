@@ -1,4 +1,4 @@
-"""The best design by a cost of the design alone, searched from several starts, and what is to be said of it."""
+"""Best design by a cost of the design alone, searched from several starts."""
 
 from __future__ import annotations
 
@@ -11,18 +11,17 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.descent import Descent
 from ccdtools.co_design.methods.design_cost import DesignCost, End
-from ccdtools.co_design.methods.holding import OTHERS, SAME_PLACE, confirmed, held_by, start_points
+from ccdtools.co_design.methods.holding import OTHERS, active_set_at, confirmed, start_points
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, Valley
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import LEVEL_SLOPE, SAME_PLACE
 from ccdtools.progress import bar
-
-LEVEL = 1e-3  # of the return that control makes, per length of the unit box: a slope without consequence
 
 
 @dataclass(frozen=True)
-class Plan:
-    """How a search goes: what tables call it, how many starts, and evaluations of each at most."""
+class SearchBudget:
+    """Budget of a search: name in tables, number of starts, evaluations of each."""
 
     name: str
     starts: int
@@ -30,14 +29,14 @@ class Plan:
 
 
 def searched(
-    plan: Plan, problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array,
+    budget: SearchBudget, problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array,
     rng: np.random.Generator, *, progress: bool = False,
 ) -> CoDesignResult:  # fmt: skip
     """The best design found from a feasible design (np,) and other valleys.
 
     Parameters
     ----------
-    plan : Plan
+    budget : SearchBudget
     problem : CoDesignProblem
     cost_from : callable
         Point (np,) of the unit box that a search starts from → `DesignCost`.
@@ -51,38 +50,38 @@ def searched(
         If there is no controller at any start.
     """
     space = problem.design
-    found = valleys(problem, design, rng=rng) if plan.starts > 1 else ()
-    points = start_points(space, design, found, plan.starts)
+    found = valleys(problem, design, rng=rng) if budget.starts > 1 else ()
+    points = start_points(space, design, found, budget.starts)
     starts = [(cost_from(v), v) for v in points]
     if len(starts) > 1:
         starts = [(cost, v) for cost, v in starts if cost.worth_a_start(v)] or starts
     ends = []
-    with bar(label=plan.name, total=len(starts), progress=progress) as shown:
+    with bar(label=budget.name, total=len(starts), progress=progress) as shown:
         for cost, v in starts:
-            ends.append(_from(plan, problem, cost, v))
+            ends.append(_from(budget, problem, cost, v))
             shown.update()
     best = min(ends, key=lambda end: end.order)
     evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
     if not np.isfinite(best.found.cost):
-        result = best.cost.without_design(plan.name, points[0])
+        result = best.cost.without_design(budget.name, points[0])
         return replace(result, evaluations=evaluations, valleys=found)
-    result = _result(plan.name, problem, best, evaluations)
-    if space.integer and plan.starts == 1:
+    result = _result(budget.name, problem, best, evaluations)
+    if space.integer and budget.starts == 1:
         status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
         result = replace(result, status=status, notes=(*result.notes, OTHERS))
     return replace(result, valleys=_with_ends(problem, found, [v for _, v in starts], ends))
 
 
-def _from(plan: Plan, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
+def _from(budget: SearchBudget, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
     """The search from one start."""
     v, first = cost.first_point(v)
     if not np.isfinite(first):
         return End(cost, Descent(v, np.inf, np.zeros(len(v))), 1.0)
-    return cost.least(v, size=_size(problem, first, v), evaluations=plan.evaluations)
+    return cost.least(v, size=_size(problem, first, v), evaluations=budget.evaluations)
 
 
 def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
-    """How large the return at a start is, without the cost of the design."""
+    """Size of the return at a start, without the cost of the design."""
     size = float(problem.made_by_control(-value, problem.design.from_unit(v)))
     return size if np.isfinite(size) and size > 0 else 1.0
 
@@ -92,7 +91,7 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
     space = problem.design
     best = best.cost.examined(best)
     design = space.check_feasible(space.settled(best.found.v))
-    held = held_by(space, best.found.v, best.found.slope, best.active)
+    held = active_set_at(space, best.found.v, best.found.slope, best.active)
     rest = held.rest / _size(problem, best.found.cost, best.found.v)
     history = best.cost.history()  # before the status looks at designs beside
     return CoDesignResult(
@@ -105,8 +104,8 @@ def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) ->
 
 
 def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoDesignStatus:
-    """How a search ended, whatever its closed loop does."""
-    if not rest <= LEVEL:  # of a cost that is never twice the same differences would say nothing
+    """Status of a search, whatever its closed loop does."""
+    if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
         agree = not best.cost.repeatable or confirmed(best.cost, problem.design, best.found.v, size=best.size)
         return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
     return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED

@@ -1,4 +1,4 @@
-"""Sequential design: the plant first, by a criterion without its controller; then the controller of that plant.
+"""Sequential design: first the plant by a criterion of its own, then its controller.
 
 References
 ----------
@@ -19,14 +19,14 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_te
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.laws import PassiveLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.searched import Plan, searched
+from ccdtools.co_design.methods.searched import SearchBudget, searched
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.tolerances import STABLE
 
 CRITERIA = ("auto", "passive", "open_loop")
-RUNS = 1000  # scenarios of 100 steps
-STABLE = 1e-6  # how far inside the unit circle eigenvalues are: a body that is free to drift is not stable
+RUNS = 1000  # Scenarios of 100 steps.
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Sequential:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return "sequential"
 
     def run(
@@ -73,16 +73,19 @@ class Sequential:
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            plan = Plan(self.name, self.starts, self.evaluations)
-            plant = searched(
-                plan, unlimited, lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng, progress=progress
-            )
+            budget = SearchBudget(self.name, self.starts, self.evaluations)
+
+            def cost(v: Array) -> LoopCost:
+                """Cost of the plant alone."""
+                return LoopCost(unlimited, PassiveLaw(), scenarios)
+
+            plant = searched(budget, unlimited, cost, design, rng, progress=progress)
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
 
 
 def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTensors) -> bool:
-    """Whether a plant is stable at a design without an input, and none of its runs is lost."""
+    """True if a plant without input is stable at a design and loses no runs."""
     A, _, _ = problem.model.matrices(design)
     if np.abs(np.linalg.eigvals(A)).max() > 1 - STABLE:
         return False

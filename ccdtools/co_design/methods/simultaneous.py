@@ -36,7 +36,7 @@ from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")
-RUNS = {"trajectory": 8, "gain": 16}  # scenarios, each with trajectories of its own
+RUNS = {"trajectory": 8, "gain": 16}  # Scenarios; each has trajectories of its own.
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,13 @@ class Simultaneous:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Name of the method in tables."""
         return "simultaneous" if self.unknowns == "trajectory" else "simultaneous gain"
 
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The best design found from a feasible design (np,) and other valleys, with its controller."""
+        """Best design found from a feasible one (np,) and other starts, with its controller."""
         check_open_loop(problem)
         scenarios = drawn(problem, self.runs or RUNS[self.unknowns], rng)
         found = valleys(problem, design, rng=rng) if self.starts > 1 else ()
@@ -94,7 +94,7 @@ class Simultaneous:
         return self._result(problem, best, sum(end.iterations for end in ends), found)
 
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
-        """Where one start leads to."""
+        """Result of one start."""
         feedback = Feedback(problem, _first_gain(problem, design)) if self.unknowns == "gain" else None
         guess = followed(problem, scenarios, design)
 
@@ -125,14 +125,14 @@ class Simultaneous:
         )  # fmt: skip
 
     def _controller(self, problem: CoDesignProblem, best: _End, design: Array) -> Controller:
-        """What closes the loop."""
+        """Controller that closes the loop."""
         if self.unknowns == "trajectory":
             return controller_of(self.control, problem, design)
         K = best.solution.p[problem.design.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
         return LinearFeedback(K, *problem.input_bounds_at(design))
 
     def _words(self, best: _End) -> str:
-        """What was brought to its largest."""
+        """Description of what was optimised."""
         runs = len(best.solution.phases)
         if self.unknowns == "gain":
             return f"one saturated gain in {runs} scenarios"
@@ -141,7 +141,7 @@ class Simultaneous:
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """Where a program ended, and after how many iterations of Ipopt."""
+    """End of a program, with its iterations of Ipopt."""
 
     solution: Solution
     iterations: int
@@ -153,7 +153,7 @@ class _End:
 
     @property
     def objective(self) -> float:
-        """As a return; NaN where limits are not kept."""
+        """Objective as a return; NaN where limits are not kept."""
         return -self.cost if self.feasible else float("nan")
 
     @property
@@ -162,11 +162,11 @@ class _End:
         return self.solution.status is OptimalControlStatus.INFEASIBLE
 
     def notes(self, problem: CoDesignProblem, *, fed_back: bool) -> tuple[str, ...]:
-        """What there is to say of an end that is no optimum."""
+        """Notes on an end that is no optimum."""
         return told(problem, self.solution, fed_back=fed_back)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
-        """By how much the return would rise per unit of every constraint and bound of the design, by name."""
+        """Rise of the return per unit of the design's constraints and bounds, by name."""
         prices: dict[str, float] = {}
         for rows in self.solution.program.rows:
             if rows.name == "p_constraints":
@@ -177,7 +177,7 @@ class _End:
 
     @property
     def cost(self) -> float:
-        """Of the program."""
+        """Cost of the program."""
         return float(self.solution.cost)
 
 
@@ -190,7 +190,10 @@ def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
 
 
 def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
-    """How the program ended; with whole numbers that one start kept, others were never looked at."""
+    """Status of the program.
+
+    With whole numbers that one start kept, others were never tried.
+    """
     if best.impossible:
         return CoDesignStatus.INFEASIBLE
     if not best.solution.solved or numbers:

@@ -1,4 +1,7 @@
-"""The cost of the best trajectories of a design, for nested search: the program of simultaneous co-design, p held."""
+"""Cost of a design's best trajectories, for nested search.
+
+The program is that of simultaneous co-design with p held.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, Optimal
 
 @dataclass(eq=False)
 class TrajectoryCost(DesignCost):
-    """What of the costs of the best inputs of every scenario counts at a design, with its exact slope by multipliers.
+    """Risk of the costs of each scenario's best inputs, with its slope.
 
     The cases of a worst case have programs of their own, as nothing but the design ties them together: their costs are
     then counted, and rounded off where two are alike, as those of closed loops are.
@@ -58,11 +61,11 @@ class TrajectoryCost(DesignCost):
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Description of the cost in words."""
         return f"the best inputs in {len(self.scenarios[0])} scenarios whose disturbances are known ahead"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,) of the unit box; infinite where no inputs keep the limits."""
+        """Cost and slope (np,) at a point (np,); infinite where no inputs keep the limits."""
         p = self.problem.design.settled(v)
         self.evaluations += 1
         found: list[Solution] = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
@@ -76,7 +79,7 @@ class TrajectoryCost(DesignCost):
         return cost, slope * self.problem.design.allowed.width
 
     def _counted(self, costs: Array, slopes: Array) -> tuple[float, Array]:
-        """What of the costs (n,) of programs counts, and its slope (np,) of theirs (n, np)."""
+        """Risk of the costs (n,) of programs, and its slope (np,) from theirs (n, np)."""
         if len(costs) == 1:
             return float(costs[0]), slopes[0]
         returns = torch.tensor(-costs, requires_grad=True)
@@ -93,7 +96,7 @@ class TrajectoryCost(DesignCost):
         return v, np.inf if self.failed is not None else self(v)[0]
 
     def within_limits(self, v: Array) -> Array:
-        """A point (np,) of the unit box whose inputs can keep the limits, found from another; that itself if none is.
+        """Point (np,) near another whose inputs can keep the limits; the other itself if none.
 
         By trajectories and design in one program, whole numbers held.
         """
@@ -112,7 +115,7 @@ class TrajectoryCost(DesignCost):
         return space.to_unit(space.project(solution.p))
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
-        """What there is to say where no design has trajectories within the limits: that, at the given one."""
+        """Note that no design's trajectories keep the limits, with details at the given one."""
         space = self.problem.design
         design = space.settled(v)
         impossible = self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
@@ -125,7 +128,7 @@ class TrajectoryCost(DesignCost):
         )  # fmt: skip
 
     def controller(self, p: Array) -> Controller:
-        """What closes the loop at a design."""
+        """Controller that closes the loop at a design."""
         return controller_of(self.control, self.problem, p)
 
 
@@ -138,6 +141,6 @@ def _stated(
 
 
 def _solved(program: NonlinearProgram, p: Array, last: Solution | None) -> Solution:
-    """A program at a design, from the solution before, or if that leads nowhere from its guess."""
+    """Program solved at a design, from the last solution, or failing that its guess."""
     solution = solve(program, p=p, start=last)
     return solution if solution.solved or last is None else solve(program, p=p)

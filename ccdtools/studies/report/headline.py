@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ccdtools.plants.design_space import SAME_DESIGN
+from ccdtools.plants.tolerances import SAME_DESIGN
 from ccdtools.studies.report.formatting import (
     FORMER,
     capitalised,

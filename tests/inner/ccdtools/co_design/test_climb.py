@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools.co_design.sample_average import PER_UNIT, TALL, Climb, SampleAverage
+from ccdtools.co_design.sample_average import Climb, SampleAverage
+from ccdtools.co_design.tolerances import COMPRESS_ABOVE, PER_UNIT
 
 
 def climbed(cost, weights, v=None, *, scale=1.0, length=60):
@@ -56,7 +57,8 @@ def test_the_gradient_is_that_of_the_cost_also_where_it_is_tall(height):
     z = average.first
     value, gradient = average(z)
     cost = height * (1 + 0.3 + 0.04)
-    assert value / PER_UNIT == pytest.approx(cost if cost <= TALL else TALL * (1 + np.log(cost / TALL)), rel=1e-5)
+    compressed = cost if cost <= COMPRESS_ABOVE else COMPRESS_ABOVE * (1 + np.log(cost / COMPRESS_ABOVE))
+    assert value / PER_UNIT == pytest.approx(compressed, rel=1e-5)
     for i in range(2):
         h = np.zeros(2)
         h[i] = 0.1

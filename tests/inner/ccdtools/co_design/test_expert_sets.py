@@ -14,7 +14,7 @@ from ccdtools.co_design import set_choice
 from ccdtools.co_design.candidates import starts
 from ccdtools.co_design.expert_loops import ExpertLoops
 from ccdtools.co_design.lqr_regions import LQRRegions
-from ccdtools.co_design.set_choice import Effort, affordable_designs, found_sets, limited
+from ccdtools.co_design.set_choice import SetBudget, affordable_designs, found_sets, limited
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_positively_invariant_set
 
 
@@ -152,7 +152,7 @@ def test_a_chain_of_eight_states_has_data_from_the_lqr_region_and_from_the_start
 
 def test_a_set_that_is_tiny_beside_x_is_sampled_by_moving_states_into_it(illustrative):
     problem = replace(illustrative.problem(), X=Polytope.from_bounds([-1e4, -1e4], [1e4, 1e4]))
-    begin = starts(problem, feasible_sets(problem), 30, None, Effort("auto", None), np.random.default_rng(0))
+    begin = starts(problem, feasible_sets(problem), 30, None, SetBudget("auto", None), np.random.default_rng(0))
     assert begin.acceptance == 0.0
     assert begin.candidates == 30
     first = begin.x[:30]
@@ -204,10 +204,10 @@ def test_the_sets_do_not_depend_on_how_fast_the_processor_is(monkeypatch, slower
     problem = rail()
     clock = set_choice.time.thread_time
     monkeypatch.setattr(set_choice.time, "thread_time", lambda: slower * clock())
-    effort = Effort("auto", 20.0)
-    family = limited(feasible_sets(problem), effort)
-    assert affordable_designs(problem, family, 1000, effort) == (1000, "")
-    sets, counts = found_sets(family, problem.design.latin_hypercube(10, np.random.default_rng(0)), effort)
+    budget = SetBudget("auto", 20.0)
+    family = limited(feasible_sets(problem), budget)
+    assert affordable_designs(problem, family, 1000, budget) == (1000, "")
+    sets, counts = found_sets(family, problem.design.latin_hypercube(10, np.random.default_rng(0)), budget)
     assert (counts.feasible, counts.reason) == (10, "")
     assert all(S is not None for S in sets)
 
@@ -215,7 +215,7 @@ def test_the_sets_do_not_depend_on_how_fast_the_processor_is(monkeypatch, slower
 def test_candidates_share_as_many_designs_as_the_budget_allows_and_none_below_sixty_four(illustrative):
     problem = illustrative.problem()
     family = feasible_sets(problem)
-    many, fewer, none = (affordable_designs(problem, family, 10**6, Effort("auto", t)) for t in (2000.0, 0.2, 1e-3))
+    many, fewer, none = (affordable_designs(problem, family, 10**6, SetBudget("auto", t)) for t in (2000.0, 0.2, 1e-3))
     assert many == (10**6, "")
     assert 64 <= fewer[0] < 10**4
     assert none == (0, "X_fea(p) of 64 designs is more work than allowed")
@@ -225,7 +225,7 @@ def test_designs_that_an_abort_does_not_reach_get_no_set_and_the_reason_is_said(
     problem = illustrative.problem()
     designs = problem.design.latin_hypercube(10, np.random.default_rng(0))
     monkeypatch.setattr(set_choice.time, "thread_time", Clock(1.0))
-    sets, counts = found_sets(feasible_sets(problem), designs, Effort("auto", 1.0))
+    sets, counts = found_sets(feasible_sets(problem), designs, SetBudget("auto", 1.0))
     assert [S is not None for S in sets] == 4 * [True] + 6 * [False]
     assert (counts.feasible, counts.lqr) == (4, 6)
     assert "another machine may get further" in str(counts)
@@ -244,7 +244,7 @@ def test_cheap_sets_do_not_depend_on_the_time_limit(illustrative):
 
 def test_runs_that_share_a_design_are_filtered_as_each_would_be_alone():
     problem = rail()
-    begin = starts(problem, feasible_sets(problem), 60, 4, Effort("auto", None), np.random.default_rng(0))
+    begin = starts(problem, feasible_sets(problem), 60, 4, SetBudget("auto", None), np.random.default_rng(0))
     loops = ExpertLoops(problem, begin, "lqr", 10)
     found = loops.inputs(begin.x)
     regions = begin.regions

@@ -6,8 +6,9 @@ import pytest
 import torch
 from constrained_plants import CASES
 
-from ccdtools.co_design.feasible import PULL, DesignRegion, FeasibleSlope
+from ccdtools.co_design.feasible import DesignRegion, FeasibleSlope
 from ccdtools.co_design.landscape import Landscape, valleys
+from ccdtools.co_design.tolerances import PULL
 
 
 @pytest.mark.check

@@ -10,8 +10,9 @@ import torch
 import ccdtools as cc
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import Episode
-from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, Pair, Tolerance, mpc_episodes, tolerance_by_mpc
+from ccdtools.co_design.limit_tolerance import Pair, Tolerance, mpc_episodes, tolerance_by_mpc
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE
 from invariant_sets import Polytope
 
 QUICK = {"iterations": 8, "pathwise_runs": 16, "evaluation_runs": 64, "evaluate_every": 2}
@@ -86,7 +87,7 @@ def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_des
 def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
     lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
     allowed = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))
-    assert allowed.allowed == Pair(FLOOR, FLOOR)
+    assert allowed.allowed == Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
 
 
 def test_multipliers_grow_while_the_limits_are_broken_and_fall_to_zero_once_kept():

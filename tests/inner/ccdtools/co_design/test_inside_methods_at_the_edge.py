@@ -17,7 +17,7 @@ from ccdtools.co_design.methods.holding import confirmed
 from ccdtools.co_design.methods.laws import LQRLaw
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.limited_loop_cost import LimitedEnd, LimitedLoopCost
-from ccdtools.co_design.methods.searched import Plan, _status, searched
+from ccdtools.co_design.methods.searched import SearchBudget, _status, searched
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
 
@@ -51,8 +51,8 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -2 * x[0] - (1 + p) * x[1] + u + w), space, dt=0.1)
     problem = replace(problem, model=cc.discretise(plant))
-    plan = Plan("cliff", 1, 50)
-    found = searched(plan, problem, lambda v: Cliff(problem), np.array([0.45]), np.random.default_rng(0))
+    budget = SearchBudget("cliff", 1, 50)
+    found = searched(budget, problem, lambda v: Cliff(problem), np.array([0.45]), np.random.default_rng(0))
     assert found.status.name == "GRADIENT_UNTRUSTED"
     assert found.multipliers == {}
     assert np.isnan(found.slope)

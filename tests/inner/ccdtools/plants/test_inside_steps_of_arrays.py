@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from ccdtools import DesignSpace, Plant, SampledModel
-from ccdtools.plants.on_rows import FEW, KEPT
+from ccdtools.plants.tolerances import FEW_ROWS, KEPT_SIZES
 
-RUNS = [1, 2, FEW, FEW + 1, 2500]
+RUNS = [1, 2, FEW_ROWS, FEW_ROWS + 1, 2500]
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])
 
 
@@ -68,7 +68,7 @@ def test_slopes_of_any_number_of_runs_are_those_of_casadi(n, own, rng):
 def test_several_threads_may_step_one_model_with_many_numbers_of_runs(rng):
     model = SampledModel(winding(), 0.1)
     p = np.array([1.0, 2.0])
-    given = {n: drawn(model, n, rng) for n in range(2, 3 * KEPT)}
+    given = {n: drawn(model, n, rng) for n in range(2, 3 * KEPT_SIZES)}
     expected = {n: model.advance(*one, p) for n, one in given.items()}
 
     def differs(n):
