@@ -112,7 +112,7 @@ def run(
 
 
 def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
-    """Run a study in a new folder, the one asked for or runs/NAME-1, …; an interruption says how to go on."""
+    """Run a study in a new folder. An interruption says how to go on."""
     options.check_files()
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
@@ -272,7 +272,7 @@ def _stop(folder: RunFolder | None) -> NoReturn:
 
 
 def _program() -> list[str]:
-    """How this program was called, as a shell can call it again."""
+    """Name of this program, as a shell can call it again."""
     called = sys.argv[0]
     if called.endswith(".py"):
         return [sys.executable, "-m", "ccdtools"]
@@ -323,7 +323,7 @@ def _output(path: str) -> RunFolder:
 
 
 def _single_thread() -> None:
-    """As many threads of torch as OMP_NUM_THREADS says, else one."""
+    """Use as many threads of torch as OMP_NUM_THREADS says, else one."""
     import torch
 
     asked = os.environ.get("OMP_NUM_THREADS", "")

@@ -28,7 +28,7 @@ EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignLimits(Immutable):
-    """A box whose bounds are functions of the design; `CoDesignProblem` and `Study` make it of a function of p.
+    """Box whose bounds are functions of the design. `CoDesignProblem` and `Study` make it of a function of p.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class DesignLimits(Immutable):
 
     @classmethod
     def of(cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace) -> DesignLimits:
-        """The limits that a function of p gives of `size` numbers, looked at over the whole box of designs.
+        """Limits on `size` numbers from a function of p, checked over the whole box of designs.
 
         Also where constraints forbid a design: the expert's data cover the box.
 
@@ -81,16 +81,16 @@ class DesignLimits(Immutable):
         return f"DesignLimits({self.argument}, {self.dim} numbers)"
 
     def __str__(self) -> str:
-        """The lower bounds, then the upper ones, as expressions of p."""
+        """Lower bounds, then upper ones, as expressions of p."""
         return str(self.both)
 
     def __deepcopy__(self, memory: Any) -> DesignLimits:
-        """Itself, because it never changes."""
+        """This object itself, because it never changes."""
         return self
 
     @property
     def dim(self) -> int:
-        """How many numbers it limits."""
+        """Number of limited quantities."""
         return len(self.lower)
 
     @property
@@ -100,16 +100,16 @@ class DesignLimits(Immutable):
 
     @property
     def box(self) -> tuple[Array, Array]:
-        """The widest bounds, each (n,)."""
+        """Widest bounds, each (n,)."""
         return self.lower, self.upper
 
     @cached_property
     def widest(self) -> Polytope:
-        """The box of the widest bounds."""
+        """Box of the widest bounds."""
         return Polytope.from_bounds(self.lower, self.upper)
 
     def bounds(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper bounds (..., n) at designs (..., np), arrays or tensors; differentiable in tensors."""
+        """Lower and upper bounds (..., n) at designs (..., np), arrays or tensors. Differentiable in tensors."""
         both = self.both.vector(self.entries)(p)
         return both[..., : self.dim], both[..., self.dim :]
 
@@ -130,7 +130,7 @@ class DesignLimits(Immutable):
         return Polytope.from_bounds(lower, upper)
 
     def depths(self, x: Any, p: Any) -> Any:
-        """How far each bound is exceeded by (..., n) at designs (np,) or (..., np), (..., 2 n), in half-widths.
+        """Violations (..., 2 n) of the bounds by (..., n) at designs (np,) or (..., np), in half-widths.
 
         Of arrays or torch tensors; negative within.
         """
@@ -148,7 +148,7 @@ class DesignLimits(Immutable):
         return np.asarray((self.depths(x, p) <= ON_LIMIT).all(axis=-1))
 
     def followed_by(self, lower: Array, upper: Array) -> DesignLimits:
-        """The same with further numbers after its own, whose bounds (m,) do not depend on the design."""
+        """These limits with further numbers appended, whose bounds (m,) do not depend on the design."""
         p = ca.SX.sym("p", self.entries)
         own = self.both.function(self.entries)(p)
         both = ca.vertcat(own[: self.dim], ca.DM(lower), own[self.dim :], ca.DM(upper))
@@ -158,14 +158,14 @@ class DesignLimits(Immutable):
         return DesignLimits(self.argument, function, self.names, *wider)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values that `from_dict` makes it of again."""
+        """Plain values from which `from_dict` makes the limits again."""
         function = self.both.function(self.entries).serialize()
         plain = {"lower": self.lower.tolist(), "upper": self.upper.tolist(), "names": list(self.names)}
         return {"argument": self.argument, "function": function, **plain}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> DesignLimits:
-        """What `as_dict` gave."""
+        """Limits from what `as_dict` gave."""
         both = SymbolicFunction(values["argument"], ca.Function.deserialize(values["function"]), ("p",))
         both.function(len(values["names"]))
         lower, upper = (frozen(np.array(values[name], dtype=float)) for name in ("lower", "upper"))
@@ -176,7 +176,7 @@ Limits: TypeAlias = Polytope | DesignLimits
 
 
 def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """Limits on `size` numbers: a Polytope, bounds, or a function of p that gives bounds."""
+    """Limits on `size` numbers. A Polytope, bounds, or a function of p that gives bounds."""
     if isinstance(value, DesignLimits):
         if (value.dim, value.names) != (size, tuple(space.names)):
             got = f"limits of {value.dim} numbers over designs {', '.join(value.names)}"
@@ -188,29 +188,29 @@ def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignS
 
 
 def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
-    """The limits at one design (np,)."""
+    """Limits at one design (np,)."""
     return limits.at(p) if isinstance(limits, DesignLimits) else limits
 
 
 def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
-    """Bounds (n,) of fixed limits; of those that depend on designs (..., np), (..., n)."""
+    """Bounds (n,) of fixed limits. Bounds (..., n) at designs (..., np) of those that depend on the design."""
     return limits.bounds(p) if isinstance(limits, DesignLimits) else limits.bounding_box()
 
 
 def widest(limits: Limits) -> Polytope:
-    """The limits, or of those that depend on the design the box of their widest bounds."""
+    """Fixed limits as they are. Limits that depend on the design as the box of their widest bounds."""
     return limits.widest if isinstance(limits, DesignLimits) else limits
 
 
 def _cure(space: DesignSpace, p: Array) -> str:
-    """What to do about bounds that are wrong at a design that constraints forbid."""
+    """Advice about bounds that are wrong at a design that constraints forbid."""
     if space.violation(p[None])[0] <= FEASIBLE:
         return ""
     return "No such design may be built, but data are drawn over the whole box: hold the bounds apart with ca.fmax."
 
 
 def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, designs: int) -> ca.Function:
-    """p → lower and upper bounds in one column."""
+    """Compiled function from p to lower and upper bounds in one column."""
     p = ca.SX.sym("p", designs)
     try:
         pair = given(p)

@@ -50,19 +50,19 @@ BEST_LEVELS = 0.9  # share of the designs that the colours tell apart; the worst
 
 
 def styled() -> AbstractContextManager[None]:
-    """The settings, for figures that are made or saved within."""
+    """Settings for figures that are made or saved within."""
     return rc_context(SETTINGS)
 
 
 class Picture(Figure):
-    """A figure that a notebook shows, also before pyplot has made its first one and told the notebook how."""
+    """Figure that a notebook shows, also before pyplot has made its first one and told the notebook how."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
 
 
 def blank(width: float, height: float, *, quick: bool = False) -> Figure:
-    """An empty figure of that size [inch], marked in its corner if the run was quick."""
+    """Empty figure of that size [inch], marked in its corner if the run was quick."""
     figure = Picture(figsize=(width, height), layout="constrained")
     if quick:
         figure.text(0.003, 0.003, "QUICK", ha="left", va="bottom", fontsize=8, weight="bold", color="#B00020")
@@ -78,12 +78,12 @@ def png(figure: Figure) -> bytes:
 
 
 def label(text: str) -> str:
-    """The name of a vertical axis in as many lines as a low one needs."""
+    """Name of a vertical axis in as many lines as a low one needs."""
     return textwrap.fill(text, LABEL, break_long_words=False)
 
 
 def title(text: str) -> str:
-    """The title of a column in as many lines as half a page needs, broken between the values of a design."""
+    """Title of a column in as many lines as half a page needs, broken between the values of a design."""
     return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), TITLE, break_long_words=False)
 
 
@@ -94,7 +94,7 @@ def controller_colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def generation_colour(generation: int) -> str:
-    """One colour per generation, the same in every figure; 0 is the start."""
+    """Colour of every generation, the same in every figure. 0 is the start."""
     return GENERATIONS[generation % len(GENERATIONS)]
 
 
@@ -108,7 +108,7 @@ def without_grid(ax: Axes) -> Axes:
 def draw_map(
     ax: Axes, x: Array, y: Array, mean: Array, fine: NDArray[np.bool_], *, label: str, whole: bool = False
 ) -> list[Any]:
-    """Levels of a return, with a circle about the best of the grid; designs that are not fine stay blank.
+    """Draw levels of a return, with a circle about the best of the grid. Designs that are not fine stay blank.
 
     Parameters
     ----------
@@ -144,6 +144,6 @@ def draw_map(
 
 
 def _even_levels(values: Array) -> Array:
-    """About a dozen levels at equal steps from the worst of the better designs to the best."""
+    """Levels, about a dozen, at equal steps from the worst of the better designs to the best."""
     low, high = np.quantile(values, [1 - BEST_LEVELS, 1.0])
     return np.asarray(MaxNLocator(12).tick_values(float(low), float(high)))

@@ -23,7 +23,7 @@ FURTHER_PART = 0.05  # nor does a twentieth of what the other controller does
 
 
 def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
-    """The set of limits on `size` numbers, from a Polytope or from bounds as the functions of `invariant_sets` take."""
+    """Set of limits on `size` numbers, from a Polytope or from bounds as `invariant_sets` takes them."""
     if isinstance(value, Polytope) and value.dim != size:
         raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
     return as_set(value, argument, size)
@@ -31,7 +31,7 @@ def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateLimits(Immutable):
-    """The rows of X, each divided by the half-width of X along it, so that units do not matter: rows·x ≤ bounds.
+    """Rows of X, each divided by the half-width of X along it, so that units do not matter: rows·x ≤ bounds.
 
     Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
     half-width.
@@ -71,7 +71,7 @@ class StateLimits(Immutable):
         return f"StateLimits({self.rows.shape[1]} states, {len(self.bounds)} rows)"
 
     def depths(self, x: Array) -> Array:
-        """How far each row is exceeded in states (..., nx), (..., m); negative within, 0 for points of X."""
+        """Violation of each row in states (..., nx), as (..., m). Negative within, 0 for points of X."""
         with np.errstate(over="ignore", invalid="ignore"):
             beyond = x @ self.rows.T - self.bounds
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
@@ -79,7 +79,7 @@ class StateLimits(Immutable):
         return np.where(inside[..., None], np.minimum(beyond, 0.0), beyond)
 
     def row_text(self, row: int, names: Sequence[str]) -> str:
-        """What exceeding a row means, in the names of the states: "velocity [m/s] > 0.5"."""
+        """Meaning of exceeding a row, in the names of the states: "velocity [m/s] > 0.5"."""
         terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT * np.abs(self.rows[row]).max())
         if len(terms) > TERMS:
             return f"row {row + 1} of X"
@@ -92,7 +92,7 @@ class StateLimits(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excursions(Immutable):
-    """How often and how far runs are outside X; depths in half-widths of X along the row that is exceeded most.
+    """Frequency and depth of violations of X, in half-widths of X along the row that is exceeded most.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Excursions(Immutable):
     limits: str = "X"
 
     def of(self, kept: Any) -> Excursions:
-        """Those of some of the runs, by index or mask."""
+        """Violations of some of the runs, by index or mask."""
         return Excursions(self.fraction[kept], self.mean[kept], self.peak[kept], self.exceeded, self.limits)
 
     def __post_init__(self) -> None:
@@ -133,7 +133,7 @@ class Excursions(Immutable):
 
 
 def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
-    """How far states (..., nx) lie outside X, (...,): the largest violation of a row, in half-widths of X along it.
+    """Largest violation of a row by states (..., nx), as (...,), in half-widths of X along it.
 
     0 inside, to the tolerance of `X.contains`; 1 is one half-width beyond the limit.
 
@@ -151,7 +151,7 @@ def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
 
 
 def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[str] | None = None) -> Excursions:
-    """How often and how far runs of states (n, T, nx), or one run (T, nx), are outside X.
+    """Frequency and depth of violations of X by runs of states (n, T, nx), or one run (T, nx).
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
 
 
 def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "X") -> Excursions:
-    """Those of runs that exceed each limit by so much, (n, T, m); `row_text` says what exceeding one means."""
+    """Violations of runs that exceed each limit by so much, (n, T, m). `row_text` says what exceeding one means."""
     if not len(by_row):
         return Excursions(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
     depth = np.maximum(by_row.max(axis=-1), 0.0)
@@ -202,7 +202,7 @@ def further_outside(own: Excursions, other: Excursions, *, stretches: bool = Fal
 
 
 def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
-    """The half-width of X along each row; never zero."""
+    """Half-width of X along each row. Never zero."""
     low = -np.asarray(X.support(-rows))
     high = np.asarray(X.support(rows))
     lower, upper = X.bounding_box()
@@ -215,6 +215,6 @@ def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
 
 
 def _term(factor: float, name: str) -> str:
-    """A further term of a row."""
+    """Text of a further term of a row."""
     size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
     return f" {'+' if factor > 0 else '−'} {size}{name}"

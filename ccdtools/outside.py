@@ -18,13 +18,13 @@ STRETCHES = 40  # of which there are at least so many
 
 
 def limits_in_words(outputs: OutputLimits | None) -> str:
-    """What a controller leaves: X, or the limits, where those of outputs count beside it."""
+    """Name of what a controller leaves: X, or the limits, where those of outputs count beside it."""
     return "X" if outputs is None else "the limits"
 
 
 @dataclass(frozen=True, eq=False)
 class Outside:
-    """How often and how far the runs of one controller leave X.
+    """Frequency and depth with which the runs of one controller leave X.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Outside:
 
     @classmethod
     def of(cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None) -> Outside:
-        """Those of a trajectory: of states, and of outputs that have limits."""
+        """Violations of a trajectory: of states, and of outputs that have limits."""
         n, steps, nx = run.states[:, 1:].shape
         names = getattr(plant, "state_names", None) or tuple(f"x{i + 1}" for i in range(nx))
         by_row = limits.depths(run.states[:, 1:])
@@ -54,7 +54,7 @@ class Outside:
             by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
 
         def text(row: int) -> str:
-            """What exceeding a limit means."""
+            """Meaning of exceeding a limit."""
             return limits.row_text(row, names) if row < rows or outputs is None else outputs.row_text(row - rows)
 
         left = limits_in_words(outputs)
@@ -66,7 +66,7 @@ class Outside:
         return cls(whole, excursions_of(pieces, text, left), True, np.repeat(run.diverged, len(pieces)))
 
     def further_than(self, others: Mapping[str, Outside]) -> tuple[str, ...]:
-        """The names of those that leave X less."""
+        """Names of the controllers that leave X less."""
         return tuple(name for name, other in others.items() if self._further(other))
 
     def _further(self, other: Outside) -> bool:

@@ -12,7 +12,7 @@ DRAWN = 50  # runs at most: more are a blot
 
 
 def plot_trajectory(run: Any, figure: Any = None) -> Any:
-    """States and inputs over time, one row each, and of many runs the first 50.
+    """Plot states and inputs over time, one row each, and of many runs the first 50.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ def as_metrics(metrics: Any, *, argument: str = "metrics") -> Metrics | None:
 
 
 def try_metrics(metrics: Metrics, plant: Any) -> None:
-    """Raise unless the metrics of a short run of a plant at rest are named numbers: a study asks for them at its end.
+    """Raise unless a plant at rest has metrics that are named numbers. A study asks for them at its end.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def try_metrics(metrics: Metrics, plant: Any) -> None:
 
 
 def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
-    """The metrics of the runs that did not diverge; NaN where all did.
+    """Metrics of the runs that did not diverge. NaN where all did.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class MetricChange:
 
 
 def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> tuple[MetricChange, ...]:
-    """The change of every metric between two sets of runs on the same disturbances.
+    """Change of every metric between two sets of runs on the same disturbances.
 
     Smaller is better, but for the names in ``metrics.larger_is_better``, where the function has such an attribute.
 
@@ -137,7 +137,7 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
 
 
 def _change(name: str, before: float, after: float, first: Array, second: Array, larger: bool) -> MetricChange:
-    """The change of one metric, from its value on all runs and on each."""
+    """Change of one metric, from its value on all runs and on each."""
     spread = paired_difference(second, first)
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)

@@ -35,7 +35,7 @@ def tuned_pid(
     starts: int = 3,
     refinements: int = 160,
 ) -> PID:
-    """The PID with the best mean return on the problem's model at one design, errors replayed from a log included.
+    """PID with the best mean return on the problem's model at one design, errors replayed from a log included.
 
     Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
     Nelder–Mead, all on the same scenarios; of a model that is not linear, both on its linearisation, and the model
@@ -91,7 +91,7 @@ def tuned_pid(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """What every candidate is tried on: the model at one design, and scenarios of which half have an offset."""
+    """Model at one design and scenarios, half of them with an offset, on which every candidate is tried."""
 
     problem: CoDesignProblem
     plant: Simulable
@@ -103,7 +103,7 @@ class _Trial:
 
     @classmethod
     def of(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
-        """The trial of so many scenarios."""
+        """Trial of so many scenarios."""
         plant = _tried(problem)
         A, B, _ = problem.model.matrices(design)
         x0, drawn = problem.scenarios.sample(runs, problem.steps, rng)
@@ -113,11 +113,11 @@ class _Trial:
         return cls(problem, plant, design, A, B, x0, w)
 
     def few(self, runs: int) -> _Trial:
-        """The same on its first scenarios alone."""
+        """This trial on its first scenarios alone."""
         return replace(self, x0=self.x0[:runs], w=self.w[:runs])
 
     def controller(self, C: Array, z: Array) -> PID:
-        """The PID with gains `z` (3, nu), flat or not: parts of full input at the edge of X, with time in samples."""
+        """Controller with gains `z` (3, nu), flat or not: parts of full input at the edge of X, time in samples."""
         lower, upper = self.problem.input_bounds_at(self.design)
         reach = np.abs(C) @ self.problem.state_scale
         unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
@@ -126,7 +126,7 @@ class _Trial:
         return PID(C, kp, ki / dt, kd * dt, dt=dt, lower=lower, upper=upper)
 
     def cost(self, C: Array, z: Array) -> float:
-        """Mean cost of a candidate; a large one where the loop is not stable."""
+        """Mean cost of a candidate. A large one where the loop is not stable."""
         pid = self.controller(C, z)
         return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE
 
@@ -140,7 +140,7 @@ class _Trial:
         return float(-run.returns(problem.objective).mean())
 
     def remark(self, pid: PID) -> str:
-        """What a table says of gains that recover little of what LQR gains over the passive plant, without offsets."""
+        """Remark for tables on gains that recover little of what LQR gains over the passive plant, without offsets."""
         laws = (Passive(self.problem.model.nu), saturated_lqr(self.problem, self.design), pid)
         plain = replace(self, x0=self.x0[1::2], w=self.w[1::2])
         passive, lqr, own = (plain.loss(law) for law in laws)
@@ -150,7 +150,7 @@ class _Trial:
 
 
 class _Linearisation:
-    """The model at rest at one design, for `simulate`; driven by its disturbance, or by errors of the next state."""
+    """Linearised model at one design, for `simulate`. Its disturbance, or errors of the next state, drive it."""
 
     def __init__(self, problem: CoDesignProblem, p: Array) -> None:
         model = problem.model
@@ -160,12 +160,12 @@ class _Linearisation:
         self.nw = self._E.shape[1]
 
     def stepper(self, p: Array, *, batch: int) -> Step:
-        """x⁺ = A x + B u + E w."""
+        """Step function x⁺ = A x + B u + E w."""
         return lambda x, u, w: x @ self._A.T + u @ self._B.T + w @ self._E.T
 
 
 def _tried(problem: CoDesignProblem) -> Simulable:
-    """The nominal model, or the updated one that is driven by replayed errors."""
+    """Nominal model, or the updated one that is driven by replayed errors."""
     if problem.discrepancy is None:
         return problem.model
     if problem.discrepancy.noise != "replayed":
@@ -176,7 +176,7 @@ def _tried(problem: CoDesignProblem) -> Simulable:
 
 
 def is_stable(A: Array, B: Array, pid: PID) -> bool:
-    """Whether x⁺ = A x + B u with the unsaturated PID is asymptotically stable, integral and last output included."""
+    """Whether x⁺ = A x + B u with the unsaturated PID, its integral and last output is asymptotically stable."""
     ny, nx = pid.C.shape
     proportional, integral, last = (
         np.diag(g) for g in (pid.kp + pid.ki * pid.dt + pid.kd / pid.dt, pid.ki, -pid.kd / pid.dt)
@@ -192,7 +192,7 @@ def is_stable(A: Array, B: Array, pid: PID) -> bool:
 
 
 def _default_outputs(B: Array) -> Array:
-    """Candidate outputs (k, nu, nx): each state alone, for one input, and the states that the inputs push."""
+    """Candidate outputs (k, nu, nx). Each state alone, for one input, and the states that the inputs push."""
     pushed = B.T / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)[:, None]
     if B.shape[1] > 1:
         return pushed[None]

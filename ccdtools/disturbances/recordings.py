@@ -68,7 +68,7 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
 
 
 def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
-    """The recorded road: distance [m], strictly increasing, and elevation [m].
+    """Recorded road: distance [m], strictly increasing, and elevation [m].
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
 
 
 def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
-    """The recorded speed: time [s], strictly increasing, and speed, converted from km/h to m/s.
+    """Recorded speed: time [s], strictly increasing, and speed, converted from km/h to m/s.
 
     Parameters
     ----------
@@ -135,11 +135,11 @@ class _Table:
     lines: tuple[int, ...]
 
     def fail(self, got: str, expected: str, cure: str = "") -> NoReturn:
-        """Raise an `InputError` that names the argument and the file, and what is unusual about how it is written."""
+        """Raise an `InputError` that names the argument, the file, and what is unusual about how it is written."""
         raise InputError(self.argument, f"{self.path}: {got}", expected, self._unusual() or cure)
 
     def _unusual(self) -> str:
-        """What to do about a file that is no plain CSV; empty where it is one."""
+        """Advice about a file that is no plain CSV. Empty where it is one."""
         written = "\n".join(",".join(row) for row in (self.header, *self.rows[:20]))
         if written.startswith("#") or "\n#" in written:
             return "Remove # and what follows it: a first line with the names of the columns is read, comments are not."
@@ -166,7 +166,7 @@ class _Table:
         return names[0]
 
     def check_no_gap(self) -> None:
-        """Raise if a blank line stands for a sample: dropped, it would shift the rest of the recording by one.
+        """Raise if a blank line stands for a sample. Dropped, it would shift the rest of the recording by one.
 
         A time column shows by itself whether a sample is missing; blank lines after every row are double spacing.
         """
@@ -177,7 +177,7 @@ class _Table:
         self.fail(f"a blank line {line}", "one row per sample", "Fill in the sample, or remove the line.")
 
     def column(self, name: str) -> Array:
-        """The numbers of one column, every one finite."""
+        """Numbers of one column, every one finite."""
         if self.header.count(name) != 1:
             found = "several columns" if name in self.header else "no column"
             self.fail(f"{found} '{name}' among {_listed(self.header)}", f"one header '{name}' in the first line")
@@ -229,7 +229,7 @@ def _read_table(path: FilePath, argument: str) -> _Table:
 
 
 def _read_rows(path: Path, argument: str) -> list[tuple[int, list[str]]]:
-    """Every row of the file with its line number, or one clear line why there is none."""
+    """Rows of the file with their line numbers, or one clear line why there are none."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
@@ -274,6 +274,6 @@ def _is_number(cell: str) -> bool:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """The first dozen names, as a message lists them."""
+    """First dozen names, as a message lists them."""
     listed = ", ".join(repr(name[:40]) for name in names[:12])
     return listed if len(names) <= 12 else f"{listed}, … ({len(names)} columns)"

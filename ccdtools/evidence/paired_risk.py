@@ -57,7 +57,7 @@ def stretches(rewards: Array, stretch: int) -> Array:
 
 
 def paired_over_groups(after: Array, before: Array, labels: Labels, *, runs: int) -> PairedDifference:
-    """Mean difference of the returns of runs with rewards (n, T), over the groups that their labels (n,) tell.
+    """Mean difference of the returns of runs with rewards (n, T), over the groups of their labels (n,).
 
     Only groups are independent evidence. Of one group the interval is that of its series, if no more runs were begun.
     """

@@ -19,7 +19,7 @@ TOLERANCE = 0.005  # of the size of a return: the loss below which a candidate i
 
 
 class Status(Enum):
-    """What becomes of a candidate."""
+    """Status of a candidate: what becomes of it."""
 
     FIRST = "the first deployed"
     BETTER = "better"
@@ -41,7 +41,7 @@ class Status(Enum):
 
     @property
     def advice(self) -> str:
-        """What the user may do about it."""
+        """Advice to the user about this status."""
         return ADVICE.get(self, "")
 
 
@@ -60,7 +60,7 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a candidate takes the place of the current one.
+    """Verdict whether a candidate takes the place of the current one.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Verdict:
         return self.status.replaces
 
     def on(self, distribution: str) -> Evidence | None:
-        """The evidence on one distribution, if there is any."""
+        """Evidence on one distribution, if there is any."""
         return next((one for one in self.evidence if one.distribution == distribution), None)
 
     def __str__(self) -> str:
@@ -99,7 +99,7 @@ class Verdict:
 
 
 def decide(evidence: Sequence[Evidence], *, tolerance: float = TOLERANCE) -> Verdict:
-    """Whether the candidate of all evidence may take the place of the current one.
+    """Verdict whether the candidate of all evidence may take the place of the current one.
 
     It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may
     lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare. It is
@@ -145,7 +145,7 @@ def _left_limits(one: Evidence) -> Status | None:
 
 
 def _short(one: Evidence, tolerance: float) -> Status | None:
-    """How the candidate falls short of what is asked; None if it does not."""
+    """Way in which the candidate falls short of what is asked. None if it does not."""
     low, high = one.gain.ci95
     floor = SAME_RETURN * one.size
     if one.asked is Asked.GAIN:
@@ -164,7 +164,7 @@ def _short(one: Evidence, tolerance: float) -> Status | None:
 
 
 def _reason(status: Status, one: Evidence, tolerance: float) -> str:
-    """The sentence of a status, from the numbers of the evidence that decided."""
+    """Sentence of a status, from the numbers of the evidence that decided."""
     if status is Status.MORE_LOST:
         return f"{one.lost[0]} of {one.runs} runs on {one.distribution}, where {one.current} loses {one.lost[1]}"
     if status is Status.LIMITS:

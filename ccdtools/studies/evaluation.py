@@ -56,7 +56,7 @@ class Evaluation:
     seed: int  # every draw has a generator of its own, spawned from the seed and a name
 
     def rng(self, name: str) -> np.random.Generator:
-        """The generator of a name: the same whether or not a run was interrupted before."""
+        """Generator of a name, the same whether or not a run was interrupted before."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))
 
     @cached_property
@@ -66,7 +66,7 @@ class Evaluation:
 
     @cached_property
     def deployment_steps(self) -> int:
-        """Length of a deployment: the study's, capped by the configuration and by a recording's length."""
+        """Length of a deployment. The study's, capped by the configuration and by a recording's length."""
         real = self.study.real
         steps = real.steps
         if self.config.real_steps is not None and real.runs == 1:
@@ -100,7 +100,7 @@ class Evaluation:
             raise InputError("real.disturbance", got, "a recording that the plant can bear", "Check its units.")
 
     def recorded(self, runs: int, name: str) -> Array:
-        """The real plant's disturbance, (runs, T, nw)."""
+        """Disturbance of the real plant, (runs, T, nw)."""
         return self.study.real.disturbance.sample(runs, self.deployment_steps, self.rng(name))
 
     @property
@@ -120,7 +120,7 @@ class Evaluation:
         return self.window, warm_up(self.problem, logs, self.window, space)
 
     def on_model(self, logs: Sequence[Residuals]) -> Scenario:
-        """What a generation is judged on: the nominal model, with its assumed disturbance or with logged errors.
+        """Scenario on which a generation is judged: the nominal model, with its assumed disturbance or logged errors.
 
         Before the first log every run starts where the study says. Afterwards it starts where the runs of the newest
         log did, and meets the errors that they met, to their end.
@@ -133,7 +133,7 @@ class Evaluation:
 
     @cached_property
     def split(self) -> ErrorSplit:
-        """Of logged errors into what enters through E(p), and the rest."""
+        """Split of logged errors into what enters through E(p), and the rest."""
         return ErrorSplit(self.study.model, self.problem.state_scale)
 
     @property
@@ -143,7 +143,7 @@ class Evaluation:
 
     @cached_property
     def served(self) -> Served:
-        """Where what is deployed will serve; its disturbances are other draws than those that are reported."""
+        """Distributions that the deployed will serve. Their disturbances are other draws than the reported ones."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
@@ -152,18 +152,18 @@ class Evaluation:
 
     @cached_property
     def judge(self) -> Judge:
-        """What compares two deployables."""
+        """Judge that compares two deployables."""
         return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
-        """What the nominal model expects of a deployment, of many runs: a prediction should not be wrong by chance."""
+        """Scenario of many runs for what the nominal model expects of a deployment: little is left to chance."""
         real = self.study.real
         runs = min(self.config.model_runs, max(FEWEST_NOMINAL, NOMINAL_SAMPLES // self.deployment_steps))
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
         return Scenario(self.study.model, np.tile(real.x0, (runs, 1)), w)
 
     def deployment(self, generation: int) -> Array:
-        """The disturbances of a deployment, (runs, T, nw).
+        """Disturbances of a deployment, (runs, T, nw).
 
         A single run is the same in every generation. Of several, every second one is: there two generations are
         compared run by run; the others are fresh, for what there is to be learned.
@@ -176,7 +176,7 @@ class Evaluation:
         return np.where(is_common(np.arange(runs))[:, None, None], common, w)
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
-        """On the model updated by a discrepancy, from where the study says."""
+        """Scenario on the model updated by a discrepancy, from where the study says."""
         n = self.config.model_runs
         steps = self.study.steps
         rng = self.rng("updated scenario")
@@ -184,7 +184,7 @@ class Evaluation:
         return Scenario(plant, self.study.model_starts(n, rng), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
-        """The deployment itself if it is one long run; else many runs like it."""
+        """Scenario of the deployment itself if it is one long run, else of many runs like it."""
         real = self.study.real
         runs = 1 if real.runs == 1 else self.config.real_runs
         w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
@@ -202,11 +202,11 @@ class Evaluation:
 
     @cached_property
     def _baselines(self) -> dict[bytes, dict[str, Controller]]:
-        """The baselines of the designs that were asked for, never used themselves."""
+        """Baselines of the designs that were asked for, never used themselves."""
         return {}
 
     def baselines(self, design: Array) -> dict[str, Controller]:
-        """The baselines at a design; tuned once, and as new every time."""
+        """Baselines at a design. Tuned once, and as new every time."""
         key = np.asarray(design, dtype=float).tobytes()
         if key not in self._baselines:
             self._baselines[key] = baselines(self.problem, design, rng=self.rng("baselines"))
@@ -222,7 +222,7 @@ class Evaluation:
         judged_on: Sequence[Residuals],
         rng: np.random.Generator,
     ) -> Stage:
-        """Every controller at one design: on the model that it was judged on, and on the real plant.
+        """Comparison of every controller at one design, on the model that judged it and on the real plant.
 
         On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
@@ -253,7 +253,7 @@ class Evaluation:
         return Stage({"rows": rows}, arrays)
 
     def _shown_risk(self, plant: str, judged_on: Sequence[Residuals]) -> Risk | None:
-        """The worst case, where a study asks for it and the runs of a comparison have cases; else None."""
+        """Worst case, where a study asks for it and the runs of a comparison have cases. Else None."""
         asked = self.study.risk
         if not isinstance(asked, WorstCase) or (plant == "model" and judged_on):
             return None
@@ -261,7 +261,7 @@ class Evaluation:
         return asked.over(scenarios) if has_cases(scenarios) else None
 
     def admissible(self, design: Array) -> AdmissibleInputs | None:
-        """The filter behind the deployed policy at a design; None where the study asks for none."""
+        """Filter behind the deployed policy at a design. None where the study asks for none."""
         if self.study.filter == "none":
             return None
         key = np.asarray(design, dtype=float).tobytes()
@@ -279,17 +279,17 @@ class Evaluation:
 
     @cached_property
     def _filters(self) -> dict[bytes, AdmissibleInputs]:
-        """The filters of the designs that were asked for."""
+        """Filters of the designs that were asked for."""
         return {}
 
     def deployed(self, one: Deployable) -> Controller:
-        """A policy as it would be deployed on the real plant, behind the study's filter if there is one."""
+        """Policy as it would be deployed on the real plant, behind the study's filter if there is one."""
         return one.controller(self.admissible(one.design))
 
     def returns(
         self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
     ) -> Stage:
-        """Returns of a policy as designed: where it was judged, on the nominal and on the since updated model."""
+        """Returns of a policy as designed where it was judged, on the nominal and on the since updated model."""
         policy = LearnedPolicy(agent, design)
         return Stage({
             "model": model_name(judged_on),
@@ -302,7 +302,7 @@ class Evaluation:
         })  # fmt: skip
 
     def row(self, design: Array, score: Score) -> dict[str, Any]:
-        """One controller's row of the tables."""
+        """Row of one controller in the tables."""
         space = self.problem.design
         return {
             "controller": score.controller,
@@ -322,7 +322,7 @@ class Evaluation:
         return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
-        """Lower edge, mean and upper edge of the 95 % band of states and inputs, (3, T, ·), for the figures."""
+        """Edges and mean of the 95 % band of states and inputs, (3, T, ·), for the figures."""
         shown = scenario.first(min(BAND_RUNS, len(scenario.x0)), min(BAND_STEPS, scenario.steps))
         bands = {}
         for name, controller in controllers.items():
@@ -335,5 +335,5 @@ class Evaluation:
 
 
 def model_name(logs: Sequence[Residuals]) -> str:
-    """Of the model that a generation is judged on."""
+    """Name of the model that a generation is judged on."""
     return "replayed errors" if logs else "nominal"

@@ -18,7 +18,7 @@ SOURCES = ("start", "design", "policy", "updates", "redesign")
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A controller at its design, what the change from the step before is due to, and bytes that identify it."""
+    """Controller at its design, the source of the change from the step before, and bytes that identify it."""
 
     source: str
     controller: Controller

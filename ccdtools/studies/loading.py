@@ -61,7 +61,7 @@ def load_with_sources(name: str | Path) -> LoadedStudy:
 
 
 def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
-    """The module of a file, and the modules of its folder that it imported."""
+    """Module of a file, and the modules of its folder that it imported."""
     if not path.is_file():
         raise InputError("study", f"{path}, which is not a file", "a Python file that declares `study`")
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -78,7 +78,7 @@ def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
 
 @contextmanager
 def blamed_on_source(study: str) -> Iterator[None]:
-    """Turn an exception raised in the user's own study file while it runs into an `InputError` with its line."""
+    """Turn an exception in the user's own study file while it runs into an `InputError` with its line."""
     try:
         yield
     except InputError:
@@ -93,7 +93,7 @@ def blamed_on_source(study: str) -> Iterator[None]:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[list[ModuleType]]:
-    """Have `folder` first on the path; the list holds what was imported from it, which the next study imports anew."""
+    """Put `folder` first on the path. The list holds what was imported from it, which the next study imports anew."""
     before = set(sys.modules)
     imported: list[ModuleType] = []
     sys.path.insert(0, str(folder))
@@ -116,7 +116,7 @@ def _is_beside(file: Path, folder: Path) -> bool:
 
 
 def _place(path: Path, error: BaseException) -> str:
-    """FILE:LINE of an error in a study file, or in a file beside it."""
+    """Place FILE:LINE of an error in a study file, or in a file beside it."""
     place = str(path)
     folder = path.resolve().parent
     for frame in traceback.extract_tb(error.__traceback__):
@@ -129,7 +129,7 @@ def _place(path: Path, error: BaseException) -> str:
 
 
 def _stopped(path: Path, place: str, error: BaseException) -> InputError:
-    """What an error at a place of a study file says, on one line."""
+    """Message about an error at a place of a study file, on one line."""
     if isinstance(error, InputError):
         got = f"{place}, which stops with {error.argument}: got {error.got}"
         return InputError("study", got, error.expected, error.cure)

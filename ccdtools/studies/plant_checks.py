@@ -22,7 +22,7 @@ def check_finite(plant: Plant) -> None:
 
 
 def check_same_plant(model: Plant, real: RealPlant) -> None:
-    """Raise unless the real plant has the states, inputs, design and sampling time of the model, and is finite."""
+    """Raise unless the real plant has the model's states, inputs, design and sampling time, and is finite."""
     plant = real.plant
     for what, own, other in (("states", plant.nx, model.nx), ("inputs", plant.nu, model.nu)):
         if own != other:

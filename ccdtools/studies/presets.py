@@ -22,7 +22,7 @@ PAPER_EPOCHS = 10_000
 
 @dataclass(frozen=True)
 class StudyConfig:
-    """Everything of a run that is not the study itself.
+    """Configuration of a run: everything that is not the study itself.
 
     Attributes
     ----------

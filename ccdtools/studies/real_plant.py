@@ -75,7 +75,7 @@ class RealPlant(Immutable):
 
     @property
     def fresh(self) -> dict[str, Disturbance]:
-        """The held-out disturbances by name; none where nothing can be drawn afresh."""
+        """Held-out disturbances by name. None where nothing can be drawn afresh."""
         if self.held_out is not None:
             return dict(self.held_out)
         return {} if self.runs > 1 or is_recorded(self.disturbance) else {"fresh draws": self.disturbance}

@@ -25,7 +25,7 @@ DRAWN_RUNS = 200  # and runs, for what differs from run to run
 
 
 def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
-    """Warn if a sample of a real plant may be wrong by a tenth of X, and refuse the plant if it does not hold at all.
+    """Warn if a sample of a real plant may be wrong by a tenth of X. Refuse the plant if it does not hold at all.
 
     A sample in `plant.substeps` parts is compared with one of twice as many, within X, U and W and at all designs. A
     disturbance that no plant bears is left to the check of the disturbance.
@@ -55,7 +55,7 @@ def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Arra
 
 
 def extent_of(disturbance: Disturbance, steps: int = DRAWN) -> tuple[Array, Array]:
-    """Bounds (nw,) of draws of a disturbance: of one run, as long as a recording is at most, and of many short ones.
+    """Bounds (nw,) of draws of a disturbance. One run is at most as long as a recording, and many are short.
 
     They are symmetric but for what does not change in a run: an uncertain mass may be far heavier, and is not negative.
     """
@@ -76,13 +76,13 @@ def extent_of(disturbance: Disturbance, steps: int = DRAWN) -> tuple[Array, Arra
 
 
 def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
-    """What a sample in so many parts may be wrong by."""
+    """Error that a sample in so many parts may have."""
     coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
     return measured_error(coarse, fine, region)
 
 
 def _near(region: Region) -> Region:
-    """The same with a tenth of the states, around their middle; the extent is a tenth, too."""
+    """Error of a sample with a tenth of the states, around their middle. The extent is a tenth, too."""
     nx = region.sizes[0]
     middle = 0.5 * (region.lower + region.upper)
     lower, upper = region.lower.copy(), region.upper.copy()
@@ -92,7 +92,7 @@ def _near(region: Region) -> Region:
 
 
 def _advice(plant: Plant, region: Region) -> str:
-    """What to do about it."""
+    """Advice about steps that are too long."""
     substeps = 2 * plant.substeps
     while substeps <= MOST_SUBSTEPS:
         if _error(plant, region, substeps).relative <= DOUBTFUL:

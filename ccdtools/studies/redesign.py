@@ -28,7 +28,7 @@ WORTH_A_POLICY = 0.001  # a policy costs nothing to build: it is replaced for a 
 
 @dataclass(frozen=True, eq=False)
 class RedesignJudge:
-    """Compares redesigns with what is deployed, all on the same runs: the logs, and all that a deployable serves.
+    """Judge that compares redesigns with what is deployed, all on the same runs: logs, and all that is served.
 
     On the logs each goes from the start of a run to its end, through states of its own: in a window that begins within
     a run the cost of a start that neither has earned can outweigh everything else. A redesign must bring a gain there
@@ -49,14 +49,14 @@ class RedesignJudge:
         )
 
     def price(self, candidate: Deployable) -> Callable[[float, int], float]:
-        """(size of a return, its steps) → what the candidate must bring."""
+        """Needed gain of a candidate as a function of the size of a return and its steps."""
         study = self.evaluation.study
         asked = study.price
         policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
         moved = self.moved(candidate)
 
         def needed(size: float, steps: int) -> float:
-            """The gain that is needed."""
+            """Needed gain."""
             part = steps / study.steps
             whole = asked.of(size, part)
             return whole if moved else min(whole, policy.of(size, part))
@@ -68,7 +68,7 @@ class RedesignJudge:
         return not same_design(self.evaluation.problem.design, candidate.design, self.current.design)
 
     def as_dict(self, candidate: Deployable, verdict: Verdict) -> dict[str, Any]:
-        """A decision as plain values, for results.json."""
+        """Decision as plain values, for results.json."""
         study = self.evaluation.study
         made = verdict.evidence[0] if verdict.evidence else None
         nominal, updated = (verdict.on(name) for name in (NOMINAL, UPDATED))
@@ -87,7 +87,7 @@ class RedesignJudge:
 
     @cached_property
     def _made_for(self) -> Distribution:
-        """The nominal model met by all errors of whole logged runs."""
+        """Distribution of the nominal model met by all errors of whole logged runs."""
         evaluation = self.evaluation
         return logged(
             evaluation.split, self.twin.logs, series=evaluation.single, most=evaluation.config.model_runs,
@@ -96,12 +96,12 @@ class RedesignJudge:
 
     @cached_property
     def _nominal(self) -> Distribution:
-        """The nominal model."""
+        """Distribution of the nominal model."""
         return self.evaluation.served.nominal(self.evaluation.rng("judged: nominal"))
 
     @cached_property
     def _others(self) -> list[Distribution]:
-        """What else a deployable serves, on the model as updated by all logs."""
+        """Distributions that a deployable also serves, on the model as updated by all logs."""
         evaluation = self.evaluation
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
@@ -111,7 +111,7 @@ class RedesignJudge:
 
 
 def described(proposed: str, decision: Mapping[str, Any]) -> str:
-    """A decision in one sentence; `proposed` says what was judged."""
+    """Description of a decision in one sentence. `proposed` says what was judged."""
     verdict = "deployed" if decision["accepted"] else f"not deployed, {decision['reason']}"
     if decision["predicted"] == "n/a":
         return f"{proposed} {verdict}"
@@ -123,7 +123,7 @@ def described(proposed: str, decision: Mapping[str, Any]) -> str:
 def predicted(
     evaluation: Evaluation, choice: Deployable, logs: Sequence[Residuals], steps: int | None = None
 ) -> Summary:
-    """Predicted return of a deployment: on the newest log's errors from end to end, or before any on the model.
+    """Predicted return of a deployment, on the newest log's errors from end to end, or before any on the model.
 
     `steps` are its first ones, by default all.
     """

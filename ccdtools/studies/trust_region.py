@@ -26,7 +26,7 @@ CONSTANT = 1e-9  # difference of E over the box, relative to E, that is rounding
 
 @dataclass(frozen=True)
 class Doubt:
-    """How well it is known what the logged errors would be at another design."""
+    """Parts of the logged errors that are not known at another design."""
 
     rest: float  # part of the errors' energy that does not enter through E(p)
     # further part that the discrepancy explains by state and input: it may change with the design otherwise than E
@@ -39,7 +39,7 @@ class Doubt:
         return not self.identified or self.rest + self.explained > DOUBT
 
     def describe(self) -> str:
-        """Why a redesign is limited, or not."""
+        """Reason why a redesign is limited, or not."""
         if not self.identified:
             return "E(p) is not of full column rank everywhere"
         shares = f"{share(self.rest)} of the errors' energy does not enter through E(p)"
@@ -48,14 +48,14 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Trust:
-    """The radius of the trust region, as the deployments so far have left it."""
+    """Trust region's radius, as the deployments so far have left it."""
 
     radius: float = FIRST_RADIUS  # largest move of a parameter, as a part of its range; from 1 on there is no limit
     # whether a deployment fell short of what was predicted: from then on the region counts whatever the doubt
     betrayed: bool = False
 
     def after(self, kept: bool | None) -> Trust:
-        """The trust after a deployment that brought what was predicted, or did not; None if it says neither."""
+        """Trust after a deployment that brought what was predicted, or did not. None if it says neither."""
         if kept is None:
             return self
         if kept:
@@ -68,7 +68,7 @@ class Trust:
 
 
 def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
-    """How well a twin knows what its errors would be at another design; `scale` (nx,) is the extent of the states."""
+    """Parts of a twin's errors not known at another design. `scale` (nx,) is the extent of the states."""
     logs = twin.carried()
     whole = rest = entering = 0.0
     for log, left in zip(logs, twin.innovations()):
@@ -82,7 +82,7 @@ def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
-    """`problem` with the box of designs narrowed to so much of each range on either side of a design.
+    """Problem with the box of designs narrowed to so much of each range on either side of a design.
 
     A whole number may take the next one either way, however short its range or small the radius.
     """
@@ -104,7 +104,7 @@ def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, s
 
 
 def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpace) -> LearnedCoDesign:
-    """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design.
+    """Result of a region as it is read in the whole box. The region's edges are no bounds of the design.
 
     A whole number is held by no slope: that the best one stands at an edge says as much.
     """
@@ -117,7 +117,7 @@ def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpac
 
 
 def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
-    """Of a log carried to the newest design, what enters through the disturbance and the rest, (n, T, nx) each."""
+    """Split of a log carried to the newest design: errors through the disturbance and the rest, (n, T, nx) each."""
     newest = twin.logs[-1].p
     if isinstance(twin.model, SampledModel):
         rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))

@@ -23,7 +23,7 @@ DESIGNS = 9  # of the box
 
 
 def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
-    """Steps before a window from which on its return is that of each design's own loop, whichever loop was logged.
+    """Steps before a window after which its return is that of each design's own loop, whichever loop was logged.
 
     A window starts at a state of the logged loop. Where that costs a design more, or less, than its own states would,
     and the loop settles slowly, the start outweighs the disturbance. LQR is run over windows of the logged errors at
@@ -46,7 +46,7 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
     entering = [split.disturbances(log) for log in logs]
 
     def returns(before: int) -> Array:
-        """Mean return of every design over the windows after so many steps; NaN where a run diverges."""
+        """Mean return of every design over the windows after so many steps. NaN where a run diverges."""
         x0 = np.array([logs[i].x[run, k - before] for i, run, k in places])
         w = np.array([entering[i][run, k - before : k + window] for i, run, k in places])
         scenario = Scenario(split.replayed_model, x0, w)
@@ -62,14 +62,14 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
 
 
 def _designs(space: DesignSpace) -> Array:
-    """A few designs (n, np) all over the box: the corners where they are few."""
+    """Designs (n, np), a few, all over the box. The corners where they are few."""
     spread = space.spread()
     few = np.arange(DESIGNS) if 2**space.dim < DESIGNS else np.linspace(0, len(spread) - 1, DESIGNS).astype(int)
     return spread[few]
 
 
 def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before: int) -> float:
-    """Mean return of saturated LQR after so many steps; NaN if there is no LQR, or a run diverges."""
+    """Mean return of saturated LQR after so many steps. NaN if there is no LQR, or a run diverges."""
     try:
         controller = saturated_lqr(problem, design)
     except MPCError:
@@ -89,7 +89,7 @@ def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tup
 
 
 def _doubled(first: int, last: int) -> Iterator[int]:
-    """The first number, twice that, and so on, below the last."""
+    """First number, twice that, and so on, below the last."""
     while first < last:
         yield first
         first *= 2

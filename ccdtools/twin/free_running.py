@@ -81,7 +81,7 @@ def free_running_bands(
     blocks: int = BLOCKS,
     since: int = 0,
 ) -> FreeRunningBands:
-    """Bands of `twin` in closed loop, started from the states of a log and compared with what the log did next.
+    """Bands of `twin` in closed loop, started from the states of a log and compared with what followed.
 
     The draws know the state and the error at the start of a window, and nothing of what follows.
 
@@ -171,7 +171,7 @@ def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: i
 
 
 def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
-    """The steps that some span is long enough for, in increasing order."""
+    """Horizons that some span is long enough for, in increasing order."""
     given = list(steps) if isinstance(steps, list | tuple | range | np.ndarray) else [steps]
     wanted = sorted({as_count("steps", step) for step in given})
     longest = max((end - first for _, first, end in spans), default=0)
@@ -204,13 +204,13 @@ def _draws(
 
 
 def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
-    """The errors as they would be at the design of the twin's newest log, where its network works."""
+    """Errors as they would be at the design of the twin's newest log, where its network works."""
     assert twin.scale is not None
     return carried(twin.model, errors, twin.logs[-1].p, twin.scale)
 
 
 def _last(twin: DigitalTwin, errors: Residuals) -> Array:
-    """The states (n, 1, nx) after the last step of every run."""
+    """States (n, 1, nx) after the last step of every run."""
     return twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
 
 

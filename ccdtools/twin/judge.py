@@ -24,7 +24,7 @@ Price = Callable[[float, int], float]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Compares two deployables in pairs, each behind the filter of its own design."""
+    """Judge that compares two deployables in pairs, each behind the filter of its own design."""
 
     problem: CoDesignProblem  # on the nominal model
     plant: Any  # that names the states
@@ -34,7 +34,7 @@ class Judge:
 
     @property
     def pairing(self) -> Pairing:
-        """How returns are compared."""
+        """Rule by which returns are compared."""
         return Pairing(self.problem.objective, of_logged_runs(self.problem.risk), self.stretch)
 
     def verdict(
@@ -74,7 +74,7 @@ class Judge:
         return decide([replace(made, violation=broken), *rest, shown], tolerance=self.tolerance)
 
     def evidence(self, candidate: Deployable, current: Deployable, on: Distribution) -> Evidence:
-        """The two on one distribution."""
+        """Evidence of the two on one distribution."""
         return self._compared(candidate, current, on)[0]
 
     def run(self, one: Deployable, on: Distribution) -> Trajectory:
@@ -85,7 +85,7 @@ class Judge:
     def _compared(
         self, candidate: Deployable, current: Deployable, on: Distribution
     ) -> tuple[Evidence, Trajectory, Trajectory]:
-        """The evidence, and the runs of both."""
+        """Evidence, and the runs of both."""
         after, before = (self.run(one, on) for one in (candidate, current))
         names = (f"{candidate.name}, simulated", f"{current.name}, simulated")
         found = self.pairing.evidence(

@@ -29,7 +29,7 @@ MEASURES = ("fraction", "peak")
 def violation(
     problem: CoDesignProblem, scenario: Scenario, after: Trajectory, before: Trajectory, plant: Any
 ) -> Violation | None:
-    """How a candidate breaks the limits; None where it keeps them, or as well as before, or may do as it likes.
+    """Limits that a candidate violates. None where it keeps them, or as well as before, or may do as it likes.
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
     more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told.
@@ -67,7 +67,7 @@ def violation(
 
 
 def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
-    """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
+    """Tolerance of 1.25 times what MPC of a design does on a scenario. The least where it loses all runs."""
     least = Pair(FLOOR, FLOOR)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
@@ -82,7 +82,7 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
 
 
 def _pair(outside: Outside, runs: int | None = None) -> Pair:
-    """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one; 0 of none."""
+    """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one. 0 of none."""
     first = slice(None) if outside.single else slice(runs)
     kept = ~outside.lost[first]
     means = (getattr(outside.pieces, name)[first][kept] for name in MEASURES)
@@ -90,7 +90,7 @@ def _pair(outside: Outside, runs: int | None = None) -> Pair:
 
 
 def _further(own: Outside, other: Outside, name: str) -> bool:
-    """Whether a measure is larger on the runs that neither lost, beyond chance where there is an interval."""
+    """Whether a measure is larger on the runs that neither lost. Beyond chance where there is an interval."""
     kept = ~(own.lost | other.lost)
     values, others = (getattr(one.pieces, name)[kept] for one in (own, other))
     if not len(values) or not values.mean() > others.mean():

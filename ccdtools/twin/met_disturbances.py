@@ -26,7 +26,7 @@ Indices: TypeAlias = NDArray[np.int64]
 
 
 def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:
-    """ŵ (n, T, nw) that brings f(x, u, ŵ, p) nearest to the logged next states, in states divided by their scale (nx,).
+    """Disturbances ŵ (n, T, nw) that bring f(x, u, ŵ, p) nearest to the logged next states, divided by scale (nx,).
 
     It is zero where w has no effect. Where the effect is less than a tenth of the largest in the log, ŵ is at most
     twice as large as where it is more: a small effect would make large disturbances, that another state would feel, of
@@ -43,7 +43,7 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
 
 
 class _Fit:
-    """Nonlinear least squares of every sample at once: Gauss–Newton steps, shortened until each brings its sample on.
+    """Nonlinear least squares of every sample at once. Gauss–Newton steps are shortened until each one improves.
 
     Attributes
     ----------
@@ -63,11 +63,11 @@ class _Fit:
         self._everyone: Indices = np.arange(self.samples)
 
     def distance(self, w: Array) -> Array:
-        """Of the model's next states from the logged ones (N,)."""
+        """Distance of the model's next states from the logged ones (N,)."""
         return np.linalg.norm(self._missed(w, self._everyone), axis=1)
 
     def settled(self, w: Array) -> Array:
-        """The disturbances (N, nw) that are reached from others, none of which is farther from the log."""
+        """Disturbances (N, nw) reached from others, none of which is farther from the log."""
         w = w.copy()
         longest = np.linalg.norm(self._effects(w, self._everyone), axis=1).max(axis=0)
         if not (longest > 0).any():
@@ -98,7 +98,7 @@ class _Fit:
         return w
 
     def bounded(self, w: Array) -> Array:
-        """The disturbances (N, nw): not much larger than where they are told well, and zero where that leaves less."""
+        """Disturbances (N, nw), not much larger than where they are told well. Zero where that leaves less error."""
         effect = np.linalg.norm(self._effects(w, self._everyone), axis=1)
         told = (effect >= TOLD * effect.max(axis=0)) & (effect > 0)
         bound = LARGER * np.where(told, np.abs(w), 0.0).max(axis=0)
@@ -106,7 +106,7 @@ class _Fit:
         return np.where((self.distance(within) < self.size)[:, None], within, 0.0)
 
     def effect_of(self, w: Array, some: Indices) -> Array:
-        """How far disturbances (k, 1, nw) move the next states of some samples (m,), in scaled states (k, m)."""
+        """Move of the next states of some samples (m,) by disturbances (k, 1, nw), in scaled states (k, m)."""
         with np.errstate(all="ignore"):
             moved = (self._after(w, some) - self._after(np.zeros_like(w[:1]), some)) / self._scale
             return np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf)
@@ -117,13 +117,13 @@ class _Fit:
             return np.asarray(self._model.advance(self.x[some], self.u[some], w, self.p))
 
     def _missed(self, w: Array, some: Indices) -> Array:
-        """Logged next states less those of the model, in scaled states; infinite where the model's are not finite."""
+        """Logged next states less those of the model, in scaled states. Infinite where the model's are not finite."""
         with np.errstate(all="ignore"):
             left = (self._reached[some] - self._after(w, some)) / self._scale
             return np.where(np.isfinite(np.square(left)), left, np.inf)
 
     def _effects(self, w: Array, some: Indices) -> Array:
-        """∂x⁺/∂w in scaled states (m, nx, nw); zero where it is not finite."""
+        """Slopes ∂x⁺/∂w in scaled states (m, nx, nw). Zero where not finite."""
         p = torch.tensor(self.p)
         parts = []
         for first in range(0, len(some), AT_ONCE):
@@ -136,7 +136,7 @@ class _Fit:
 
 
 def _starts(model: SampledModel, fit: _Fit) -> list[Array]:
-    """Disturbances (nw,) to start from besides zero, one channel each, either way; none where f is affine in w.
+    """Disturbances (nw,) to start from besides zero, one channel each, either way. None where f is affine in w.
 
     Where w enters as w |w|, its effect is zero at zero. The size is the smallest that moves states as far as errors do.
     """
@@ -155,7 +155,7 @@ def _starts(model: SampledModel, fit: _Fit) -> list[Array]:
 
 
 def _least_squares(M: Array, b: Array) -> Array:
-    """The shortest z (m, nw) that brings M z (m, nx) nearest to b, without directions of hardly any effect."""
+    """Shortest z (m, nw) that brings M z (m, nx) nearest to b, without directions of hardly any effect."""
     U, values, V = np.linalg.svd(M, full_matrices=False)
     inverse = np.where(values > NONE, 1.0 / np.maximum(values, NONE), 0.0)
     along = np.einsum("nik,ni->nk", U, np.nan_to_num(b, nan=0.0, posinf=0.0, neginf=0.0))

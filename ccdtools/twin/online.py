@@ -21,7 +21,7 @@ ONLINE_TRAINING = CoDesignConfig(
 
 @dataclass(frozen=True)
 class OnlineConfig:
-    """How a policy is updated while it is deployed.
+    """Settings of how a policy is updated while it is deployed.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class OnlineUpdate(Immutable):
 
     @property
     def accepted(self) -> bool:
-        """Whether it replaced the policy."""
+        """Whether the candidate replaced the policy."""
         return self.verdict.replaces
 
     @property

@@ -26,7 +26,7 @@ LEAST_TRAINED = 20  # samples that quantiles can be fitted to
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DigitalTwin(Immutable):
-    """A nominal model with every log so far and the discrepancy learned from them.
+    """Nominal model with every log so far and the discrepancy learned from them.
 
     `update` returns a new twin; the old one is unchanged. Its network works in the coordinates of the newest log's
     design: errors of other logs are carried there before it is fitted, and what it says is carried to any other design.
@@ -71,7 +71,7 @@ class DigitalTwin(Immutable):
         blocks: int = BLOCKS,
         progress: bool = False,
     ) -> DigitalTwin:
-        """The twin after learning from one more log.
+        """Twin after learning from one more log.
 
         The last part of every contiguous block of the log is held out for the scores: it follows in time what was
         trained on, and fit and test both see every regime of a drive. Of several runs, the last ones are held out.
@@ -126,7 +126,7 @@ class DigitalTwin(Immutable):
         )  # fmt: skip
 
     def remembering(self, log: Trajectory) -> DigitalTwin:
-        """The twin with one more log, and nothing learned from it yet."""
+        """Twin with one more log, and nothing learned from it yet."""
         logs = (*self.logs, residuals(self.model, log))
         extent = np.abs(logs[0].x).max(axis=(0, 1))
         scale = np.where(extent > 0, extent, 1.0) if self.scale is None else self.scale
@@ -134,20 +134,20 @@ class DigitalTwin(Immutable):
 
     @property
     def transport(self) -> Transport:
-        """Of errors from the design of the newest log to any other."""
+        """Transport of errors from the design of the newest log to any other."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
         return Transport.at(self.model, self.logs[-1].p, self.scale)
 
     def carried(self) -> tuple[Residuals, ...]:
-        """The logs with their errors as they would be at the design of the newest one."""
+        """Logs with their errors as they would be at the design of the newest one."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
         newest = self.logs[-1].p
         return tuple(carried(self.model, log, newest, self.scale) for log in self.logs)
 
     def innovations(self) -> tuple[Residuals, ...]:
-        """The logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""
+        """Logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""
         if self.discrepancy is None:
             raise InputError("twin", "one without a discrepancy", "one after `update`")
         return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.carried())

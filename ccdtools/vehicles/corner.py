@@ -13,13 +13,13 @@ ROUNDING = 0.1  # of the static load, over which the tyre leaves the road
 
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
-    """c (v + a (√(v² + v₀²) − v₀)): slope c at rest, (1 + a) c in rebound and (1 − a) c in bump beyond the knee v₀."""
+    """Force c (v + a (√(v² + v₀²) − v₀)), of slope c at rest, (1 + a) c in rebound, (1 − a) c in bump beyond v₀."""
     return damping * (rate + asymmetry * (ca.sqrt(rate**2 + knee**2) - knee))
 
 
 @dataclass(frozen=True)
 class RealStrut(Parameters):
-    """What real struts have that linear ones lack; typical values, of no particular car.
+    """Properties of real struts that linear ones lack. Typical values, of no particular car.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class RealStrut(Parameters):
 
 @dataclass(frozen=True)
 class Corner:
-    """One wheel and what joins it to the body; all forces are beyond the static ones.
+    """One wheel and what joins it to the body. All forces are beyond the static ones.
 
     Attributes
     ----------

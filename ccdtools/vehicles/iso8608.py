@@ -27,7 +27,7 @@ FEWEST = 4  # samples of the shortest wave
 
 
 def road_roughness(road_class: RoadClass) -> float:
-    """Displacement spectrum of a class at n₀ = 0.1 1/m, its geometric mean [m³]: 16·10⁻⁶ for A, 4 times for each next.
+    """Displacement spectrum of a class at n₀ = 0.1 1/m, geometric mean [m³]. 16·10⁻⁶ for A, 4 times for each next.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLik
 
 
 def track_coherency(frequency: ArrayLike, track: float) -> Array:
-    """Coherency γ(n) of the elevations of two parallel tracks of an isotropic road; its square is their coherence.
+    """Coherency γ(n) of the elevations of two parallel tracks of an isotropic road. Its square is their coherence.
 
     γ(n) = x K₁(x) with x = 2π n b. It is real, 1 for long waves and 0 for short ones: the cross spectrum of the
     tracks is γ(n) G(n).
@@ -110,7 +110,7 @@ def generate_profile(
     band: ArrayLike = BAND,
     spacing: float = SPACING,
 ) -> tuple[Array, Array]:
-    """A road of a class of ISO 8608, of one track, or of two whose coherence is that of an isotropic road.
+    """Road of a class of ISO 8608, of one track, or of two whose coherence is that of an isotropic road.
 
     The elevation is a sum of cosines with normal amplitudes and random phases, on a grid of frequencies as fine as
     that of a road at least twice as long: a stationary Gaussian process, whose spectrum has the class' power in every
@@ -178,7 +178,7 @@ def as_band(argument: str, value: Any) -> tuple[float, float]:
 
 
 def as_spacing(argument: str, value: Any, high: float) -> float:
-    """A distance between samples [m] that resolves waves of the frequency `high` [1/m]."""
+    """Distance between samples [m] that resolves waves of the frequency `high` [1/m]."""
     spacing = as_positive(argument, value, unit="m")
     if spacing * high * FEWEST > 1 + 1e-9:
         most = f"at most {1 / (FEWEST * high):.3g} m, a quarter of the shortest wave of the band"

@@ -92,7 +92,7 @@ def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array,
 
 
 def _instants(time: Array, dt: float, steps: int | None) -> Array:
-    """(T+1,) instants at which the steps begin and the last one ends [s]."""
+    """Instants (T+1,) at which the steps begin and the last one ends [s]."""
     duration = time[-1] - time[0]
     available = math.floor(duration / dt * (1 + 1e-9))
     if available < 1:
@@ -106,7 +106,7 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
 
 
 def _travelled(time: Array, speed: Array, instants: Array) -> Array:
-    """Distance covered at the instants [m]; exact, because the speed is linear between the knots."""
+    """Distance covered at the instants [m]. Exact, because the speed is linear between the knots."""
     knots = np.union1d(time, instants)
     covered = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
     return covered[np.searchsorted(knots, instants)]
@@ -129,7 +129,7 @@ class Feature:
 
 
 def _plateau(x: Array, length: float, edge: float) -> Array:
-    """Up over `edge`, flat, down over `edge`."""
+    """Plateau: up over `edge`, flat, down over `edge`."""
     return np.clip(np.minimum(x, length - x) / edge, 0.0, 1.0)
 
 
@@ -155,7 +155,7 @@ CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounde
 
 
 def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0.05) -> tuple[Array, Array]:
-    """A road of jumps, sinusoidal bumps, dents and ramps, one after the other, on filtered noise.
+    """Road of jumps, sinusoidal bumps, dents and ramps, one after the other, on filtered noise.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
 
 
 def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
-    """Noise of first order, dz = −α z ds + σ dW: its spectrum is 2σ² / (α² + (2πn)²)."""
+    """Noise of first order, dz = −α z ds + σ dW. Its spectrum is 2σ² / (α² + (2πn)²)."""
     alpha = 2 * np.pi * CUTOFF_FREQUENCY
     sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(ROUGHNESS / 2)
     decay = math.exp(-alpha * spacing)
@@ -198,7 +198,7 @@ def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
 
 
 def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
-    """Elevation (S,) [m] of obstacles of random kind and size with plain road between; the last may be cut."""
+    """Elevation (S,) [m] of obstacles of random kind and size with plain road between. The last may be cut."""
     elevation = np.zeros_like(distance)
     kinds = tuple(FEATURES.values())
     begin = rng.uniform(*GAP)
@@ -217,7 +217,7 @@ def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True)
 class Style:
-    """How somebody drives."""
+    """Style of a driver."""
 
     speeds: tuple[float, float]  # range of the speeds aimed at [m/s]
     hold: tuple[float, float]  # how long one is aimed at [s]
@@ -233,7 +233,7 @@ STYLES: dict[str, Style] = {
 def generate_speed(
     duration: float, *, rng: np.random.Generator, driver: Driver = "mild", dt: float = 0.05
 ) -> tuple[Array, Array]:
-    """The speed of a driver who aims at one speed after another and accelerates within a limit.
+    """Speed of a driver who aims at one speed after another and accelerates within a limit.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Arra
 
 @dataclass(frozen=True)
 class GeneratedRoad:
-    """A disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
+    """Disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
 
     Attributes
     ----------

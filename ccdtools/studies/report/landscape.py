@@ -77,14 +77,14 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
-    """Values of one parameter over its range; of whole numbers about as many, with those that were visited."""
+    """Values of one parameter over its range. Of whole numbers about as many, with those that were visited."""
     lower, upper = space.outermost
     values = np.linspace(lower[i], upper[i], n)
     return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values
 
 
 def _runs(run: FinishedRun) -> int:
-    """Runs of every design."""
+    """Number of runs of every design."""
     return QUICK_RUNS if run.quick else LANDSCAPE_RUNS
 
 
@@ -98,7 +98,7 @@ def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[f
 
 
 def _return_at(run: FinishedRun, design: Array, x0: Array, w: Array) -> tuple[float, float, float]:
-    """The values of `_returns_over` at one design; where LQR does not exist, every run counts as diverged."""
+    """Values of `_returns_over` at one design. Where LQR does not exist, every run counts as diverged."""
     try:
         controller = saturated_lqr(run.problem, design)
     except MPCError:

@@ -28,7 +28,7 @@ MOST_PROJECTED = 4  # states of a set whose projections are drawn
 
 
 def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
-    """X_fea at different designs."""
+    """Figure of X_fea at different designs."""
     nx = run.study.plant.nx
     if nx < 2 or run.results["configuration"]["sets"] != "auto":
         return []
@@ -89,7 +89,7 @@ class _ShownSets:
 
 
 def _shown_sets(run: FinishedRun) -> _ShownSets:
-    """X_fea of four different designs: the start, the last generation, corners, middle."""
+    """Sets X_fea of four different designs: the start, the last generation, corners, middle."""
     space = run.problem.design
     places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
     candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
@@ -121,7 +121,7 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
 
 
 def _nearest(space: DesignSpace, design: Array) -> Array | None:
-    """The nearest design that can be built; None if none is found."""
+    """Nearest design that can be built. None if none is found."""
     try:
         return space.project(design)
     except InputError:
@@ -129,11 +129,11 @@ def _nearest(space: DesignSpace, design: Array) -> Array | None:
 
 
 def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
-    """The two pairs of states on which the areas of the sets differ most."""
+    """Two pairs of states on which the areas of the sets differ most."""
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
     def spread(pair: tuple[int, int]) -> float:
-        """How much the areas of the projected and the sliced sets differ, relative to the largest."""
+        """Difference of the areas of the projected and the sliced sets, relative to the largest."""
         total = 0.0
         for cut, _ in _cuts(nx):
             areas = [cut(S, pair).volume for S in sets.values()]
@@ -144,7 +144,7 @@ def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
 
 
 def _cuts(nx: int) -> list[_Cut]:
-    """What is drawn of sets of so many states; no projection beyond four states, where it can take hours."""
+    """Cuts that are drawn of sets of so many states. Projections beyond four states can take hours, and are not."""
     projected: _Cut = (_projected, "" if nx == 2 else "projection")
     sliced: _Cut = (_sliced, "slice, other states 0")
     if nx == 2:
@@ -153,11 +153,11 @@ def _cuts(nx: int) -> list[_Cut]:
 
 
 def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:
-    """The projection on two states."""
+    """Projection of a set on two states."""
     return S if S.dim == 2 else S.projection(pair)
 
 
 def _sliced(S: Polytope, pair: tuple[int, int]) -> Polytope:
-    """The slice in two states with the others zero."""
+    """Slice of a set in two states with the others zero."""
     others = [i for i in range(S.dim) if i not in pair]
     return S.slice(others, np.zeros(len(others)))
