@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from ccdtools.co_design.method_comparison import MethodComparison
     from ccdtools.studies.preparation import PreparedRun
 
-MISUSE = 2  # exit codes
-INTERRUPTED = 130
+MISUSE = 2  # This exit code tells misuse.
+INTERRUPTED = 130  # This exit code tells an interruption.
 
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",

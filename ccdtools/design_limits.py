@@ -18,10 +18,10 @@ from ccdtools.limits import as_limits
 from ccdtools.plants.design_space import FEASIBLE, DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools.tolerances import ON_LIMIT
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
 
-ON_LIMIT = 1e-9  # of the half-width: a point this far beyond a bound is on it
 PAIR = "a function of p that returns two bounds (lower, upper)"
 EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
 

@@ -36,9 +36,6 @@ LINES: dict[str, dict[str, Any]] = {  # LQR broad and pale below, so that it is 
 BOUND: dict[str, Any] = {"color": "#444444", "lw": 0.9, "ls": (0, (5, 3))}
 NOT_WORSE_STRIP = "#DDEBDD"
 CHOSEN = "#D4A017"  # star of the iterate that was returned
-DPI = 130
-LABEL = 20  # characters beside axes of an inch and a half
-TITLE = 64  # above axes of five inches
 INSIDE = re.compile(r"(?<![,:]) ")  # spaces within a value
 SETTINGS: Any = {
     "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
@@ -46,7 +43,6 @@ SETTINGS: Any = {
     "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "legend.framealpha": 0.8,
     "axes.unicode_minus": True, "hatch.linewidth": 0.5,
 }  # fmt: skip
-BEST_LEVELS = 0.9  # share of the designs that the colours tell apart; the worst tenth has one colour
 
 
 def styled() -> AbstractContextManager[None]:
@@ -73,18 +69,18 @@ def png(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
     with styled():
-        figure.savefig(buffer, format="png", dpi=DPI)
+        figure.savefig(buffer, format="png", dpi=130)  # dots per inch
     return buffer.getvalue()
 
 
 def label(text: str) -> str:
     """Name of a vertical axis in as many lines as a low one needs."""
-    return textwrap.fill(text, LABEL, break_long_words=False)
+    return textwrap.fill(text, 20, break_long_words=False)  # characters beside a low axis
 
 
 def title(text: str) -> str:
     """Title of a column in as many lines as half a page needs, broken between the values of a design."""
-    return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), TITLE, break_long_words=False)
+    return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), 64, break_long_words=False)  # characters
 
 
 def controller_colours(names: Sequence[str]) -> dict[str, str]:
@@ -145,5 +141,5 @@ def draw_map(
 
 def _even_levels(values: Array) -> Array:
     """Levels, about a dozen, at equal steps from the worst of the better designs to the best."""
-    low, high = np.quantile(values, [1 - BEST_LEVELS, 1.0])
+    low, high = np.quantile(values, [1 - 0.9, 1.0])  # the worst tenth has one colour
     return np.asarray(MaxNLocator(12).tick_values(float(low), float(high)))

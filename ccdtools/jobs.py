@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 from ccdtools.checks import as_count, shown
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from ccdtools.tolerances import REPEAT_INTERRUPT
 
-AGAIN = 1.0  # s after which an interruption that nobody has felt comes again
 _felt: list[int] = []  # signals since the last `insisting` began
 
 
@@ -103,7 +103,7 @@ def insisting() -> Iterator[None]:
         """Interrupt now, and again unless that was felt."""
         _felt.append(number)
         if hasattr(signal, "setitimer"):  # not on Windows
-            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_INTERRUPT)
         raise KeyboardInterrupt
 
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGALRM") if hasattr(signal, name)]

@@ -13,13 +13,9 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_array, as_floats, as_instance, as_names
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import mean_interval, paired_difference
+from ccdtools.tolerances import FLAT_ROW, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
 from invariant_sets import Polytope
 from invariant_sets.system_checks import as_set
-
-FLAT = 1e-9  # of the range of a row over the box around X: below this, X has no width along the row
-TERMS = 3  # a row of X with more states than this is named by its number
-FURTHER = 0.01  # half-widths of the peak, or fraction of the states: smaller differences do not matter,
-FURTHER_PART = 0.05  # nor does a twentieth of what the other controller does
 
 
 def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
@@ -80,8 +76,8 @@ class StateLimits(Immutable):
 
     def row_text(self, row: int, names: Sequence[str]) -> str:
         """Meaning of exceeding a row, in the names of the states: "velocity [m/s] > 0.5"."""
-        terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT * np.abs(self.rows[row]).max())
-        if len(terms) > TERMS:
+        terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT_ROW * np.abs(self.rows[row]).max())
+        if len(terms) > 3:  # a longer row is named by its number
             return f"row {row + 1} of X"
         first = self.rows[row, terms[0]]
         bound = self.bounds[row] / first
@@ -195,7 +191,7 @@ def further_outside(own: Excursions, other: Excursions, *, stretches: bool = Fal
         reference = getattr(other, measure)
         values = getattr(own, measure)
         difference = mean_interval(values - reference) if stretches else paired_difference(values, reference)
-        needed = max(FURTHER, FURTHER_PART * float(reference.mean())) if len(reference) else np.inf
+        needed = max(FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART * float(reference.mean())) if len(reference) else np.inf
         if difference.ci95[0] > 0 and difference.mean > needed:
             return True
     return False
@@ -210,7 +206,7 @@ def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
     reach = np.abs(rows) @ np.where(np.isfinite(box), box, 0.0)
     width = 0.5 * (high - low)
     width = np.where(np.isfinite(width), width, np.abs(bounds))
-    width = np.where(width > FLAT * reach, width, reach)
+    width = np.where(width > FLAT_ROW * reach, width, reach)
     return np.where(width > 0, width, np.linalg.norm(rows, axis=1))
 
 

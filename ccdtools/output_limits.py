@@ -13,9 +13,8 @@ from ccdtools.checks import as_floats, as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbolic_functions import as_symbolic
+from ccdtools.tolerances import ON_LIMIT
 from invariant_sets import Polytope
-
-ON_THE_LIMIT = 1e-9  # half-widths: a start this far outside is on its limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,7 +110,7 @@ class OutputLimits(Immutable):
         states = np.tile(x, (len(designs), 1))
         depths = np.where(acted_on, -np.inf, self.depths(states, np.zeros((len(designs), nu)), designs))
         worst = depths.argmax(axis=1)
-        return [self.row_text(row) if depth[row] > ON_THE_LIMIT else "" for row, depth in zip(worst, depths)]
+        return [self.row_text(row) if depth[row] > ON_LIMIT else "" for row, depth in zip(worst, depths)]
 
     def row_text(self, row: int) -> str:
         """Meaning of exceeding one of the limits that `depths` gives: "tyre load [N] > 500"."""

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from ccdtools.limits import Excursions, StateLimits, excursions_of, further_outside
 from ccdtools.output_limits import OutputLimits
+from ccdtools.tolerances import STRETCHES
 from ccdtools.trajectory import Trajectory
-
-BLOCK = 100  # samples of a stretch of a single long run at most,
-STRETCHES = 40  # of which there are at least so many
 
 
 def limits_in_words(outputs: OutputLimits | None) -> str:
@@ -61,7 +59,7 @@ class Outside:
         whole = excursions_of(by_row[~run.diverged], text, left)
         if n > 1 or steps < STRETCHES:
             return cls(whole, excursions_of(by_row, text, left), False, run.diverged)
-        length = min(BLOCK, steps // STRETCHES)
+        length = min(100, steps // STRETCHES)  # samples of a stretch
         pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
         return cls(whole, excursions_of(pieces, text, left), True, np.repeat(run.diverged, len(pieces)))
 

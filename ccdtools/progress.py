@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from ccdtools.tolerances import SECONDS_BETWEEN_LINES
+
 Echo = Callable[[str], None]
 Item = TypeVar("Item")
-EVERY = 10.0  # seconds between two lines of text
 _where: list[Any] = ["", 0.0, 0.0, 0.0]  # what the computation is at, and how far; when it was first told, and how far
 
 
@@ -34,7 +35,7 @@ def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  
     """Progress bar over items, or one to be updated. On a terminal, lines elsewhere; nothing without `progress`."""
     if not progress or sys.stderr.isatty():
         return tqdm(items, desc=label, total=total, disable=not progress, leave=False)
-    return Lines(items, desc=label, total=total, leave=False, mininterval=EVERY, miniters=1)
+    return Lines(items, desc=label, total=total, leave=False, mininterval=SECONDS_BETWEEN_LINES, miniters=1)
 
 
 def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = False) -> Iterator[Item]:
@@ -53,7 +54,7 @@ def at(text: str, part: float = 0.0) -> None:
 
 def _left(seconds: float, done: float, rest: float) -> str:
     """Time that the rest takes at the pace so far, in words. Empty before there is a pace."""
-    known = seconds >= EVERY / 2 and done > 0 and rest > 0
+    known = seconds >= SECONDS_BETWEEN_LINES / 2 and done > 0 and rest > 0
     return f", about {seconds * rest / done:.0f} s left at this pace" if known else ""
 
 
@@ -69,7 +70,7 @@ def telling(echo: Echo | None, what: str = "") -> Iterator[None]:
 
     def tell() -> None:
         """Repeat the line until the computation has ended."""
-        while not ended.wait(EVERY):
+        while not ended.wait(SECONDS_BETWEEN_LINES):
             now = time.perf_counter()
             text, part, since, first = _where
             left = _left(now - since, part - first, 1 - part)

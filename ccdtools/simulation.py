@@ -18,11 +18,11 @@ from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
+from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
 
 Step = Callable[[Array, Array, Array], Array]
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
-LIMIT = 1e6  # on |x|, where no divergence limit is given
 
 
 class Simulable(Protocol):
@@ -213,7 +213,7 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
 
 def _bound(limit: ArrayLike | None, nx: int) -> Array:
     """The divergence limit (nx,)."""
-    bound = as_floats("limit", LIMIT if limit is None else limit)
+    bound = as_floats("limit", DIVERGENCE_LIMIT if limit is None else limit)
     if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
         raise InputError("limit", f"{bound.tolist()} of shape {bound.shape}", f"({nx},) positive numbers")
     return np.broadcast_to(bound, (nx,))

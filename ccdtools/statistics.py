@@ -13,14 +13,9 @@ from scipy.fft import dct
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, finite
 from ccdtools.exceptions import InputError
+from ccdtools.tolerances import BATCHES, COSINES, FEWEST_RUNS, INDEPENDENCE_LEVEL, SAME_RETURN, TRANSIENT
 
-BATCHES = 20  # parts of a series whose correlation says whether it supports an interval; it needs as many samples
-COSINES = 4  # frequencies that the variance at frequency zero is estimated from, the degrees of Student's t
-INDEPENDENT = 0.99  # one-sided level of the test that the parts of a series are independent
-START = 0.05  # part of a series that counts in the mean but not in its variance: a transient is no noise
-FEWEST = 10  # runs that decide a statistic other than the mean: fewer give no interval
 TOO_SHORT = "the run is too short for its own correlation: no interval"
-SAME_RETURN = 1e-6  # part of a return: smaller differences are rounding and the tolerances of solvers
 
 
 @dataclass(frozen=True)
@@ -130,7 +125,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     """
     values = finite("series", as_array("series", series, ("n",)))
     mean = float(values.mean()) if len(values) else float("nan")
-    settled = values[int(START * len(values)) :]
+    settled = values[int(TRANSIENT * len(values)) :]
     if len(values) < BATCHES:
         return MeanInterval(mean, (np.nan, np.nan), np.nan, np.nan)
     if np.ptp(settled) == 0:
@@ -139,7 +134,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     correlation = _lag_one(means)
     cosines = dct(settled, norm="ortho")[1 : COSINES + 1]
     error = float(np.sqrt((cosines**2).mean() / len(values)))
-    if correlation > float(stats.norm.ppf(INDEPENDENT)) / np.sqrt(BATCHES) - 1 / BATCHES:
+    if correlation > float(stats.norm.ppf(INDEPENDENCE_LEVEL)) / np.sqrt(BATCHES) - 1 / BATCHES:
         return MeanInterval(mean, (np.nan, np.nan), error, correlation)
     return MeanInterval(mean, _skewed(mean, error, _skewness(means), COSINES), error, correlation)
 
@@ -163,7 +158,7 @@ def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, flo
     spread = float(away.std())
     if spread == 0:
         return (mean, mean)
-    degrees = min(n - 1.0, max(2 * n / max(float(((away / spread) ** 4).mean()) - 1, 1e-9), FEWEST))
+    degrees = min(n - 1.0, max(2 * n / max(float(((away / spread) ** 4).mean()) - 1, 1e-9), FEWEST_RUNS))
     return _skewed(mean, spread / np.sqrt(n - 1), _skewness(values), degrees, level)
 
 

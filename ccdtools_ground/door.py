@@ -13,7 +13,6 @@ import numpy as np
 from ccdtools_ground.errors import InputError
 
 Array = np.ndarray
-LONGEST = 60  # characters of a value in a message
 
 
 def shown(value: Any) -> str:
@@ -31,7 +30,7 @@ def shown(value: Any) -> str:
 
 def _one_line(value: Any) -> str:
     """Text of `repr` on one line, cut where it is long."""
-    return brief(" ".join(repr(value.item() if isinstance(value, np.generic) else value).split()), LONGEST)
+    return brief(" ".join(repr(value.item() if isinstance(value, np.generic) else value).split()), 60)
 
 
 def brief(text: str, most: int = 120) -> str:

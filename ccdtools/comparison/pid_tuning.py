@@ -12,15 +12,13 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.comparison.tolerances import RECOVERED, UNSTABLE_COST
 from ccdtools.controllers.controllers import PID, Controller, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.simulation import Simulable, Step, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
-FEW = 32  # scenarios on which a model that is not linear decides
-RECOVERED = 0.05  # of what LQR gains over the passive plant: a PID with less is no baseline
-UNSTABLE = 1e12  # cost of a loop that is not stable
 REFERENCE = "LQR"
 
 
@@ -81,7 +79,7 @@ def tuned_pid(
         )  # fmt: skip
         refined.append((result.fun, C, result.x) if result.fun <= value else (value, C, z))
     if steep:
-        own = own.few(FEW)
+        own = own.few(32)  # scenarios decide where the model is nonlinear
         best = sorted(refined + screening[:starts], key=lambda found: found[0])
         refined = [(own.cost(C, z), C, z) for _, C, z in best]
     _, C, z = min(refined, key=lambda found: found[0])
@@ -128,7 +126,7 @@ class _Trial:
     def cost(self, C: Array, z: Array) -> float:
         """Mean cost of a candidate. A large one where the loop is not stable."""
         pid = self.controller(C, z)
-        return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE
+        return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE_COST
 
     def loss(self, controller: Controller) -> float:
         """Mean cost of a controller."""

@@ -13,10 +13,10 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_instance
 from ccdtools.controllers.controllers import Controller, as_states
 from ccdtools.controllers.signals import as_controller, needs_of
+from ccdtools.controllers.tolerances import CHANGED_INPUT
 from ccdtools.exceptions import InputError
 from invariant_sets import AdmissibleInputs
 
-CHANGED = 1e-9  # of the range of an input over U: what differs by less was let through as it was
 PASSED_ON = ("needs", "horizon", "design", "reset", "agent")
 
 
@@ -135,7 +135,7 @@ class Filtered(Immutable):
         u = wanted.copy()
         if known.any():
             u[known], admissible = self.admissible.project(rows[known], wanted[known])
-            changed = (np.abs(u[known] - wanted[known]) > CHANGED * self._range).any(axis=1)
+            changed = (np.abs(u[known] - wanted[known]) > CHANGED_INPUT * self._range).any(axis=1)
             self._counter.add(changed, admissible)
         return u.reshape(shape)
 

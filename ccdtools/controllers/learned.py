@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_floats, as_generator, as_instance, as_vector, finite, writable_path
+from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning import checkpoint
 from learning.exceptions import CheckpointError
 from learning.networks import ActorCritic, Layers
 from learning.tolerances import LOG_STD
-
-EDGE = 1.05  # designs may lie this far out, in half-widths of the range that the agent was made for
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,7 +69,7 @@ class LearnedPolicy(Immutable):
         first = most + 1 - size  # the observation is (x, p)
         offset = _array(self.agent.observation_offset)[first:]
         scale = _array(self.agent.observation_scale)[first:]
-        outside = np.abs(self.design - offset) > EDGE * scale
+        outside = np.abs(self.design - offset) > DESIGN_RANGE * scale
         if outside.any():
             i = int(np.argmax(outside))
             box = f"one in [{offset[i] - scale[i]:g}, {offset[i] + scale[i]:g}], which the agent was made for"

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.checks import as_positive, shown
+from ccdtools.disturbances.tolerances import SAMPLING
 from ccdtools.exceptions import InputError
 
 __all__ = ["read_disturbance", "read_road", "read_speed"]
@@ -23,8 +24,7 @@ Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 
 TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or without a unit behind
-SAMPLING_TOLERANCE = 1e-3  # relative to dt
-KMH = 1 / 3.6  # one km/h in m/s
+KMH = 1 / 3.6  # One km/h in m/s.
 
 
 def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "path") -> Array:
@@ -248,14 +248,14 @@ def _check_sampling(table: _Table, time: Array, dt: float) -> None:
     """Raise unless `time` advances by equal steps, and these are `dt`."""
     step = np.diff(time)
     typical = float(np.median(step))
-    unequal = np.abs(step - typical) > SAMPLING_TOLERANCE * abs(typical)
+    unequal = np.abs(step - typical) > SAMPLING * abs(typical)
     if unequal.any() or typical <= 0:
         row = int(np.argmax(unequal | (step <= 0))) + 1
         table.fail(
             f"unequal sampling: a step of {step[row - 1]:g} s in line {table.lines[row]}",
             f"{dt:g} s throughout", "Resample the file at equal steps.",
         )  # fmt: skip
-    if abs(typical - dt) > SAMPLING_TOLERANCE * dt:
+    if abs(typical - dt) > SAMPLING * dt:
         table.fail(f"samples every {typical:g} s", f"dt = {dt:g} s", f"Resample the file at {dt:g} s.")
 
 

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, frozen
 from ccdtools.checks import as_array, as_floats, as_vector, finite
+from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
 from mpc.checks import as_weight
 from mpc.exceptions import NotConvexError
-
-SINGULAR = 1e-12  # eigenvalue of a covariance with unit diagonal, below which a combination has no variance
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,12 +24,11 @@ from ccdtools.estimation.belief import (
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
 from ccdtools.estimation.steady_state import steady_covariance
+from ccdtools.estimation.tolerances import MOVED_AT_REST
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
-
-NO_REST = 1e-6  # of a predicted standard deviation: what a sample may add at rest, and be rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -143,7 +142,7 @@ class KalmanFilter(Immutable):
         C, D, y0 = output_matrices(plant, model.design.check_one(design) if model.design is not None else np.zeros(0))
         found = cls(A, B, C, W, V, D=D, y0=y0, steady=steady, x0=x0, P0=P0)
         P = found.predicted if found.steady else predicted_covariance(found.P0, A, found.W)
-        if (np.abs(c) > NO_REST * np.sqrt(np.maximum(np.diag(P), 0.0))).any():
+        if (np.abs(c) > MOVED_AT_REST * np.sqrt(np.maximum(np.diag(P), 0.0))).any():
             got = f"a constant term in the dynamics, up to {np.abs(c).max():.3g} a sample"
             raise InputError("plant", got, "a linear plant that rests at 0", LINEARISED)
         return found

@@ -11,13 +11,12 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, shown
+from ccdtools.estimation.tolerances import DIFFERENCE_STEP, LEAST_DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 
-STEP = np.finfo(float).eps ** (1 / 3)  # of a difference, in standard deviations of the state
-LEAST_STEP = np.finfo(float).eps ** (2 / 3)  # the same, in parts of the state
 FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
 LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use an ExtendedKalmanFilter."
 EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which may also ask for u and p"
@@ -91,7 +90,7 @@ class FunctionOutput:
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
         """Slope (n, ny, nx), by central differences. 0 along states known exactly, where it does not matter."""
         n, nx = x.shape
-        steps = np.where(spread > 0, np.maximum(STEP * spread, LEAST_STEP * np.abs(x)), 0.0)
+        steps = np.where(spread > 0, np.maximum(DIFFERENCE_STEP * spread, LEAST_DIFFERENCE_STEP * np.abs(x)), 0.0)
         moved = steps[:, None, :] * np.eye(nx)
         up, down = x[:, None, :] + moved, x[:, None, :] - moved
         inputs = np.repeat(u, nx, axis=0)

@@ -8,15 +8,12 @@ from enum import Enum
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.estimation.tolerances import FLAT_OUTPUT, MAIN_STATES
 from ccdtools.exceptions import NotDetectableError
 from mpc import NotStabilisableError, lqr
 from mpc.modes import Mode, least_reached
 from mpc.riccati import cost_units
 from mpc.tolerances import NEAR_CIRCLE, REACH, UNIT_CIRCLE, UNSEEN
-
-MAINLY = 0.5  # of the largest part of a mode: states with less are not named
-POINTS = 16  # about the first estimate, drawn from its covariance, where the linearisation is looked at
-FLAT = 1e-9  # of the largest slope of an output at these points: a slope that is none
 
 Slopes = Callable[[Array], tuple[Array, Array]]  # x (n, nx) → F (n, nx, nx) and H (n, ny, nx)
 
@@ -72,7 +69,7 @@ def mode_text(mode: Mode) -> str:
 
 def states_of(mode: Mode) -> tuple[int, ...]:
     """Names of the states that a mode is mostly made of."""
-    return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAINLY * mode.parts.max()))
+    return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAIN_STATES * mode.parts.max()))
 
 
 class Detectability(Enum):
@@ -107,7 +104,7 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
     """
     deviation = np.sqrt(np.maximum(np.diag(P0), 0.0))
     unit = np.where(deviation > 0, deviation, 1.0)
-    drawn = np.random.default_rng(0).standard_normal((POINTS, len(x0)))
+    drawn = np.random.default_rng(0).standard_normal((16, len(x0)))  # points about the estimate
     with np.errstate(all="ignore"):
         F, H = slopes(np.vstack([x0, x0 + deviation * drawn]))
     finite = np.isfinite(F).all(axis=(1, 2)) & np.isfinite(H).all(axis=(1, 2))
@@ -130,7 +127,7 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
         )  # fmt: skip
     if all(mode is not None for mode in unseen):
         return Detectability.DRIFTING
-    flat = bool((np.abs(H[0]) <= FLAT * np.abs(H).max()).all())
+    flat = bool((np.abs(H[0]) <= FLAT_OUTPUT * np.abs(H).max()).all())
     at_first = bool(np.ravel(finite)[0]) and unseen[0] is None and not flat
     return Detectability.SEEN if at_first else Detectability.SEEN_AWAY
 

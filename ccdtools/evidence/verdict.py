@@ -12,10 +12,9 @@ import numpy as np
 from ccdtools.checks import shown
 from ccdtools.evidence.evidence import Asked, Evidence
 from ccdtools.evidence.percent import signed_percent
+from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
-from ccdtools.statistics import SAME_RETURN
-
-TOLERANCE = 0.005  # of the size of a return: the loss below which a candidate is called not worse
+from ccdtools.tolerances import SAME_RETURN
 
 
 class Status(Enum):
@@ -76,7 +75,7 @@ class Verdict:
     status: Status
     evidence: tuple[Evidence, ...] = ()
     reason: str = ""
-    tolerance: float = TOLERANCE
+    tolerance: float = NOT_WORSE
 
     @property
     def replaces(self) -> bool:
@@ -98,7 +97,7 @@ class Verdict:
         }  # fmt: skip
 
 
-def decide(evidence: Sequence[Evidence], *, tolerance: float = TOLERANCE) -> Verdict:
+def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Verdict:
     """Verdict whether the candidate of all evidence may take the place of the current one.
 
     It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may

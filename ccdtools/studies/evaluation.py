@@ -28,6 +28,7 @@ from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
+from ccdtools.studies.tolerances import LONGEST_EPISODE, MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
@@ -38,13 +39,6 @@ from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
-
-MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
-BAND_RUNS = 500  # of the trajectories kept for figures
-BAND_STEPS = 1000
-NOMINAL_SAMPLES = 250_000  # of the nominal model, which say what it expects of a deployment,
-FEWEST_NOMINAL = 16  # in at least so many runs
-LONGEST_EPISODE = 1000  # steps of a run that a redesign is trained on as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +86,7 @@ class Evaluation:
         lqr = saturated_lqr(self.problem, self.study.p0)
         run = scenario.run(lqr, design=self.study.p0, limit=self.problem.limit)
         outside = float(1 - self.problem.state_limits(self.study.p0).contains(run.states[0, 1:]).mean())
-        if run.diverged.any() or outside > MOSTLY:
+        if run.diverged.any() or outside > MOSTLY_OUTSIDE:
             lost = f"is outside X in {outside:.0%} of the samples"
             if run.diverged.any():
                 lost = f"diverges after {run.diverged_at[0]} samples"
@@ -158,7 +152,7 @@ class Evaluation:
     def nominal_deployment(self) -> Scenario:
         """Scenario of many runs for what the nominal model expects of a deployment: little is left to chance."""
         real = self.study.real
-        runs = min(self.config.model_runs, max(FEWEST_NOMINAL, NOMINAL_SAMPLES // self.deployment_steps))
+        runs = min(self.config.model_runs, max(16, 250_000 // self.deployment_steps))  # samples
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
         return Scenario(self.study.model, np.tile(real.x0, (runs, 1)), w)
 
@@ -323,7 +317,7 @@ class Evaluation:
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
         """Edges and mean of the 95 % band of states and inputs, (3, T, ·), for the figures."""
-        shown = scenario.first(min(BAND_RUNS, len(scenario.x0)), min(BAND_STEPS, scenario.steps))
+        shown = scenario.first(min(500, len(scenario.x0)), min(1000, scenario.steps))
         bands = {}
         for name, controller in controllers.items():
             run = shown.run(controller, design=design, limit=self.problem.limit)

@@ -19,8 +19,6 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import jsonable
 from invariant_sets import Polytope
 
-LONGEST = 80  # characters of a value that is kept as it is; a longer one is kept as its hash
-MOST_NAMED = 3  # differences in a message
 PLANT_NUMBERS = ("design", "dt", "continuous", "substeps", "state_names", "input_names")
 
 
@@ -40,8 +38,8 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 def summary(found: list[str]) -> str:
     """The first differences as one phrase."""
-    rest = len(found) - MOST_NAMED
-    return "; ".join(found[:MOST_NAMED]) + (f"; and {rest} more" if rest > 0 else "")
+    rest = len(found[3:])  # not named
+    return "; ".join(found[:3]) + (f"; and {rest} more" if rest else "")
 
 
 def jsonable_of(value: Any) -> Any:
@@ -80,7 +78,7 @@ def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
     if isinstance(value, dict):
         return [leaf for key, item in value.items() for leaf in _flat(item, f"{name}.{key}" if name else key)]
     text = json.dumps(value, ensure_ascii=False)
-    return [(name, value if len(text) <= LONGEST else "sha256:" + hashlib.sha256(text.encode()).hexdigest())]
+    return [(name, value if len(text) <= 80 else "sha256:" + hashlib.sha256(text.encode()).hexdigest())]
 
 
 def _difference(name: str, before: Any, now: Any) -> str:

@@ -17,10 +17,9 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source
 from ccdtools.studies.redesign import same_design
 from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.twin.deployable import Deployable
 
-MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
-REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measured on
 OWN_START = "the study's start"
 
 
@@ -84,7 +83,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
     for name, scenario in list(places_of(evaluation).items())[1:]:
         scores = compare(
             everyone, scenario, design=service.design, objective=evaluation.study.objective,
-            X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
+            X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": 2},
             metrics=evaluation.study.metrics, output_limits=evaluation.problem.output_limits,
         )  # fmt: skip
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}

@@ -19,7 +19,7 @@ from ccdtools.studies.presets import StudyConfig, configuration
 from ccdtools.studies.run_folder import DISTURBANCE, RunFolder
 from ccdtools.studies.study import Study
 
-FORMAT = 4  # of run.json
+FORMAT = 4  # This is the version of run.json.
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.disturbance_checks import check_disturbance, checked_held_out
 
-MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
+MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

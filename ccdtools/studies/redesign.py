@@ -17,13 +17,12 @@ from ccdtools.plants.design_space import SAME_DESIGN, DesignSpace
 from ccdtools.statistics import Summary, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
+from ccdtools.studies.tolerances import WORTH_A_POLICY
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution, logged, on_updated
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.updated_plant import UpdatedPlant
-
-WORTH_A_POLICY = 0.001  # a policy costs nothing to build: it is replaced for a gain of this fraction of the return
 
 
 @dataclass(frozen=True, eq=False)

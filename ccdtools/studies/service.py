@@ -12,13 +12,13 @@ from scipy import stats
 
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Pairing, Violation
 from ccdtools.evidence.verdict import Status, Verdict, decide
-from ccdtools.statistics import SAME_RETURN, Summary, summarise_returns
+from ccdtools.statistics import Summary, summarise_returns
+from ccdtools.studies.tolerances import FALSE_ALARM
+from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 
-FALSE_ALARM = 0.002  # chance that a prediction that is right is called wrong in one generation: one per cent in five
-FEWEST_DEGREES = 2  # of freedom in the interval of a single run
 DEPLOYMENT = "the deployment"
 
 Limits = Callable[[Trajectory, Trajectory], Violation | None]
@@ -222,7 +222,7 @@ def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
     The halves of the 95 % intervals that face each other are those of independent errors; together they are widened
     from that level to the rarer one, with as many degrees of freedom as the shorter sample has.
     """
-    degrees = min(s.n - 1 if s.n > 1 else FEWEST_DEGREES for s in (lower, upper))
+    degrees = min(s.n - 1 if s.n > 1 else 2 for s in (lower, upper))  # a single run has at least two
     wider = stats.t.ppf(1 - FALSE_ALARM, degrees) / stats.t.ppf(0.975, degrees)
     half = np.hypot(lower.ci95[1] - lower.mean, upper.mean - upper.ci95[0])
     return bool(upper.mean - lower.mean > wider * half + rounding)

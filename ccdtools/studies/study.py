@@ -42,7 +42,7 @@ from ccdtools.studies.real_step import check_real_step, extent_of
 from ccdtools.twin.transport import check_disturbance_enters
 from mpc import MPCError, lqr
 
-MODEL_RUNS = 200  # runs logged in a deployment where the real plant is the model itself
+MODEL_RUNS = 200  # A deployment logs so many runs by default where the real plant is the model itself.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,15 +13,10 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.report.formatting import share
+from ccdtools.studies.tolerances import CONSTANT_E, DOUBT, FIRST_RADIUS, LEAST_RADIUS, WHOLE_NUMBER
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit, Transport, full_rank
 from ccdtools.twin.twin import DigitalTwin
-
-DOUBT = 0.1  # part of the errors' energy whose change with the design is not known, above which a redesign is limited
-FIRST_RADIUS = 0.25  # of the range of every parameter
-LEAST_RADIUS = 1 / 64
-ROUNDING = 1e-9  # of whole numbers at the ends of a region
-CONSTANT = 1e-9  # difference of E over the box, relative to E, that is rounding
 
 
 @dataclass(frozen=True)
@@ -92,8 +87,8 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
     upper = space.from_unit(np.clip(middle + radius, 0, 1))
     whole = space.whole
     least, most = space.outermost
-    lower[whole] = np.maximum(np.floor(np.minimum(lower + ROUNDING, centre - 1))[whole], least[whole])
-    upper[whole] = np.minimum(np.ceil(np.maximum(upper - ROUNDING, centre + 1))[whole], most[whole])
+    lower[whole] = np.maximum(np.floor(np.minimum(lower + WHOLE_NUMBER, centre - 1))[whole], least[whole])
+    upper[whole] = np.minimum(np.ceil(np.maximum(upper - WHOLE_NUMBER, centre + 1))[whole], most[whole])
     return replace(problem, model=problem.model.within(replace(space, lower=lower, upper=upper)))
 
 
@@ -135,7 +130,7 @@ def _identified(twin: DigitalTwin, scale: Array) -> bool:
     matrices = twin.model.matrices(designs)[2] / scale[:, None]
     if isinstance(twin.model, SampledModel) and twin.model.nw and not matrices.any():
         return False  # it enters away from rest only, where it may change with the design
-    if np.ptp(matrices, axis=0).max(initial=0.0) <= CONSTANT * np.abs(matrices).max(initial=0.0):
+    if np.ptp(matrices, axis=0).max(initial=0.0) <= CONSTANT_E * np.abs(matrices).max(initial=0.0):
         return True
     return all(full_rank(twin.model, p, scale) for p in designs)
 

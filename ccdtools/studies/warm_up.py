@@ -12,14 +12,10 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
+from ccdtools.studies.tolerances import SETTLED_START, WARM_UP_DESIGNS, WARM_UP_WINDOWS
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from mpc import MPCError
-
-NEGLIGIBLE = 0.02  # of the return without the cost of the design: what a start may still cost, or save
-LONGEST = 8  # windows that are waited for
-WINDOWS = 64  # that are looked at
-DESIGNS = 9  # of the box
 
 
 def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
@@ -39,7 +35,7 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
     space : DesignSpace
         The designs that matter: the problem's box, or a part of it.
     """
-    longest = min(LONGEST * window, min(log.steps for log in logs) // 2)
+    longest = min(8 * window, min(log.steps for log in logs) // 2)  # eight windows at most
     split = ErrorSplit(problem.model, problem.state_scale)
     designs = _designs(space)
     places = list(_places(logs, longest, window))
@@ -56,7 +52,7 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
     size = problem.objective.made_by_control(settled, designs, window) if places else settled
     for before in (0, *_doubled(max(1, window // 4), longest)):
         away = np.abs(returns(before) - settled) if places else np.zeros(0)
-        if not (away > NEGLIGIBLE * size).any():
+        if not (away > SETTLED_START * size).any():
             return before
     return longest
 
@@ -64,8 +60,9 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
 def _designs(space: DesignSpace) -> Array:
     """Designs (n, np), a few, all over the box. The corners where they are few."""
     spread = space.spread()
-    few = np.arange(DESIGNS) if 2**space.dim < DESIGNS else np.linspace(0, len(spread) - 1, DESIGNS).astype(int)
-    return spread[few]
+    if 2**space.dim < WARM_UP_DESIGNS:
+        return spread[:WARM_UP_DESIGNS]
+    return spread[np.linspace(0, len(spread) - 1, WARM_UP_DESIGNS).astype(int)]
 
 
 def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before: int) -> float:
@@ -81,10 +78,10 @@ def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before:
 def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
     """Log, run and first step of windows spread over all runs, each with room for so many steps before it."""
     every = [(i, run) for i, log in enumerate(logs) for run in range(log.runs)]
-    some = np.unique(np.linspace(0, len(every) - 1, min(WINDOWS, len(every))).round().astype(int))
+    some = np.unique(np.linspace(0, len(every) - 1, min(WARM_UP_WINDOWS, len(every))).round().astype(int))
     for i, run in (every[k] for k in some):
         last = logs[i].steps - window
-        for k in np.unique(np.linspace(before, last, max(1, WINDOWS // len(some))).round().astype(int)):
+        for k in np.unique(np.linspace(before, last, max(1, WARM_UP_WINDOWS // len(some))).round().astype(int)):
             yield i, run, k
 
 

@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from ccdtools.twin.residuals import Residuals
 
-EVERY = 2  # of several runs, from the first on, meets the same disturbance in every deployment
-
 
 def is_common(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether runs of these numbers in their deployment meet the same disturbance in every one."""
-    return numbers % EVERY == 0
+    return numbers % 2 == 0  # every second run, from the first on
 
 
 def groups(logs: Sequence[Residuals]) -> NDArray[np.int64]:

@@ -21,7 +21,6 @@ from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.updated_plant import UpdatedPlant
 from mpc import MPCError
 
-TRIED = 8  # states of X for each start that is wanted, of which those are kept that LQR keeps within X
 REPLAY = "the replayed log"
 UPDATED = "the log on the updated model"
 START = "the study's start"
@@ -68,7 +67,7 @@ class Served:
         if isinstance(scenarios, RandomStarts):
             return scenarios.states(self.runs, rng)
         X = self.problem.state_limits(design)
-        x0 = uniform_in(X, TRIED * self.runs, rng)
+        x0 = uniform_in(X, 8 * self.runs, rng)  # LQR keeps only some of them within X
         w = self.problem.driving(len(x0), self.problem.steps, rng)
         try:
             run = Scenario(self.problem.model, x0, w).run(

@@ -17,12 +17,11 @@ from ccdtools.simulation import simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.residuals import Residuals, block_spans, residuals
+from ccdtools.twin.tolerances import RUNAWAY
 from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import BLOCKS, HELD_OUT, DigitalTwin
 
-STEPS = (10, 50, 100)
-LEVELS = (0.1, 0.9)  # of the bands
-RUNAWAY = 1e3  # draws are stopped where they exceed this many times the largest logged state
+STEPS = (10, 50, 100)  # Bands are measured after so many steps by default.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -217,7 +216,7 @@ def _last(twin: DigitalTwin, errors: Residuals) -> Array:
 def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:
     """Bands of the draws (n, draws, T + 1, nx) at the horizons, compared with the actual states (H, n, nx)."""
     at = np.moveaxis(drawn[:, :, horizons], 2, 0)
-    lower, upper = np.quantile(at, LEVELS, axis=2, method="weibull")  # the share that draws as good as the truth cover
+    lower, upper = np.quantile(at, (0.1, 0.9), axis=2, method="weibull")  # 80 %, if draws are as good as the truth
     inside = (actual >= lower) & (actual <= upper)
     own = np.sqrt(at.var(axis=2, ddof=1).mean(axis=1) * (1 + 1 / at.shape[2]))  # their mean is uncertain, too
     true = np.sqrt(((actual - at.mean(axis=2)) ** 2).mean(axis=1))

@@ -12,7 +12,8 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.evidence.evidence import Evidence, Pairing
-from ccdtools.evidence.verdict import TOLERANCE, Verdict, decide
+from ccdtools.evidence.tolerances import NOT_WORSE
+from ccdtools.evidence.verdict import Verdict, decide
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution
@@ -30,7 +31,7 @@ class Judge:
     plant: Any  # that names the states
     filters: Callable[[Array], AdmissibleInputs | None]  # design (np,) → the filter behind a policy there, or None
     stretch: int  # steps of a stretch of a single run, see `Pairing`
-    tolerance: float = TOLERANCE  # loss, as a part of the size of a return, that the user accepts on a distribution
+    tolerance: float = NOT_WORSE  # loss, as a part of the size of a return, that the user accepts on a distribution
 
     @property
     def pairing(self) -> Pairing:

@@ -12,15 +12,7 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
-
-AT_ONCE = 8192  # samples that derivatives are computed of: those of long steps fill the memory
-ITERATIONS = 30
-SETTLED = 1e-9  # of an error: a step whose effect is smaller is the last
-NONE = 1e-6  # of its largest effect in the log: where a disturbance has less, it is not told from the error
-TOLD = 0.1  # of it: where a disturbance has more, it is told well enough to say how large disturbances are
-LARGER = 2.0  # than anywhere there, a disturbance is nowhere
-SIZES = np.logspace(-12, 12, 97)  # of a disturbance, in whatever unit, that are tried for a start
-TRIED_ON = 64  # samples
+from ccdtools.twin.tolerances import DERIVATIVES_AT_ONCE, LARGEST_UNTOLD, SETTLED_STEP, TOLD, UNTOLD
 
 Indices: TypeAlias = NDArray[np.int64]
 
@@ -38,7 +30,7 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
     found = fit.settled(np.zeros((fit.samples, model.nw)))
     for start in _starts(model, fit):
         other = fit.settled(np.broadcast_to(start, found.shape))
-        found = np.where((fit.distance(other) < fit.distance(found) - SETTLED * fit.size)[:, None], other, found)
+        found = np.where((fit.distance(other) < fit.distance(found) - SETTLED_STEP * fit.size)[:, None], other, found)
     return fit.bounded(found).reshape(*log.x.shape[:2], model.nw)
 
 
@@ -78,14 +70,14 @@ class _Fit:
         part = np.ones(self.samples)
         step = np.zeros_like(w)
         fresh = np.ones(self.samples, dtype=bool)
-        for _ in range(ITERATIONS):
+        for _ in range(30):
             if fresh.any():
                 effects = self._effects(w[some[fresh]], some[fresh]) / lengths
                 step[some[fresh]] = _least_squares(effects, missed[fresh]) / lengths
                 part[some[fresh]] = 1.0
                 moved = np.linalg.norm(np.einsum("nij,nj->ni", effects, step[some[fresh]] * lengths), axis=1)
                 keep = np.ones(len(some), dtype=bool)
-                keep[fresh] = moved > SETTLED * self.size[some[fresh]]
+                keep[fresh] = moved > SETTLED_STEP * self.size[some[fresh]]
                 some, missed, fresh = some[keep], missed[keep], fresh[keep]
             if not len(some):
                 break
@@ -101,8 +93,8 @@ class _Fit:
         """Disturbances (N, nw), not much larger than where they are told well. Zero where that leaves less error."""
         effect = np.linalg.norm(self._effects(w, self._everyone), axis=1)
         told = (effect >= TOLD * effect.max(axis=0)) & (effect > 0)
-        bound = LARGER * np.where(told, np.abs(w), 0.0).max(axis=0)
-        within = np.where(effect > NONE * effect.max(axis=0), np.clip(w, -bound, bound), 0.0)
+        bound = LARGEST_UNTOLD * np.where(told, np.abs(w), 0.0).max(axis=0)
+        within = np.where(effect > UNTOLD * effect.max(axis=0), np.clip(w, -bound, bound), 0.0)
         return np.where((self.distance(within) < self.size)[:, None], within, 0.0)
 
     def effect_of(self, w: Array, some: Indices) -> Array:
@@ -126,9 +118,9 @@ class _Fit:
         """Slopes ∂x⁺/∂w in scaled states (m, nx, nw). Zero where not finite."""
         p = torch.tensor(self.p)
         parts = []
-        for first in range(0, len(some), AT_ONCE):
-            chosen = some[first : first + AT_ONCE]
-            at = torch.tensor(w[first : first + AT_ONCE], requires_grad=True)
+        for first in range(0, len(some), DERIVATIVES_AT_ONCE):
+            chosen = some[first : first + DERIVATIVES_AT_ONCE]
+            at = torch.tensor(w[first : first + DERIVATIVES_AT_ONCE], requires_grad=True)
             after = self._model.pathwise(torch.tensor(self.x[chosen]), torch.tensor(self.u[chosen]), at, p)
             rows = [torch.autograd.grad(after[:, i].sum(), at, retain_graph=True)[0] for i in range(after.shape[1])]
             parts.append(torch.stack(rows, 1).numpy() / self._scale[:, None])
@@ -143,20 +135,21 @@ def _starts(model: SampledModel, fit: _Fit) -> list[Array]:
     plant = model.plant
     if not ca.depends_on(ca.jacobian(plant.dynamics, plant.w), plant.w):
         return []
-    some = np.unique(np.linspace(0, fit.samples - 1, min(TRIED_ON, fit.samples)).round().astype(int))
+    some = np.unique(np.linspace(0, fit.samples - 1, min(64, fit.samples)).round().astype(int))
     usual = np.median(fit.size)
+    sizes = np.logspace(-12, 12, 97)  # in whatever unit
     starts = []
     for channel in np.eye(model.nw):
-        moved = np.sort(fit.effect_of(SIZES[:, None, None] * channel, some), axis=1)[:, len(some) // 2]
+        moved = np.sort(fit.effect_of(sizes[:, None, None] * channel, some), axis=1)[:, len(some) // 2]
         enough = np.flatnonzero(np.isfinite(moved) & (moved >= usual))
         if len(enough):
-            starts += [SIZES[enough[0]] * channel, -SIZES[enough[0]] * channel]
+            starts += [sizes[enough[0]] * channel, -sizes[enough[0]] * channel]
     return starts
 
 
 def _least_squares(M: Array, b: Array) -> Array:
     """Shortest z (m, nw) that brings M z (m, nx) nearest to b, without directions of hardly any effect."""
     U, values, V = np.linalg.svd(M, full_matrices=False)
-    inverse = np.where(values > NONE, 1.0 / np.maximum(values, NONE), 0.0)
+    inverse = np.where(values > UNTOLD, 1.0 / np.maximum(values, UNTOLD), 0.0)
     along = np.einsum("nik,ni->nk", U, np.nan_to_num(b, nan=0.0, posinf=0.0, neginf=0.0))
     return np.asarray(np.einsum("nkj,nk->nj", V, inverse * along))

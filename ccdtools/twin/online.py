@@ -9,7 +9,8 @@ from ccdtools.arrays import Immutable
 from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.evidence.evidence import NOTHING
-from ccdtools.evidence.verdict import TOLERANCE, Verdict
+from ccdtools.evidence.tolerances import NOT_WORSE
+from ccdtools.evidence.verdict import Verdict
 from ccdtools.statistics import PairedDifference
 from ccdtools.twin.distributions import UPDATED
 from learning.quantile import QuantileConfig
@@ -49,7 +50,7 @@ class OnlineConfig:
     held_out: float = 0.3
     judged: int = 400
     least: float = 0.001
-    accept_loss: float = TOLERANCE
+    accept_loss: float = NOT_WORSE
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
 

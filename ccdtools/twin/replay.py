@@ -17,8 +17,6 @@ from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 
-OTHER_STARTS = 0.5  # of the windows, where other starts are given: the rest begins where the log was
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replay(Immutable):
@@ -64,7 +62,7 @@ class Replay(Immutable):
         """
         x0, w, _ = self.windows(runs, steps, rng)
         if self.starts is not None and len(self.starts):
-            other = rng.random(runs) < OTHER_STARTS
+            other = rng.random(runs) < 0.5  # the other half begins where the log was
             x0[other] = self.starts[rng.integers(0, len(self.starts), int(other.sum()))]
         return x0, w
 

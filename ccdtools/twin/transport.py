@@ -16,8 +16,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
-
-RANK = 1e-6  # columns of E, each of length one, are dependent below this singular value, relative to the largest
+from ccdtools.twin.tolerances import RANK
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,13 +15,13 @@ from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
+from ccdtools.twin.tolerances import FEWEST_FITTED
 from ccdtools.twin.transport import Transport, as_extent, carried
 from learning.copula_fit import fit_copula
 from learning.quantile import QuantileConfig, fit_quantiles
 
-HELD_OUT = 0.2  # of every block of a log
-BLOCKS = 20  # that a single long run is cut into
-LEAST_TRAINED = 20  # samples that quantiles can be fitted to
+HELD_OUT = 0.2  # This part of every block of a log is held out by default.
+BLOCKS = 20  # A single long run is cut into so many blocks by default.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,9 +160,9 @@ def _check_split(
     argument = "log" if (held_out, blocks) == (HELD_OUT, BLOCKS) else "held_out"
     of = f"{log.runs} runs" if log.runs > 1 else f"{blocks} blocks of a log of {log.steps} samples"
     trained = sum(part.runs * part.steps for part in train)
-    if trained < LEAST_TRAINED:
+    if trained < FEWEST_FITTED:
         got = f"{held_out} of {of}, which leaves {trained} samples to train on"
-        raise InputError(argument, got, f"at least {LEAST_TRAINED}: a longer log or a smaller fraction")
+        raise InputError(argument, got, f"at least {FEWEST_FITTED}: a longer log or a smaller fraction")
     if not test:
         got = f"{held_out} of {of}, which leaves none to test on"
         raise InputError(argument, got, "a longer log, fewer blocks or a larger fraction")

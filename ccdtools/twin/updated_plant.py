@@ -10,10 +10,9 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.plants.models import Model, PlantOfModel
 from ccdtools.twin.residuals import Residuals, stacked
+from ccdtools.twin.tolerances import FEWEST_FITTED
 from ccdtools.twin.transport import ErrorSplit, Transport, carried
 from learning.quantile import QuantileConfig, QuantileNetwork, fit_quantiles
-
-FEWEST = 20  # samples that a median can be fitted to
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class UpdatedPlant(PlantOfModel):
         plant = cls(split.replayed_model, split, transport, follows, None)
         own = plant.unexplained(logs)
         _, x, u, _, errors = stacked(own)
-        if len(x) < FEWEST or not np.abs(follows).max() > np.sqrt(np.finfo(float).eps):
+        if len(x) < FEWEST_FITTED or not np.abs(follows).max() > np.sqrt(np.finfo(float).eps):
             return plant
         network = fit_quantiles(
             np.hstack([x, u]), errors @ follows.T, stretches=[log.runs * log.steps for log in own], rng=rng,

@@ -9,8 +9,6 @@ import casadi as ca
 
 from ccdtools.plants.library.elements import Parameters, dry_friction, hardening_spring, limited
 
-ROUNDING = 0.1  # of the static load, over which the tyre leaves the road
-
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
     """Force c (v + a (√(v² + v₀²) − v₀)), of slope c at rest, (1 + a) c in rebound, (1 − a) c in bump beyond v₀."""
@@ -91,7 +89,7 @@ class Corner:
         """Upward force of the road on the wheel [N], `deflection` [m] above where it stands at rest."""
         if not self.real:
             return -self.tyre * deflection
-        rounding = ROUNDING * self.load
+        rounding = 0.1 * self.load  # of the corner at which the tyre leaves the road
         contact = self.load - self.tyre * deflection
         at_rest = (self.load + (self.load**2 + rounding**2) ** 0.5) / 2
         return (contact + ca.sqrt(contact**2 + rounding**2)) / 2 - at_rest

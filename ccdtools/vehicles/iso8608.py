@@ -22,8 +22,8 @@ SMOOTHEST = 16e-6  # geometric mean of class A at n₀ [m³]; each class is four
 REFERENCE_FREQUENCY = 0.1  # n₀ [1/m]
 BAND = (0.011, 2.83)  # [1/m]: wavelengths from 91 m to 0.35 m, the octaves that ISO 8608 fits its classes to
 SPACING = 0.02  # [m]; reading the road linearly between samples takes 2 % of the spectrum at the upper end of BAND
-CYCLES = 20  # of the longest wave in the period of a generated road, so that every octave has many waves
-FEWEST = 4  # samples of the shortest wave
+CYCLES = 20  # A generated road has so many of the longest waves in its period, and many waves in every octave.
+FEWEST = 4  # The shortest wave has at least so many samples.
 
 
 def road_roughness(road_class: RoadClass) -> float:

@@ -20,7 +20,6 @@ Weighting: TypeAlias = Literal["Wk", "Wd"]
 
 LOWEST, HIGHEST = 0.4, 100.0  # f₁, f₂: limits of the band [Hz]
 BUTTERWORTH = 1 / math.sqrt(2)  # Q₁, Q₂
-SETTLED = 16.0  # [s] in which the slowest pole, at 0.4 Hz, has fallen by 10⁻¹²
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,8 @@ def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weig
     """
     a = as_signal("acceleration", acceleration)
     dt = as_positive("dt", dt, unit="s")
-    samples = next_fast_len(a.shape[-1] + math.ceil(SETTLED / dt), real=True)
+    settled = math.ceil(16.0 / dt)  # in 16 s the slowest pole, at 0.4 Hz, falls by 10⁻¹²
+    samples = next_fast_len(a.shape[-1] + settled, real=True)
     response = frequency_weighting(rfftfreq(samples, dt), weighting)
     weighted: Array = irfft(rfft(a, samples) * response, samples)[..., : a.shape[-1]]
     return weighted

@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY
 
 __all__ = ["GeneratedRoad", "generate_obstacles", "generate_road", "generate_speed", "road_disturbance"]
 
@@ -138,19 +139,16 @@ def _sinusoid(x: Array, length: float) -> Array:
     return 0.5 - 0.5 * np.cos(2 * np.pi * x / length)
 
 
-JUMP_EDGE = 0.4  # [m] over which a jump rises: steep, but a slope
-
 FEATURES = {
-    "jump": Feature((2.0, 10.0), (0.05, 0.13), lambda x, length: _plateau(x, length, JUMP_EDGE), (-1, 1)),
+    "jump": Feature((2.0, 10.0), (0.05, 0.13), lambda x, length: _plateau(x, length, 0.4), (-1, 1)),  # a steep slope
     "bump": Feature((3.0, 8.0), (0.03, 0.12), _sinusoid),
     "dent": Feature((0.8, 2.5), (0.03, 0.08), _sinusoid, (-1,)),
     "ramp": Feature((20.0, 60.0), (0.1, 0.5), lambda x, length: _plateau(x, length, length / 3), (-1, 1)),
 }
-GAP = (5.0, 45.0)  # [m] of plain road between two obstacles
+GAP = (5.0, 45.0)  # The plain road between two obstacles is this long [m].
 
 # ISO 8608: displacement spectrum G(n) = G(n₀) (n/n₀)⁻², n in cycles per metre; the middle of class C.
 ROUGHNESS = 256e-6  # [m³]
-REFERENCE_FREQUENCY = 0.1  # n₀ [1/m]
 CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounded
 
 

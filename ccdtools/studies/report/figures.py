@@ -19,13 +19,10 @@ from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.report_figure import ReportFigure
 from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.report.summary import in_first_place
+from ccdtools.studies.tolerances import SHOWN_STEPS, SURFACE_GRID
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import BLOCKS, HELD_OUT
-
-SURFACE_GRID = 121
-SHOWN_STEPS = 200  # of a long trajectory
-SHOWN_ERRORS = 150
 
 
 def figures(run: FinishedRun) -> Iterator[ReportFigure]:
@@ -177,7 +174,8 @@ def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
     log = residuals(run.study.model, Trajectory(**logged, dt=dt))
     network = run.folder.read_stage(f"twin-{generation}").networks["quantiles"]
     total = log.x.shape[1]
-    count = min(SHOWN_ERRORS, total if len(log.x) > 1 else max(round(HELD_OUT * total / BLOCKS), 2))
+    held_out = max(round(HELD_OUT * total / BLOCKS), 2)
+    count = min(150, total if len(log.x) > 1 else held_out)  # errors that are drawn
     end = log.part(slice(-1, None), slice(total - count, None))
     quantiles = network.predict(np.hstack([end.e[0], end.x[0], end.u[0]]))
     names = run.study.plant.state_names

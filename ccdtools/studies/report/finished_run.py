@@ -16,7 +16,7 @@ from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import ParametricSet
 
-SET_SECONDS = 3.0  # longest computation of one set that is only drawn
+SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,17 +19,15 @@ from ccdtools.studies.report.formatting import (
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
 from ccdtools.studies.report.verdicts import (
-    EQUAL,
-    NOT_WORSE,
     outside_text,
     percent_of_reference,
     reference_of,
     size_of,
     verdict,
 )
+from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT, SMALL_PART
 
 Results = Mapping[str, Any]
-SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
 
 
 def headline(results: Results) -> str:
@@ -125,8 +123,8 @@ def _cost(results: Results, last: int) -> str:
     change = 100 * (before["mean"] - after["mean"]) / (size_of(before) or abs(before["mean"]))
     of = " of what control costs" if before.get("design_cost") else ""
     costs = f"({_cost_text(before)} → {_cost_text(after)}{lost})"
-    if abs(change) < NOT_WORSE:
-        return f"real plant: cost unchanged within {NOT_WORSE:g} %{of} {costs}"
+    if abs(change) < NOT_WORSE_PERCENT:
+        return f"real plant: cost unchanged within {NOT_WORSE_PERCENT:g} %{of} {costs}"
     return f"real plant: cost {signed_percent(change)}{of} {costs}, {_origin(before, lqr, after)}"
 
 
@@ -202,8 +200,8 @@ def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
 def _without_interval(row: Mapping[str, Any]) -> str:
     """Sentence on policy and LQR where a run is too short, or drifts too much, to say what the next would bring."""
     percent = -100 * row["paired_to_lqr"]["mean"] / (size_of(row, "lqr_mean") or abs(row["lqr_mean"]))
-    if abs(percent) < NOT_WORSE:
-        costs = f"as much as LQR within {NOT_WORSE:g} %"
+    if abs(percent) < NOT_WORSE_PERCENT:
+        costs = f"as much as LQR within {NOT_WORSE_PERCENT:g} %"
     else:
         costs = f"{signed_percent(abs(percent)).removeprefix('+')} {'more' if percent > 0 else 'less'} than LQR"
     return f"the learned policy costs {costs} here, without an interval (the run is too short, or drifts)"
@@ -214,8 +212,8 @@ def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) ->
     if percent is None:
         return "the learned policy equals LQR" if word == "equal" else ""
     if word == "equal":
-        exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL
-        return "the learned policy equals LQR" + ("" if exact else f" within {NOT_WORSE:g} %")
+        exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL_PERCENT
+        return "the learned policy equals LQR" + ("" if exact else f" within {NOT_WORSE_PERCENT:g} %")
     if word in ("better", "worse"):
         less = signed_percent(abs(percent[0])).removeprefix("+")
         return f"the learned policy costs {less} {'less' if word == 'better' else 'more'} than LQR at the same design"

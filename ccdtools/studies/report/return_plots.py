@@ -27,7 +27,8 @@ from ccdtools.studies.gains import SOURCES
 from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.report.summary import COST, Change
-from ccdtools.studies.report.verdicts import NOT_WORSE, percent_of_reference
+from ccdtools.studies.report.verdicts import percent_of_reference
+from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
 WORDS = {"better": "#1B7F3B", "worse": "#B00020", "same": "#7F7F7F", "open": "#7F7F7F"}
 SOURCE_COLOURS = ("#3D3D3D", "#D55E00", "#E69F00", "#0072B2")
@@ -117,7 +118,7 @@ def _differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[st
     """Draw one panel. Returns the ends of its intervals."""
     colours = controller_colours(names)
     ends: list[float] = []
-    ax.axvspan(-NOT_WORSE, 0, color=NOT_WORSE_STRIP, lw=0, zorder=0)
+    ax.axvspan(-NOT_WORSE_PERCENT, 0, color=NOT_WORSE_STRIP, lw=0, zorder=0)
     ax.axvline(0, color=COLOURS["LQR"], lw=1.4)
     for y, name in enumerate(names):
         row = chosen.get(name)

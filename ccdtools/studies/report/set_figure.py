@@ -22,9 +22,7 @@ from invariant_sets import Polytope
 from invariant_sets.results import Status
 
 _Cut = tuple[Callable[[Polytope, tuple[int, int]], Polytope], str]  # the planar set of a pair of states, its title
-SHOWN_DESIGNS = 4
 NEAR = "near the "  # begins the label of the nearest design to one that cannot be built
-MOST_PROJECTED = 4  # states of a set whose projections are drawn
 
 
 def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
@@ -106,7 +104,7 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
     for label, design in candidates:
         unit = space.to_unit(design)
         title = f"{label}: {run.describe(design)}"
-        if len(shown.sets) == SHOWN_DESIGNS or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
+        if len(shown.sets) == 4 or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
             continue
         seen.append(unit)
         result = run.sets.result(design)
@@ -144,12 +142,12 @@ def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
 
 
 def _cuts(nx: int) -> list[_Cut]:
-    """Cuts that are drawn of sets of so many states. Projections beyond four states can take hours, and are not."""
+    """Cuts that are drawn of sets of so many states. No projection beyond four states, where it can take hours."""
     projected: _Cut = (_projected, "" if nx == 2 else "projection")
     sliced: _Cut = (_sliced, "slice, other states 0")
     if nx == 2:
         return [projected]
-    return [projected, sliced] if nx <= MOST_PROJECTED else [sliced]
+    return [projected, sliced] if nx <= 4 else [sliced]  # projections take hours beyond four
 
 
 def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:

@@ -8,7 +8,7 @@ from typing import Any
 
 from ccdtools.studies.report.formatting import number, percent_interval, with_minus
 from ccdtools.studies.report.gains import gain_percent
-from ccdtools.studies.report.verdicts import NOT_WORSE
+from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
 Values = Mapping[str, Any]
 COST = "cost"
@@ -150,8 +150,8 @@ def _word(percent: tuple[float, float, float] | None) -> str:
     if percent is None:
         return "open"
     mean, low, high = percent
-    if low >= -NOT_WORSE and high <= NOT_WORSE:
+    if low >= -NOT_WORSE_PERCENT and high <= NOT_WORSE_PERCENT:
         return "same"
-    if abs(mean) < NOT_WORSE or low <= 0 <= high:
+    if abs(mean) < NOT_WORSE_PERCENT or low <= 0 <= high:
         return "open"
     return "worse" if mean > 0 else "better"

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ccdtools.studies.report.formatting import generation_name, number, place
+from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT
 
 Row = Mapping[str, Any]
-NOT_WORSE = 0.5  # per cent of |LQR|: smaller differences of the return do not matter
-EQUAL = 1e-4  # per cent: two returns this close differ by rounding and the tolerances of the solvers
 
 
 def reference_of(rows: Sequence[Row], row: Row) -> Row | None:
@@ -76,13 +75,13 @@ def _verdict_on_return(row: Row, reference: Row | None) -> str:
     if percent is None:
         return _verdict_on_nothing(row, reference)
     mean, low, high = percent
-    if low >= -NOT_WORSE and high <= NOT_WORSE:
+    if low >= -NOT_WORSE_PERCENT and high <= NOT_WORSE_PERCENT:
         return "equal"
-    if low > EQUAL and mean >= NOT_WORSE:
+    if low > EQUAL_PERCENT and mean >= NOT_WORSE_PERCENT:
         return "better"
-    if low > -NOT_WORSE:
+    if low > -NOT_WORSE_PERCENT:
         return "not worse"
-    return "worse" if high < -EQUAL and mean <= -NOT_WORSE else "open"
+    return "worse" if high < -EQUAL_PERCENT and mean <= -NOT_WORSE_PERCENT else "open"
 
 
 def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
@@ -137,6 +136,6 @@ def difference_text(row: Row) -> tuple[str, str]:
     gain = row["paired_to_lqr"]
     if gain["mean"] is None or None in gain["ci95"]:
         return number(gain["mean"], 3), "n/a"
-    floor = EQUAL / 100 * size_of(row)
+    floor = EQUAL_PERCENT / 100 * size_of(row)
     mean, low, high = (number(v if abs(v) >= floor else 0.0, 3) for v in (gain["mean"], *gain["ci95"]))
     return mean, f"[{low}, {high}]"

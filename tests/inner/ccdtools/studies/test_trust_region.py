@@ -21,7 +21,8 @@ from ccdtools import (
 )
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.studies.trust_region import LEAST_RADIUS, Doubt, Trust, doubt_of, edges, in_whole_box, within
+from ccdtools.studies.tolerances import LEAST_RADIUS
+from ccdtools.studies.trust_region import Doubt, Trust, doubt_of, edges, in_whole_box, within
 from learning import ActorCritic, NetworkConfig, QuantileConfig
 
 SCALE = np.array([4.0, 4.0])
