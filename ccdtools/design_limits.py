@@ -49,7 +49,9 @@ class DesignLimits(Immutable):
     upper: Array
 
     @classmethod
-    def of(cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace) -> DesignLimits:
+    def from_function(
+        cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace
+    ) -> DesignLimits:
         """Limits on `size` numbers from a function of p, checked over the whole box of designs.
 
         Also where constraints forbid a design: the expert's data cover the box.
@@ -183,7 +185,7 @@ def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignS
             raise InputError(argument, got, f"{size}, {of}, over {', '.join(space.names)}")
         return value
     if callable(value) and not isinstance(value, type):
-        return DesignLimits.of(argument, value, size, of, space)
+        return DesignLimits.from_function(argument, value, size, of, space)
     return as_limits(argument, value, size, of)
 
 

@@ -21,7 +21,7 @@ def limits_in_words(outputs: OutputLimits | None) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Outside:
+class RunViolations:
     """Frequency and depth with which the runs of one controller leave X.
 
     Attributes
@@ -42,7 +42,9 @@ class Outside:
     lost: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None) -> Outside:
+    def from_trajectory(
+        cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None
+    ) -> RunViolations:
         """Violations of a trajectory: of states, and of outputs that have limits."""
         n, steps, nx = run.states[:, 1:].shape
         names = getattr(plant, "state_names", None) or tuple(f"x{i + 1}" for i in range(nx))
@@ -63,11 +65,11 @@ class Outside:
         pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
         return cls(whole, excursions_of(pieces, text, left), True, np.repeat(run.diverged, len(pieces)))
 
-    def further_than(self, others: Mapping[str, Outside]) -> tuple[str, ...]:
+    def further_than(self, others: Mapping[str, RunViolations]) -> tuple[str, ...]:
         """Names of the controllers that leave X less."""
         return tuple(name for name, other in others.items() if self._further(other))
 
-    def _further(self, other: Outside) -> bool:
+    def _further(self, other: RunViolations) -> bool:
         """Whether these leave X further than another controller's, where neither diverged."""
         n = min(len(self.lost), len(other.lost))
         kept = ~(self.lost[:n] | other.lost[:n])

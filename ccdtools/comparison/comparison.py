@@ -26,7 +26,7 @@ from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits, as_limits
 from ccdtools.output_limits import OutputLimits
-from ccdtools.outside import Outside, limits_in_words
+from ccdtools.outside import RunViolations, limits_in_words
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
@@ -269,7 +269,7 @@ def compare(
         at(name)
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == baseline else seen.run(controller, design=design, limit=limit)
-        outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
+        outside[name] = RunViolations.from_trajectory(run, limits, scenario.plant, output_limits)
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:

@@ -60,7 +60,7 @@ def tuned_pid(
     as_generator("rng", rng)
     for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
         as_count(name, number)
-    trial = _Trial.of(problem, problem.design.check_one(design), runs, rng)
+    trial = _Trial.from_problem(problem, problem.design.check_one(design), runs, rng)
     steep = isinstance(problem.model, SampledModel)  # a step of it costs a hundred of its linearisation's
     own = trial
     if steep:
@@ -79,7 +79,7 @@ def tuned_pid(
         )  # fmt: skip
         refined.append((result.fun, C, result.x) if result.fun <= value else (value, C, z))
     if steep:
-        own = own.few(32)  # scenarios decide where the model is nonlinear
+        own = own.first(32)  # scenarios decide where the model is nonlinear
         best = sorted(refined + screening[:starts], key=lambda found: found[0])
         refined = [(own.cost(C, z), C, z) for _, C, z in best]
     _, C, z = min(refined, key=lambda found: found[0])
@@ -100,7 +100,7 @@ class _Trial:
     w: Array
 
     @classmethod
-    def of(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
+    def from_problem(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
         """Trial of so many scenarios."""
         plant = _tried(problem)
         A, B, _ = problem.model.matrices(design)
@@ -110,7 +110,7 @@ class _Trial:
         w[::2] += changing * w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
         return cls(problem, plant, design, A, B, x0, w)
 
-    def few(self, runs: int) -> _Trial:
+    def first(self, runs: int) -> _Trial:
         """This trial on its first scenarios alone."""
         return replace(self, x0=self.x0[:runs], w=self.w[:runs])
 

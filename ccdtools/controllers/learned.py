@@ -56,7 +56,7 @@ class LearnedPolicy(Immutable):
         set_(self, "design", as_vector("design", self.design))
         set_(self, "agent", copy.deepcopy(self.agent))
         self._check_design()
-        set_(self, "_forward", _Forward.of(self.agent, self.design))
+        set_(self, "_forward", _Forward.from_agent(self.agent, self.design))
 
     def _check_design(self) -> None:
         """Raise an `InputError` if the design is not one that the agent was made for."""
@@ -155,7 +155,7 @@ class _Forward:
     half: Array
 
     @classmethod
-    def of(cls, agent: ActorCritic, design: Array) -> _Forward:
+    def from_agent(cls, agent: ActorCritic, design: Array) -> _Forward:
         """Forward pass of the actor of an agent, copied."""
         at = (torch.tensor(design), agent.observation_offset, agent.observation_scale)
         std = None if agent.std_network is None else agent.std_network.at(*at).of(_array)

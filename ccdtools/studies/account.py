@@ -34,14 +34,14 @@ def account(generation: int, deployed: Values, redesign: Values | None, place: s
         return "; ".join([f"{name} designed {place} on the nominal model", *_returns(delivery),
                           _updates(accepted, updates, "the policy is as designed")])  # fmt: skip
     if redesign["accepted"]:
-        return "; ".join([*_redesigned(name, redesign, delivery, place), *_missed(delivery),
+        return "; ".join([*_redesigned(name, redesign, delivery, place), *_less_than_predicted(delivery),
                           _updates(accepted, updates, "none of it is due to updates")])  # fmt: skip
     changed = "changed nothing" if not accepted else "changed the policy only, by updates while deployed"
     if not delivery["replaces"]:
         changed = f"was {_verdict(delivery)}{_rolled_back(delivery, accepted)}"
     measured = [f"measured {_change(delivery)}"] if accepted and delivery["replaces"] else []
     kept = _updates(accepted, updates, _kept(delivery, accepted))
-    return "; ".join([f"{name} {changed}: {refusal(redesign)}", *measured, *_missed(delivery), kept])
+    return "; ".join([f"{name} {changed}: {refusal(redesign)}", *measured, *_less_than_predicted(delivery), kept])
 
 
 def _verdict(delivery: Values) -> str:
@@ -91,7 +91,7 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> li
     return said
 
 
-def _missed(delivery: Values) -> list[str]:
+def _less_than_predicted(delivery: Values) -> list[str]:
     """Clause that less was measured than predicted, with the predicted return, if beyond both intervals."""
     if Agreement(delivery["agreement"]) is not Agreement.LESS:
         return []

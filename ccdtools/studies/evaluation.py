@@ -33,7 +33,7 @@ from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.distributions import Served, logged
+from ccdtools.twin.distributions import ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
@@ -136,13 +136,13 @@ class Evaluation:
         return self.study.real.runs == 1
 
     @cached_property
-    def served(self) -> Served:
+    def served(self) -> ServedDistributions:
         """Distributions that the deployed will serve. Their disturbances are other draws than the reported ones."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
         drawn = {name: one.sample(runs, steps, self.rng(f"judged: {name}")) for name, one in real.fresh.items()}
-        return Served(self.problem, real.x0, drawn, self.config.online.judged)
+        return ServedDistributions(self.problem, real.x0, drawn, self.config.online.judged)
 
     @cached_property
     def judge(self) -> Judge:

@@ -33,7 +33,7 @@ Echo = Callable[[str], None]
 class _State:
     """State of the loop between two generations: what is deployed, the twin, the results so far.
 
-    `served` is the deployment that speaks for what is deployed.
+    `served` is the reference deployment of what is deployed.
     """
 
     service: Deployable
@@ -162,10 +162,10 @@ class Generations:
         now = deployed_of(
             generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["updates"]
         )
-        service, speaks = after_deployment(
+        service, reference = after_deployment(
             now, state.service, state.served, replaces=delivery["replaces"], carried=delivery["carried"]
         )
-        return replace(state, service=service, served=speaks, trust=Trust(**deployed.values["trust"]))
+        return replace(state, service=service, served=reference, trust=Trust(**deployed.values["trust"]))
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """Stage of a name, read back, or computed from its inputs with a generator of its own."""

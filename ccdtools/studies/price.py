@@ -52,7 +52,7 @@ class RedesignPrice:
     def __str__(self) -> str:
         return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
 
-    def of(self, size: float, part: float) -> float:
+    def needed(self, size: float, part: float) -> float:
         """Needed gain where the deployed return has that size, over that part of the length of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
 

@@ -57,8 +57,8 @@ class RedesignJudge:
         def needed(size: float, steps: int) -> float:
             """Needed gain."""
             part = steps / study.steps
-            whole = asked.of(size, part)
-            return whole if moved else min(whole, policy.of(size, part))
+            whole = asked.needed(size, part)
+            return whole if moved else min(whole, policy.needed(size, part))
 
         return needed
 
@@ -74,7 +74,7 @@ class RedesignJudge:
         before, after = (np.nan, np.nan) if nominal is None else (nominal.values[1], nominal.values[0])
         moved = self.moved(candidate)
         policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
-        cheaper = not moved and made is not None and made.needed < study.price.of(made.size, 1.0)
+        cheaper = not moved and made is not None and made.needed < study.price.needed(made.size, 1.0)
         return verdict.as_dict() | {
             "gain": vars(NOTHING if made is None else made.gain), "accepted": verdict.replaces, "moved": moved,
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
@@ -104,7 +104,7 @@ class RedesignJudge:
         evaluation = self.evaluation
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
-        plant = UpdatedPlant.of(evaluation.split, logs, rng=rng, config=evaluation.config.quantile)
+        plant = UpdatedPlant.from_logs(evaluation.split, logs, rng=rng, config=evaluation.config.quantile)
         again = on_updated(plant, logs, series=evaluation.single, most=evaluation.config.model_runs, rng=rng)
         return [again, *evaluation.served.on(logs, plant, self.current.design, rng)]
 

@@ -231,7 +231,7 @@ def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
 def after_deployment(
     deployed: Deployed, current: Deployable, former: Deployed | None, *, replaces: bool, carried: bool
 ) -> tuple[Deployable, Deployed]:  # fmt: skip
-    """Deployable that is deployed next, and the deployment that speaks for it.
+    """Deployable that is deployed next, and its reference deployment.
 
     Where a deployment fell short, that is what was deployed before: of updates that a whole deployment has shown to be
     worse, the policy before them. A generation that changed nothing keeps the number of the one that it repeats.

@@ -24,7 +24,7 @@ from ccdtools.studies.redesign import RedesignJudge, described, predicted, same_
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.service import Deployed, judge_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.trust_region import Trust, doubt_of, edges, in_whole_box, within
+from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.deployment import deploy_and_update
@@ -90,7 +90,7 @@ class LoopStages:
                 config=config.codesign, progress=self.progress,
             )  # fmt: skip
             return self._co_designed(first, Deployable(first.agent, first.design, name), twin, None)
-        doubt = doubt_of(twin, problem.state_scale)
+        doubt = attribute_errors(twin, problem.state_scale)
         limited = trust.limits(doubt)
         region = within(problem, current.design, trust.radius) if limited else problem
         window, before = self.evaluation.training_episode(twin.logs, region.design)

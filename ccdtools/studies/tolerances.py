@@ -13,7 +13,7 @@ THROWN_OUT = 1e3  # A larger error is that of a disturbance that throws the plan
 NEAR_MIDDLE = 0.1  # Every step must hold in this part of X around its middle.
 
 # --- trust region ----------------------------------------------------------------------------------------------------
-DOUBT = 0.1  # A redesign is limited if more than this part of the errors' energy is not known at another design.
+UNATTRIBUTED = 0.1  # A redesign is limited if more than this part of the errors' energy is not known at another design.
 FIRST_RADIUS = 0.25  # The first redesign moves a parameter by at most this part of its range.
 LEAST_RADIUS = 1 / 64  # The radius is never less than this part of the range.
 WHOLE_NUMBER = 1e-9  # Ends of a region that are this close to a whole number are whole.

@@ -13,14 +13,14 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.report.formatting import share
-from ccdtools.studies.tolerances import CONSTANT_E, DOUBT, FIRST_RADIUS, LEAST_RADIUS, WHOLE_NUMBER
+from ccdtools.studies.tolerances import CONSTANT_E, FIRST_RADIUS, LEAST_RADIUS, UNATTRIBUTED, WHOLE_NUMBER
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit, Transport, full_rank
 from ccdtools.twin.twin import DigitalTwin
 
 
 @dataclass(frozen=True)
-class Doubt:
+class ErrorAttribution:
     """Parts of the logged errors that are not known at another design."""
 
     rest: float  # part of the errors' energy that does not enter through E(p)
@@ -31,7 +31,7 @@ class Doubt:
     @property
     def limits(self) -> bool:
         """Whether a redesign is limited to a trust region."""
-        return not self.identified or self.rest + self.explained > DOUBT
+        return not self.identified or self.rest + self.explained > UNATTRIBUTED
 
     def describe(self) -> str:
         """Reason why a redesign is limited, or not."""
@@ -57,12 +57,12 @@ class Trust:
             return replace(self, radius=min(1.0, 2 * self.radius))
         return Trust(max(LEAST_RADIUS, self.radius / 2), betrayed=True)
 
-    def limits(self, doubt: Doubt) -> bool:
+    def limits(self, doubt: ErrorAttribution) -> bool:
         """Whether a redesign is limited."""
         return self.radius < 1 and (self.betrayed or doubt.limits)
 
 
-def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
+def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
     """Parts of a twin's errors not known at another design. `scale` (nx,) is the extent of the states."""
     logs = twin.carried()
     whole = rest = entering = 0.0
@@ -71,9 +71,9 @@ def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
         rest += _energy(_split(twin, log, scale)[1], scale)
         entering += _energy(_split(twin, left, scale)[0], scale)
     if whole == 0:
-        return Doubt(0.0, 0.0, True)
+        return ErrorAttribution(0.0, 0.0, True)
     unknown = min(1.0, max(0.0, 1 - entering / whole))
-    return Doubt(rest / whole, max(0.0, unknown - rest / whole), _identified(twin, scale))
+    return ErrorAttribution(rest / whole, max(0.0, unknown - rest / whole), _identified(twin, scale))
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:

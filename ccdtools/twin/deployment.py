@@ -25,7 +25,7 @@ from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
-from ccdtools.twin.distributions import Distribution, Served, logged, on_updated
+from ccdtools.twin.distributions import Distribution, ServedDistributions, logged, on_updated
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
@@ -105,7 +105,7 @@ def deploy_and_update(
     config: OnlineConfig | None = None,
     admissible: AdmissibleInputs | None = None,
     former: Sequence[Residuals] = (),
-    served: Served | None = None,
+    served: ServedDistributions | None = None,
     progress: bool = False,
 ) -> Deployment:
     """Deployment in stretches, with an update of the policy after each but the last.
@@ -113,8 +113,8 @@ def deploy_and_update(
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
     candidate is trained on the first part of every stretch, and from the starts that it will serve. It is deployed only
     if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
-    see `Judge` and `Served`. Of a single run both are replayed from the start of every stretch, so that what is judged
-    begins in states of their own; several runs are judged from their own starts.
+    see `Judge` and `ServedDistributions`. Of a single run both are replayed from the start of every stretch, so that
+    what is judged begins in states of their own; several runs are judged from their own starts.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def deploy_and_update(
         candidates, which are not trained on them, are judged besides. Every second run, from the first on, counts as
         one that met the same disturbance in every deployment: together these are one piece of evidence, and those of a
         disturbance that a candidate was trained on are left out.
-    served : Served, optional
+    served : ServedDistributions, optional
         The other starts and disturbances that the policy will serve; by default the problem's, and its box of starts.
     """
     config = OnlineConfig() if config is None else config
@@ -150,13 +150,13 @@ def deploy_and_update(
         raise InputError("former", shown(former), "a sequence of Residuals")
     for k, log in enumerate(former):
         check_errors(f"former[{k}]", problem.model, log)
-    served = Served(problem, whole.x0[0], runs=config.judged) if served is None else served
-    as_instance("served", served, Served, "a Served or None")
+    served = ServedDistributions(problem, whole.x0[0], runs=config.judged) if served is None else served
+    as_instance("served", served, ServedDistributions, "a ServedDistributions or None")
     deployed = Deployable(agent, design, "the deployed policy")
-    return _Service(whole, deployed, rng, config, admissible, former, served).run(progress)
+    return _DeployedPolicy(whole, deployed, rng, config, admissible, former, served).run(progress)
 
 
-class _Service:
+class _DeployedPolicy:
     """Deployed policy with its log so far, and the updates it has had.
 
     Attributes
@@ -168,7 +168,7 @@ class _Service:
 
     def __init__(
         self, whole: Scenario, deployed: Deployable, rng: np.random.Generator, config: OnlineConfig,
-        admissible: AdmissibleInputs | None, former: Sequence[Residuals], served: Served,
+        admissible: AdmissibleInputs | None, former: Sequence[Residuals], served: ServedDistributions,
     ) -> None:  # fmt: skip
         self.problem = served.problem
         self.whole = whole
@@ -193,14 +193,14 @@ class _Service:
         count = possible_updates(runs, steps, self.config)
         for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
             at(f"part {k + 1} of {count + 1}")
-            piece = self._serve(*part, progress)
+            piece = self._run_part(*part, progress)
             self.pieces.append(piece)
             if len(self.pieces) <= count and self._learn(piece, part[0].start):
                 at(f"update {k + 1} of {count}")
                 self._update()
         return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
-    def _serve(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
+    def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
         """Log of the deployed policy on one part of the deployment, from where the last one ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
         return deploy(
@@ -261,7 +261,7 @@ class _Service:
     def _other_distributions(self) -> list[Distribution]:
         """Distributions that the policy also serves, on the model as updated by the log so far."""
         logs = [*self.former, *self.logs]
-        plant = UpdatedPlant.of(self.split, logs, rng=self.judged_by, config=self.config.quantile)
+        plant = UpdatedPlant.from_logs(self.split, logs, rng=self.judged_by, config=self.config.quantile)
         whole = [log for log in logs if log.steps == self.whole.steps] if self._several else _equally_long(self.logs)
         again = on_updated(plant, whole, series=not self._several, most=self.config.judged, rng=self.judged_by)
         return [again, *self.served.on(logs, plant, self.deployed.design, self.judged_by)]

@@ -44,7 +44,7 @@ class Distribution:
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
+class ServedDistributions:
     """Distributions that a learned change will serve, beside the runs of the log."""
 
     problem: CoDesignProblem  # on the nominal model, with the starts that the study declares

@@ -17,7 +17,7 @@ from ccdtools.co_design.limit_tolerance import BESIDE_MPC, FLOOR, MPC_RUNS, Pair
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.evidence.evidence import Violation
 from ccdtools.limits import StateLimits
-from ccdtools.outside import Outside
+from ccdtools.outside import RunViolations
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -49,8 +49,8 @@ def violation(
     if asked == "off":
         return None
     limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
-    own = Outside.of(after, limits, plant, problem.output_limits)
-    other = Outside.of(before, former, plant, problem.output_limits)
+    own = RunViolations.from_trajectory(after, limits, plant, problem.output_limits)
+    other = RunViolations.from_trajectory(before, former, plant, problem.output_limits)
     if max(_pair(own).values()) <= FLOOR and isinstance(asked, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]
@@ -77,11 +77,11 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
         return least
     if run.diverged.all():
         return least
-    done = _pair(Outside.of(run, limits, None, problem.output_limits))
+    done = _pair(RunViolations.from_trajectory(run, limits, None, problem.output_limits))
     return Pair(*(max(FLOOR, BESIDE_MPC * value) for value in done.values()))
 
 
-def _pair(outside: Outside, runs: int | None = None) -> Pair:
+def _pair(outside: RunViolations, runs: int | None = None) -> Pair:
     """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one. 0 of none."""
     first = slice(None) if outside.single else slice(runs)
     kept = ~outside.lost[first]
@@ -89,7 +89,7 @@ def _pair(outside: Outside, runs: int | None = None) -> Pair:
     return Pair(*(float(values.mean()) if len(values) else 0.0 for values in means))
 
 
-def _further(own: Outside, other: Outside, name: str) -> bool:
+def _further(own: RunViolations, other: RunViolations, name: str) -> bool:
     """Whether a measure is larger on the runs that neither lost. Beyond chance where there is an interval."""
     kept = ~(own.lost | other.lost)
     values, others = (getattr(one.pieces, name)[kept] for one in (own, other))

@@ -26,15 +26,15 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
     """
     if model.nw == 0:
         return np.zeros((*log.x.shape[:2], 0))
-    fit = _Fit(model, log, scale)
-    found = fit.settled(np.zeros((fit.samples, model.nw)))
+    fit = _LeastSquares(model, log, scale)
+    found = fit.improved(np.zeros((fit.samples, model.nw)))
     for start in _starts(model, fit):
-        other = fit.settled(np.broadcast_to(start, found.shape))
+        other = fit.improved(np.broadcast_to(start, found.shape))
         found = np.where((fit.distance(other) < fit.distance(found) - SETTLED_STEP * fit.size)[:, None], other, found)
     return fit.bounded(found).reshape(*log.x.shape[:2], model.nw)
 
 
-class _Fit:
+class _LeastSquares:
     """Nonlinear least squares of every sample at once. Gauss–Newton steps are shortened until each one improves.
 
     Attributes
@@ -56,9 +56,9 @@ class _Fit:
 
     def distance(self, w: Array) -> Array:
         """Distance of the model's next states from the logged ones (N,)."""
-        return np.linalg.norm(self._missed(w, self._everyone), axis=1)
+        return np.linalg.norm(self._residual(w, self._everyone), axis=1)
 
-    def settled(self, w: Array) -> Array:
+    def improved(self, w: Array) -> Array:
         """Disturbances (N, nw) reached from others, none of which is farther from the log."""
         w = w.copy()
         longest = np.linalg.norm(self._effects(w, self._everyone), axis=1).max(axis=0)
@@ -66,26 +66,26 @@ class _Fit:
             return w
         lengths = np.where(longest > 0, longest, np.inf)
         some: Indices = self._everyone
-        missed = self._missed(w, some)
+        residual = self._residual(w, some)
         part = np.ones(self.samples)
         step = np.zeros_like(w)
         fresh = np.ones(self.samples, dtype=bool)
         for _ in range(30):
             if fresh.any():
                 effects = self._effects(w[some[fresh]], some[fresh]) / lengths
-                step[some[fresh]] = _least_squares(effects, missed[fresh]) / lengths
+                step[some[fresh]] = _least_squares(effects, residual[fresh]) / lengths
                 part[some[fresh]] = 1.0
                 moved = np.linalg.norm(np.einsum("nij,nj->ni", effects, step[some[fresh]] * lengths), axis=1)
                 keep = np.ones(len(some), dtype=bool)
                 keep[fresh] = moved > SETTLED_STEP * self.size[some[fresh]]
-                some, missed, fresh = some[keep], missed[keep], fresh[keep]
+                some, residual, fresh = some[keep], residual[keep], fresh[keep]
             if not len(some):
                 break
             tried = w[some] + part[some][:, None] * step[some]
-            left = self._missed(tried, some)
-            fresh = np.linalg.norm(left, axis=1) < np.linalg.norm(missed, axis=1)
+            left = self._residual(tried, some)
+            fresh = np.linalg.norm(left, axis=1) < np.linalg.norm(residual, axis=1)
             w[some[fresh]] = tried[fresh]
-            missed = np.where(fresh[:, None], left, missed)
+            residual = np.where(fresh[:, None], left, residual)
             part[some[~fresh]] /= 4
         return w
 
@@ -100,18 +100,18 @@ class _Fit:
     def effect_of(self, w: Array, some: Indices) -> Array:
         """Move of the next states of some samples (m,) by disturbances (k, 1, nw), in scaled states (k, m)."""
         with np.errstate(all="ignore"):
-            moved = (self._after(w, some) - self._after(np.zeros_like(w[:1]), some)) / self._scale
+            moved = (self._next_states(w, some) - self._next_states(np.zeros_like(w[:1]), some)) / self._scale
             return np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf)
 
-    def _after(self, w: Array, some: Indices) -> Array:
+    def _next_states(self, w: Array, some: Indices) -> Array:
         """Next states of the model."""
         with np.errstate(all="ignore"):
             return np.asarray(self._model.advance(self.x[some], self.u[some], w, self.p))
 
-    def _missed(self, w: Array, some: Indices) -> Array:
+    def _residual(self, w: Array, some: Indices) -> Array:
         """Logged next states less those of the model, in scaled states. Infinite where the model's are not finite."""
         with np.errstate(all="ignore"):
-            left = (self._reached[some] - self._after(w, some)) / self._scale
+            left = (self._reached[some] - self._next_states(w, some)) / self._scale
             return np.where(np.isfinite(np.square(left)), left, np.inf)
 
     def _effects(self, w: Array, some: Indices) -> Array:
@@ -127,7 +127,7 @@ class _Fit:
         return np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _starts(model: SampledModel, fit: _Fit) -> list[Array]:
+def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
     """Disturbances (nw,) to start from besides zero, one channel each, either way. None where f is affine in w.
 
     Where w enters as w |w|, its effect is zero at zero. The size is the smallest that moves states as far as errors do.

@@ -44,7 +44,7 @@ class UpdatedPlant(PlantOfModel):
     median: QuantileNetwork | None
 
     @classmethod
-    def of(
+    def from_logs(
         cls, split: ErrorSplit, logs: Sequence[Residuals], *, rng: np.random.Generator, config: QuantileConfig
     ) -> UpdatedPlant:  # fmt: skip
         """Updated model of logged errors. `config` is without its levels, as the median alone is fitted."""

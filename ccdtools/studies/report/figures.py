@@ -116,7 +116,7 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
-    window = _liveliest(stages[0][f"{kind}_LQR_states"][1], run.problem.state_scale) if single else slice(0, None)
+    window = _active_part(stages[0][f"{kind}_LQR_states"][1], run.problem.state_scale) if single else slice(0, None)
     columns = {}
     limits = []
     for g, arrays in stages.items():
@@ -150,7 +150,7 @@ def _signals(arrays: dict[str, Array], name: str, window: slice) -> Array:
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 
-def _liveliest(states: Array, scale: Array) -> slice:
+def _active_part(states: Array, scale: Array) -> slice:
     """Part of a long run in which the scaled state is largest in the mean square."""
     steps = len(states) - 1
     if steps <= SHOWN_STEPS:

@@ -33,18 +33,18 @@ Results = Mapping[str, Any]
 def headline(results: Results) -> str:
     """Sentence with the cost on the real plant before and after, the sources of the change, and every generation."""
     last = len(results["generations"])
-    idle = _idle(results)
+    idle = _no_further_gain(results)
     changes = [idle] if idle else _generations(results)
     cost = "; ".join(part for part in (_cost(results, last), held_out_phrase(results)) if part)
     sentences = [
         cost, _worse(results), _policy(results, last), _limits(results, last), _judged_by(results), "; ".join(changes),
-        *_missed(results),
+        *_missed_predictions(results),
     ]  # fmt: skip
     text = " ".join(f"{capitalised(sentence)}." for sentence in sentences if sentence)
     return f"QUICK run, not a result. {text}" if results["quick"] else text
 
 
-def _missed(results: Results) -> list[str]:
+def _missed_predictions(results: Results) -> list[str]:
     """Deployments of something new whose 95 % interval lies below that of their prediction."""
     said = []
     for generation in results["generations"]:
@@ -82,7 +82,7 @@ def _judged_by(results: Results) -> str:
     )
 
 
-def _idle(results: Results) -> str:
+def _no_further_gain(results: Results) -> str:
     """Sentence that the later generations brought nothing, in the words of the last. Empty if one of them did."""
     later = results["generations"][1:]
     if not later or any(_brought(generation) for generation in later):

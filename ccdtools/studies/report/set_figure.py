@@ -49,7 +49,7 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
         )
     if shown.missing:
         caption += f"There is none to show at {'; '.join(shown.missing)}. "
-    pairs = [(0, 1)] if nx == 2 else _telling_pairs(shown.sets, nx)
+    pairs = [(0, 1)] if nx == 2 else _most_different_pairs(shown.sets, nx)
     cuts = _cuts(nx)
     figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 4.1 * len(cuts), quick=run.quick)
     grid = figure.subplots(len(cuts), len(pairs), squeeze=False)
@@ -126,7 +126,7 @@ def _nearest(space: DesignSpace, design: Array) -> Array | None:
         return None
 
 
-def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
+def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
     """Two pairs of states on which the areas of the sets differ most."""
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
