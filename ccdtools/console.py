@@ -1,4 +1,4 @@
-"""What the command line prints: errors on one line, and characters that the terminal can show."""
+"""Output of the command line: errors on one line, and characters that the terminal can show."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def plain_where_needed() -> None:
 
 @contextmanager
 def warnings_on_one_line() -> Iterator[None]:
-    """Print warnings like errors: one line each, once, without the place in the source that issued them."""
+    """Print warnings like errors. One line each, once, without the place in the source that issued them."""
     printed: set[str] = set()
 
     def show(message: Warning | str, *place: Any) -> None:

@@ -51,7 +51,7 @@ def styled() -> AbstractContextManager[None]:
 
 
 class Picture(Figure):
-    """Figure that a notebook shows, also before pyplot has made its first one and told the notebook how."""
+    """Figure that a notebook shows. It shows also before pyplot has made its first one and told the notebook how."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
@@ -79,7 +79,7 @@ def label(text: str) -> str:
 
 
 def title(text: str) -> str:
-    """Title of a column in as many lines as half a page needs, broken between the values of a design."""
+    """Title of a column, broken between the values of a design. It takes as many lines as half a page needs."""
     return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), 64, break_long_words=False)  # characters
 
 

@@ -1,4 +1,4 @@
-"""The same computation for many things, in one process or in several, and how Ctrl-C stops it."""
+"""One computation for many things, in one process or in several, and how Ctrl-C stops it."""
 
 from __future__ import annotations
 

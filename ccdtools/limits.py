@@ -27,7 +27,7 @@ def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateLimits(Immutable):
-    """Rows of X, each divided by the half-width of X along it, so that units do not matter: rows·x ≤ bounds.
+    """Rows of X, each divided by the half-width of X along it: rows·x ≤ bounds. Units do not matter.
 
     Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
     half-width.
@@ -88,7 +88,7 @@ class StateLimits(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excursions(Immutable):
-    """Frequency and depth of violations of X, in half-widths of X along the row that is exceeded most.
+    """Frequency and depth of violations of X. Depths are in half-widths of X along the row that is exceeded most.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class Excursions(Immutable):
 
 
 def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
-    """Largest violation of a row by states (..., nx), as (...,), in half-widths of X along it.
+    """Largest violation of a row by states (..., nx), as (...,). In half-widths of X along the row.
 
     0 inside, to the tolerance of `X.contains`; 1 is one half-width beyond the limit.
 
@@ -147,7 +147,7 @@ def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
 
 
 def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[str] | None = None) -> Excursions:
-    """Frequency and depth of violations of X by runs of states (n, T, nx), or one run (T, nx).
+    """Frequency and depth of violations of X by runs. States are (n, T, nx), or (T, nx) of one run.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "
 
 
 def further_outside(own: Excursions, other: Excursions, *, stretches: bool = False) -> bool:
-    """Whether runs leave X deeper, or more often, than those of another controller under the same disturbances.
+    """Whether runs leave X deeper, or more often, than another controller's. Both meet the same disturbances.
 
     With `stretches` they are consecutive stretches of one run, and their differences a correlated series.
 

@@ -19,7 +19,7 @@ from invariant_sets import Polytope
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OutputLimits(Immutable):
-    """Limits lower ≤ h(x, u, p) ≤ upper at every sample, x and u the state and input of that sample.
+    """Limits lower ≤ h(x, u, p) ≤ upper at every sample. x and u are the state and input of that sample.
 
     How far a limit is exceeded is told in half-widths of its range; of a limit on one side, in its distance from 0; and
     of h ≤ 0 in the units of h, which is best stated relative, as ``stress / strength - 1``.
@@ -99,7 +99,7 @@ class OutputLimits(Immutable):
         return beyond.masked_fill(beyond.isnan(), np.inf)
 
     def broken_at(self, x: Array, nu: int, designs: Array) -> list[str]:
-        """Limits that a state (nx,) exceeds at each of some designs (n, np), whatever the input does. "" for none.
+        """Limits that a state (nx,) exceeds at designs (n, np), whatever the input does. "" for none.
 
         Only limits of outputs that do not depend on the input say so.
         """
@@ -120,7 +120,7 @@ class OutputLimits(Immutable):
         return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
 
     def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
-        """Half-spaces F x ≤ g of outputs of the state alone, linearised at rest, at a design. Those that hold there."""
+        """Half-spaces F x ≤ g of outputs of the state alone, at a design. Those that hold there, linearised at rest."""
         value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
         index, sign, bound, unit = self._sides(len(value))
         F = sign[:, None] * J[index] / unit[:, None]
@@ -130,7 +130,7 @@ class OutputLimits(Immutable):
         return F[alone, :nx], g[alone]
 
     def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
-        """States of X that keep these limits, as far as they are linear in the state alone."""
+        """States of X that keep these limits. As far as they are linear in the state alone."""
         F, g = self.half_spaces(X.dim, nu, p)
         return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
 

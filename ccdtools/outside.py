@@ -1,4 +1,4 @@
-"""How often and how far the runs of one controller leave X, or the limits of outputs, beside those of another."""
+"""Frequency and depth with which runs of one controller leave X, or the limits of outputs, beside those of another."""
 
 from __future__ import annotations
 

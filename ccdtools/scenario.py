@@ -1,4 +1,4 @@
-"""What every controller of a comparison meets alike."""
+"""Scenarios: what every controller of a comparison meets alike."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
 
 
 def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, float]:
-    """Interval of a statistic from the parts (n,) that independent runs have in it, whose mean it is.
+    """Interval of a statistic from the parts (n,) of independent runs. The statistic is the mean of the parts.
 
     Such parts are far from normal (of the mean of the worst tenth nine in ten are alike), so the interval is skewed as
     they are, and Student's t has as many degrees of freedom as their fourth moment leaves, ten at least.

@@ -1,4 +1,4 @@
-"""What a simulation or a deployment leaves behind."""
+"""Trajectories: what a simulation or a deployment leaves behind."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Trajectory(Immutable):
         return plot_trajectory(self, figure)
 
     def to_frame(self) -> Any:
-        """Table of one row a run and sample: run, time, x1, …, u1, …, w1, …, a `pandas.DataFrame`. NaN after the end.
+        """Table of one row a run and sample, a `pandas.DataFrame`. run, time, x1, …, u1, …, w1, …; NaN after the end.
 
         Raises
         ------

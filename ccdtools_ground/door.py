@@ -58,7 +58,7 @@ def as_floats(argument: str, value: Any, *, expected: str = "an array of real nu
 
 
 def _holds_truth(value: Any) -> bool:
-    """Whether a number, an array or a list of them holds a True or False, which would pass for 1 or 0."""
+    """Whether a number, an array or a list holds a True or False. They would pass for 1 or 0."""
     if isinstance(value, np.ndarray | np.generic):
         return value.dtype.kind == "b" or (value.dtype.kind == "O" and any(map(_holds_truth, value.flat)))
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_truth, value)))

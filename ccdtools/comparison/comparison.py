@@ -110,7 +110,7 @@ class Comparison:
 
     @property
     def notes(self) -> list[str]:
-        """Remarks on the rows, a line each: means of other runs, what is lost, risks without an interval."""
+        """Remarks on the rows, a line each. They name means of other runs, what is lost, risks without an interval."""
         most = max(score.runs for score in self.scores)
         lines = [
             f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
@@ -316,7 +316,7 @@ def _mean(values: Array) -> float:
 
 
 def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike = ()) -> float:
-    """Median time [s] of one call for one state (nx,) at a design (np,), with the signals that the controller needs."""
+    """Median time [s] of one call for one state (nx,) at a design (np,). It gets the signals that it needs."""
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))

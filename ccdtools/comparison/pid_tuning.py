@@ -33,7 +33,7 @@ def tuned_pid(
     starts: int = 3,
     refinements: int = 160,
 ) -> PID:
-    """PID with the best mean return on the problem's model at one design, errors replayed from a log included.
+    """PID with the best mean return on the problem's model at one design. Errors replayed from a log are included.
 
     Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
     Nelder–Mead, all on the same scenarios; of a model that is not linear, both on its linearisation, and the model
@@ -89,7 +89,7 @@ def tuned_pid(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Model at one design and scenarios, half of them with an offset, on which every candidate is tried."""
+    """Model and scenarios on which every candidate is tried. The design is fixed, half the scenarios have an offset."""
 
     problem: CoDesignProblem
     plant: Simulable
@@ -115,7 +115,7 @@ class _Trial:
         return replace(self, x0=self.x0[:runs], w=self.w[:runs])
 
     def controller(self, C: Array, z: Array) -> PID:
-        """Controller with gains `z` (3, nu), flat or not: parts of full input at the edge of X, time in samples."""
+        """Controller with gains `z` (3, nu), flat or not. Units are full input at the edge of X, time in samples."""
         lower, upper = self.problem.input_bounds_at(self.design)
         reach = np.abs(C) @ self.problem.state_scale
         unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
@@ -138,7 +138,7 @@ class _Trial:
         return float(-run.returns(problem.objective).mean())
 
     def remark(self, pid: PID) -> str:
-        """Remark for tables on gains that recover little of what LQR gains over the passive plant, without offsets."""
+        """Remark on gains that recover little without offsets. Little of what LQR gains over the passive plant."""
         laws = (Passive(self.problem.model.nu), saturated_lqr(self.problem, self.design), pid)
         plain = replace(self, x0=self.x0[1::2], w=self.w[1::2])
         passive, lqr, own = (plain.loss(law) for law in laws)
@@ -174,7 +174,7 @@ def _tried(problem: CoDesignProblem) -> Simulable:
 
 
 def is_stable(A: Array, B: Array, pid: PID) -> bool:
-    """Whether x⁺ = A x + B u with the unsaturated PID, its integral and last output is asymptotically stable."""
+    """Whether x⁺ = A x + B u with the unsaturated PID is asymptotically stable. Integral and last output are states."""
     ny, nx = pid.C.shape
     proportional, integral, last = (
         np.diag(g) for g in (pid.kp + pid.ki * pid.dt + pid.kd / pid.dt, pid.ki, -pid.kd / pid.dt)

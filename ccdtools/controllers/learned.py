@@ -92,7 +92,7 @@ class LearnedPolicy(Immutable):
         return LearnedPolicy(self.agent, self.design, as_generator("rng", rng))
 
     def to_casadi(self) -> ca.Function:
-        """Mean action at the design as a `casadi.Function` "policy" from x (nx,) to u (nu,), within the bounds.
+        """Mean action at the design as a `casadi.Function`. It is "policy": x (nx,) to u (nu,), within the bounds.
 
         CasADi differentiates it, calls it in expressions, and writes it in C: ``to_casadi().generate("policy.c")``. For
         torch, `agent` is a module with the same mean action at observations (..., nx + np) of state and design, in
@@ -146,7 +146,7 @@ def load_policy(path: str | Path) -> LearnedPolicy:
 
 @dataclass(frozen=True, eq=False)
 class _Forward:
-    """Actor at a design in float64 arrays: its mean, its exploration, and the range of its actions."""
+    """Actor at a design in float64 arrays. It has a mean, an exploration, and a range of actions."""
 
     mean: Layers
     std: Layers | None

@@ -1,4 +1,4 @@
-"""What a simulation hands to a controller beside the state."""
+"""Signals that a simulation hands to a controller beside the state."""
 
 from __future__ import annotations
 
@@ -205,12 +205,12 @@ def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: i
 
 
 def needs_in_loop(controller: Any) -> frozenset[str]:
-    """Names of what a controller needs in a closed loop, where it may be another that it makes."""
+    """Names of what a controller needs in a closed loop. It may be another controller that it makes."""
     return needs_of(_in_loop(controller, 1))
 
 
 def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]:
-    """Needs of a controller, the controllers to call for so many runs, and whether one takes all runs at once.
+    """Needs of a controller, and the controllers to call for so many runs. Also whether one takes all runs at once.
 
     Those with memory are copies, which are reset.
     """

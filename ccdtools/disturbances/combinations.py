@@ -48,7 +48,7 @@ class Sum(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Combination):
-    """Independent disturbances side by side: the channels of the first, then those of the second, and so on.
+    """Independent disturbances side by side. The channels of the first, then those of the second, and so on.
 
     Parameters
     ----------

@@ -135,7 +135,7 @@ class _Table:
     lines: tuple[int, ...]
 
     def fail(self, got: str, expected: str, cure: str = "") -> NoReturn:
-        """Raise an `InputError` that names the argument, the file, and what is unusual about how it is written."""
+        """Raise an `InputError` that names the argument and the file. It says how unusually the file is written."""
         raise InputError(self.argument, f"{self.path}: {got}", expected, self._unusual() or cure)
 
     def _unusual(self) -> str:

@@ -1,4 +1,4 @@
-"""What is believed of a state, a mean with a covariance, its checks, and how predictions and measurements change it."""
+"""Belief about a state: mean and covariance, their checks, and how predictions and measurements change them."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def innovation_covariance(P: Array, H: Array, V: Array) -> Array:
 
 
 def gain_of(P: Array, H: Array, V: Array) -> Array:
-    """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹, (..., nx, ny), for outputs in any units."""
+    """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹, (..., nx, ny). Outputs may be in any units."""
     S = innovation_covariance(P, H, V)
     unit = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
     scaled = S / unit[..., :, None] / unit[..., None, :]
@@ -118,7 +118,7 @@ def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
 
 
 def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-    """Estimates along a record y (T, ny) or (n, T, ny) and u (T, nu) or (n, T, nu), u_k held from k to k + 1."""
+    """Estimates along a record of y (T, ny) and u (T, nu). Or (n, T, ny) and (n, T, nu); u_k held from k to k + 1."""
     y = _runs("outputs", outputs, estimator.ny)
     n, steps = y.shape[:2]
     u = _runs("inputs", inputs, estimator.nu)

@@ -109,7 +109,7 @@ class ExtendedKalmanFilter(Immutable):
         set_(self, "detectability", detectability(self._slopes, self.x0, self.P0))
 
     def _slopes(self, x: Array) -> tuple[Array, Array]:
-        """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx) at states (n, nx) without an input."""
+        """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx). Taken at states (n, nx) without an input."""
         u = np.zeros((len(x), self.nu))
         spread = np.tile(np.sqrt(np.maximum(np.diag(self.P0), 0.0)), (len(x), 1))
         F, H = self._f(x, u)[1], self._h.slope(x, u, np.where(spread > 0, spread, 1.0))
@@ -173,7 +173,7 @@ class ExtendedKalmanFilter(Immutable):
         return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovation and its covariance (n, ny, ny) to first order: y (n, ny) less what inputs (n, nu) let expect."""
+        """Innovation and its covariance (n, ny, ny) to first order. y (n, ny) less what inputs (n, nu) let expect."""
         return y - self._h(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
@@ -185,7 +185,7 @@ class ExtendedKalmanFilter(Immutable):
         return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along a record of outputs (T, ny) or (n, T, ny) and inputs (T, nu) or (n, T, nu).
+        """Estimates along a record of outputs and inputs. Shapes are (T, ny) or (n, T, ny), and (T, nu) or (n, T, nu).
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """

@@ -1,4 +1,4 @@
-"""What sensors say: outputs with noise, the same in every loop that is closed with the same random numbers."""
+"""Measurements by sensors: outputs with noise, the same in every loop that is closed with the same random numbers."""
 
 from __future__ import annotations
 

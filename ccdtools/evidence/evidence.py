@@ -1,4 +1,4 @@
-"""What is known of two named candidates on one distribution: their returns in pairs, lost runs and limits."""
+"""Evidence on two named candidates on one distribution: their returns in pairs, lost runs and limits."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def _verdict(delivery: Values) -> str:
 
 
 def _rolled_back(delivery: Values, accepted: int) -> str:
-    """Updates that were rolled back, of this deployment or of the former one, measured by a whole one."""
+    """Updates that were rolled back. Those of this deployment, or of the former one, measured by a whole one."""
     if delivery.get("carried"):
         return f", so that the updates of generation {delivery['former']}, measured by a whole deployment, were " \
                "rolled back"  # fmt: skip
@@ -76,7 +76,7 @@ def region_line(region: Values) -> str:
 
 
 def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> list[str]:
-    """Sentence on what a redesign changed, what was predicted and measured, and whether it stays."""
+    """Sentence on what a redesign changed. Also what was predicted and measured, and whether it stays."""
     decision = redesign["decisions"][redesign["chosen"]]
     what = f"moved the design to {place}" if decision["moved"] else "changed the policy at the same design"
     if redesign["chosen"].startswith(FORMER):
@@ -92,14 +92,14 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> li
 
 
 def _less_than_predicted(delivery: Values) -> list[str]:
-    """Clause that less was measured than predicted, with the predicted return, if beyond both intervals."""
+    """Clause that less was measured than predicted. It has the predicted return, if beyond both intervals."""
     if Agreement(delivery["agreement"]) is not Agreement.LESS:
         return []
     return [f"{delivery['agreement']}, a deployed return of {with_minus(number(delivery['predicted']['mean']))}"]
 
 
 def _returns(delivery: Values) -> list[str]:
-    """Predicted and measured return of the first generation, on the stretch that the policy as designed drove."""
+    """Predicted and measured return of the first generation. Of the stretch that the policy as designed drove."""
     expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("predicted", "returns"))
     missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
     return [f"predicted a deployed return of {expected}, measured {found}{missed}"]

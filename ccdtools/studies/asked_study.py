@@ -16,7 +16,7 @@ from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
 
 def asked_study(options: Options, recording: Recorded | None = None) -> LoadedStudy:
-    """Study that the options ask for, from their starts and with their disturbance, or a recording that was kept.
+    """Study that the options ask for. Starts and disturbance are theirs, or those of a recording that was kept.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What every generation is measured on: the same scenarios for every controller and every generation."""
+"""Evaluation of every generation: the same scenarios for every controller and every generation."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Evaluation:
         return steps
 
     def check_recording(self) -> None:
-        """Raise if LQR at the start design cannot keep the plant near X under a recorded disturbance: wrong units?
+        """Raise if LQR at the start design cannot keep the plant near X. A recorded disturbance may have wrong units.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class Evaluation:
         )
 
     def training_episode(self, logs: Sequence[Residuals], space: DesignSpace) -> tuple[int, int]:
-        """Steps that count in an episode of a redesign within a box, and steps before them that do not.
+        """Steps that count in an episode of a redesign within a box. Also the steps before them that do not.
 
         Of several runs that are not very long, an episode is a whole run from its own start.
         """
@@ -114,7 +114,7 @@ class Evaluation:
         return self.window, warm_up(self.problem, logs, self.window, space)
 
     def on_model(self, logs: Sequence[Residuals]) -> Scenario:
-        """Scenario on which a generation is judged: the nominal model, with its assumed disturbance or logged errors.
+        """Scenario on which a generation is judged. The nominal model, with its assumed disturbance or logged errors.
 
         Before the first log every run starts where the study says. Afterwards it starts where the runs of the newest
         log did, and meets the errors that they met, to their end.
@@ -150,7 +150,7 @@ class Evaluation:
         return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
-        """Scenario of many runs for what the nominal model expects of a deployment: little is left to chance."""
+        """Scenario of many runs for what the nominal model expects of a deployment. Little is left to chance."""
         real = self.study.real
         runs = min(self.config.model_runs, max(16, 250_000 // self.deployment_steps))  # samples
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
@@ -178,7 +178,7 @@ class Evaluation:
         return Scenario(plant, self.study.model_starts(n, rng), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
-        """Scenario of the deployment itself if it is one long run, else of many runs like it."""
+        """Scenario of the deployment itself if it is one long run. Else of many runs like it."""
         real = self.study.real
         runs = 1 if real.runs == 1 else self.config.real_runs
         w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
@@ -186,7 +186,7 @@ class Evaluation:
 
     @cached_property
     def held_out(self) -> dict[str, Scenario]:
-        """Fresh runs of the real plant by the name of their disturbance, which no generation has met."""
+        """Fresh runs of the real plant, by the name of their disturbance. No generation has met them."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
@@ -216,7 +216,7 @@ class Evaluation:
         judged_on: Sequence[Residuals],
         rng: np.random.Generator,
     ) -> Stage:
-        """Comparison of every controller at one design, on the model that judged it and on the real plant.
+        """Comparison of every controller at one design. On the model that judged it and on the real plant.
 
         On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
@@ -247,7 +247,7 @@ class Evaluation:
         return Stage({"rows": rows}, arrays)
 
     def _shown_risk(self, plant: str, judged_on: Sequence[Residuals]) -> Risk | None:
-        """Worst case, where a study asks for it and the runs of a comparison have cases. Else None."""
+        """Worst case, where a study asks for it. The runs of a comparison need cases; else None."""
         asked = self.study.risk
         if not isinstance(asked, WorstCase) or (plant == "model" and judged_on):
             return None
@@ -264,7 +264,7 @@ class Evaluation:
         return self._filters[key]
 
     def can_serve(self, design: Array) -> bool:
-        """Whether the study's filter, if there is one, has a set to keep the state in at a design."""
+        """Whether the filter has a set to keep the state in at a design. True where the study has no filter."""
         try:
             self.admissible(design)
         except InputError:
@@ -277,13 +277,13 @@ class Evaluation:
         return {}
 
     def deployed(self, one: Deployable) -> Controller:
-        """Policy as it would be deployed on the real plant, behind the study's filter if there is one."""
+        """Policy as it would be deployed on the real plant. It is behind the study's filter if there is one."""
         return one.controller(self.admissible(one.design))
 
     def returns(
         self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
     ) -> Stage:
-        """Returns of a policy as designed where it was judged, on the nominal and on the since updated model."""
+        """Returns of a policy as designed. Where it was judged, on the nominal and on the since updated model."""
         policy = LearnedPolicy(agent, design)
         return Stage({
             "model": model_name(judged_on),
@@ -310,13 +310,13 @@ class Evaluation:
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
-        """Statistics of the returns of the runs that did not diverge, and the fraction that did."""
+        """Statistics of the returns of the runs that did not diverge. Also the fraction that did."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
         rewards = run.rewards(self.study.objective)[~run.diverged]
         return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
-        """Edges and mean of the 95 % band of states and inputs, (3, T, ·), for the figures."""
+        """Edges and mean of the 95 % band of states and inputs. (3, T, ·), for the figures."""
         shown = scenario.first(min(500, len(scenario.x0)), min(1000, scenario.steps))
         bands = {}
         for name, controller in controllers.items():

@@ -23,14 +23,14 @@ PLANT_NUMBERS = ("design", "dt", "continuous", "substeps", "state_names", "input
 
 
 def fingerprint(loaded: LoadedStudy, config: StudyConfig) -> dict[str, Any]:
-    """Study, sources and configuration as flat JSON values: {"study.p0": [1.0], …}. What is long becomes a hash."""
+    """Study, sources and configuration as flat JSON values. {"study.p0": [1.0], …}; what is long becomes a hash."""
     declared = {field.name: getattr(loaded.study, field.name) for field in dataclasses.fields(loaded.study)}
     parts = {"study": declared, "source": loaded.sources, "configuration": config.as_dict()}
     return dict(_flat(jsonable_of(parts))) | {"ccdtools": version("ccdtools")}
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Entries that differ, as "name: before → now", or as names alone where the values are hashes."""
+    """Entries that differ, as "name: before → now". As names alone where the values are hashes."""
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     names.sort(key=lambda name: name.startswith("source."))  # what is declared says more than that a file was edited
     return [_difference(name, before.get(name), now.get(name)) for name in names]
@@ -43,7 +43,7 @@ def summary(found: list[str]) -> str:
 
 
 def jsonable_of(value: Any) -> Any:
-    """JSON form of `value`: objects by their fields, plants by their dynamics, arrays as lists."""
+    """JSON form of `value`. Objects by their fields, plants by their dynamics, arrays as lists."""
     if isinstance(value, Plant):
         arguments = [value.x, value.u, value.w, value.p]
         dynamics = ca.Function("dynamics", arguments, [value.dynamics]).serialize()

@@ -31,7 +31,7 @@ Echo = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """State of the loop between two generations: what is deployed, the twin, the results so far.
+    """State of the loop between two generations. What is deployed, the twin, the results so far.
 
     `served` is the reference deployment of what is deployed.
     """
@@ -168,7 +168,7 @@ class Generations:
         return replace(state, service=service, served=reference, trust=Trust(**deployed.values["trust"]))
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
-        """Stage of a name, read back, or computed from its inputs with a generator of its own."""
+        """Stage of a name, read back or computed. It has a generator of its own beside its inputs."""
         if self.folder.has(name):
             self.echo(f"{label} … already finished")
             return self.folder.read_stage(name)

@@ -37,7 +37,7 @@ class GenerationRecord:
 
 
 def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
-    """Comparison on held-out runs at the first and the last design, and the gains by source in every place."""
+    """Comparison on held-out runs at the first and the last design. Also the gains by source in every place."""
     first = history[0].after
     last = history[-1].after
     rows = held_out_rows(evaluation, 0, first) + held_out_rows(evaluation, len(history) - 1, last)
@@ -48,7 +48,7 @@ def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) 
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
-    """Where gains are measured, on the real plant: where it was deployed or on runs like it, on every held-out
+    """Places on the real plant where gains are measured. Where it was deployed or on runs like it, on every held-out
     disturbance, and from where the study starts if the deployment starts elsewhere.
     """
     deployed = evaluation.on_real()
@@ -92,7 +92,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
 
 
 def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[Step]:
-    """Steps from LQR at the first design to what is deployed at the end, each with the source that it is due to.
+    """Steps from LQR at the first design to what is deployed at the end. Each has the source that it is due to.
 
     The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
     one that stayed brings its redesign; updates while deployed come last. One that was rolled back brings nothing.

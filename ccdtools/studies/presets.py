@@ -1,4 +1,4 @@
-"""How thoroughly a study runs."""
+"""Presets: how thoroughly a study runs."""
 
 from __future__ import annotations
 

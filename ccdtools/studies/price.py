@@ -1,4 +1,4 @@
-"""What a redesign costs: the gain that must be predicted."""
+"""Price of a redesign: the gain that must be predicted."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class RedesignPrice:
         return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
 
     def needed(self, size: float, part: float) -> float:
-        """Needed gain where the deployed return has that size, over that part of the length of an evaluation."""
+        """Needed gain where the deployed return has that size. Over that part of the length of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
 
 

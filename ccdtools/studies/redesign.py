@@ -27,7 +27,7 @@ from ccdtools.twin.updated_plant import UpdatedPlant
 
 @dataclass(frozen=True, eq=False)
 class RedesignJudge:
-    """Judge that compares redesigns with what is deployed, all on the same runs: logs, and all that is served.
+    """Judge that compares redesigns with what is deployed. All on the same runs: the logs, and all that is served.
 
     On the logs each goes from the start of a run to its end, through states of its own: in a window that begins within
     a run the cost of a start that neither has earned can outweigh everything else. A redesign must bring a gain there
@@ -122,7 +122,7 @@ def described(proposed: str, decision: Mapping[str, Any]) -> str:
 def predicted(
     evaluation: Evaluation, choice: Deployable, logs: Sequence[Residuals], steps: int | None = None
 ) -> Summary:
-    """Predicted return of a deployment, on the newest log's errors from end to end, or before any on the model.
+    """Predicted return of a deployment. On the newest log's errors from end to end, or before any on the model.
 
     `steps` are its first ones, by default all.
     """

@@ -63,7 +63,7 @@ class RunFolder:
         return folder
 
     def check_new(self, *, overwrite: bool = False, argument: str = "path", mark: str = "run.json") -> None:
-        """Raise unless nothing is at the path yet, or what has the `mark` of its kind and is to be overwritten."""
+        """Raise unless the path is free. What has the `mark` of its kind and is to be overwritten may be there."""
         if not os.path.lexists(self.path) or self._was_never_begun():
             return
         if not overwrite:
@@ -101,7 +101,7 @@ class RunFolder:
 
     @contextmanager
     def writing(self, argument: str = "folder") -> Iterator[None]:
-        """Turn a failure to write (no space, no permission, a file in the way) into one clear `InputError`."""
+        """Turn a failure to write into one clear `InputError`. Such as no space, no permission, a file in the way."""
         try:
             yield
         except BrokenPipeError:
@@ -114,7 +114,7 @@ class RunFolder:
             raise InputError(argument, got, WRITABLE, MEND) from None
 
     def check_layout(self) -> None:
-        """Raise unless the path holds a run, with folders where folders belong and files where files belong.
+        """Raise unless the path holds a run. Folders are where folders belong and files where files belong.
 
         Raises
         ------
@@ -222,7 +222,7 @@ class RunFolder:
 
 
 def _written_at(stage: Path) -> int:
-    """Time at which the stage was moved into its place, or 0 if it is damaged [ns]."""
+    """Time [ns] at which the stage was moved into its place. 0 if it is damaged."""
     try:
         return (stage / "values.json").stat().st_mtime_ns
     except OSError:

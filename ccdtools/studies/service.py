@@ -65,7 +65,7 @@ class Deployed:
         return self.log.inputs.shape[0] * self.log.inputs.shape[1]
 
     def stretch(self, one: Deployable) -> tuple[int, int]:
-        """First sample, and the one after the last, of the stretch that a policy drove alone. None of another's."""
+        """First sample of the stretch that a policy drove alone, and the one after the last. None of another's."""
         if one.same_as(self.designed):
             return (0, self.changes[0] if self.changes else self.samples)
         if one.same_as(self.after):

@@ -30,7 +30,7 @@ class Stage:
 
 
 def write_stage(folder: Path, stage: Stage, run: str) -> None:
-    """Write a stage of the run with that identity beside its place, and move it there when it is whole."""
+    """Write a stage of the run with that identity. It is written beside its place and moved there when it is whole."""
     from learning import checkpoint  # loads torch, which a wrong option need not wait for
 
     partial = folder.with_name(f"{folder.name}.partial")

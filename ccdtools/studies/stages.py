@@ -1,4 +1,4 @@
-"""What each stage of the loop computes."""
+"""Stages of the loop, and what each computes."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class LoopStages:
     def _proposals(
         self, redesign: Deployable, current: Deployable, history: Sequence[GenerationRecord]
     ) -> dict[str, Deployable]:
-        """Candidates by name: the redesign, its policy without its design, the start, and what was deployed."""
+        """Candidates by name. The redesign, its policy without its design, the start, and what was deployed."""
         proposals = {"redesign": redesign}
         if not same_design(self.evaluation.problem.design, redesign.design, current.design):
             proposals[POLICY_ALONE] = replace(redesign, design=current.design)
@@ -142,7 +142,7 @@ class LoopStages:
     def _co_designed(
         self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
-        """Co-design, with the policy and design that are deployed, the decisions, and what they predict."""
+        """Co-design, with the policy and design that are deployed. Also the decisions, and what they predict."""
         history = result.history
         space = self.evaluation.problem.design
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
@@ -170,7 +170,7 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, found: Stage, current: Deployable, former: Deployed | None,
         trust: Trust, twin: DigitalTwin | None = None,
     ) -> Stage:  # fmt: skip
-        """Log of the policy on the real plant, updated on the way, and whether it stays deployed."""
+        """Log of the policy on the real plant, updated on the way. Also whether it stays deployed."""
         evaluation = self.evaluation
         study = evaluation.study
         real = study.real
@@ -224,7 +224,7 @@ class LoopStages:
         return violation(evaluation.problem, scenario, log, former, evaluation.study.real.plant)
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
-        """Quantiles of the one-step errors of the nominal model along all logs, and how well draws hold."""
+        """Quantiles of the one-step errors of the nominal model along all logs. Also how well draws hold."""
         if log.diverged.all() and twin.discrepancy is not None and twin.scores is not None:
             report = ["every run diverged: nothing was learned from them"]
             values = {"scores": asdict(twin.scores), "free_running": None, "report": report}
@@ -260,13 +260,13 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
         logs: Sequence[Residuals],
     ) -> Stage:  # fmt: skip
-        """Comparison of every controller at the design, on the model that judged it and on the real plant."""
+        """Comparison of every controller at the design. On the model that judged it and on the real plant."""
         return self.evaluation.comparison(
             generation, designed.design, designed=designed.agent, deployed=deployed.agent, judged_on=logs, rng=rng
         )
 
     def held_out(self, rng: np.random.Generator, history: Sequence[GenerationRecord]) -> Stage:
-        """Comparison of every controller under disturbances that no generation has met, and the gains everywhere."""
+        """Comparison of every controller under held-out disturbances. No generation met them; with all gains."""
         return held_out_stage(self.evaluation, history)
 
     def evaluate(
@@ -303,7 +303,7 @@ def deployable_of(found: Stage) -> Deployable:
 def deployed_of(
     generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, updates: Sequence[Mapping[str, Any]]
 ) -> Deployed:  # fmt: skip
-    """Deployment of what was designed, with the stretch that each policy drove, from its kept updates."""
+    """Deployment of what was designed, from its kept updates. With the stretch that each policy drove."""
     changes = tuple(update["after"] for update in updates if update["accepted"])
     after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
     return Deployed(generation, designed, after, log, changes)

@@ -1,4 +1,4 @@
-"""What a case study declares: one object, checked when it is made."""
+"""Declaration of a case study: one object, checked when it is made."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ class Study(Immutable):
             raise InputError("starts", error.got, error.expected, error.cure) from None
 
     def _check_real(self, real: RealPlant) -> None:
-        """Raise unless the real plant is one that the model may describe, with steps that follow it."""
+        """Raise unless the model may describe the real plant. Its steps have to follow it."""
         check_same_plant(self.plant, real)
         if isinstance(real.plant, Plant):
             X, U = widest(self.X), widest(self.U)
@@ -245,7 +245,7 @@ class Study(Immutable):
 
     @cached_property
     def model(self) -> Model:
-        """Discrete model: exact and symbolic in the design, or integrated to an accuracy within X, U and W.
+        """Discrete model, exact and symbolic in the design. Or integrated to an accuracy within X, U and W.
 
         W are the bounds of a thousand samples of the disturbance, and of 200 runs of it.
         """
@@ -286,7 +286,7 @@ class Study(Immutable):
 
     @property
     def judged_in(self) -> Risk:
-        """Risk that redesigns, updates and deployments are judged by: what logged runs tell of the study's."""
+        """Risk that redesigns, updates and deployments are judged by. What logged runs tell of the study's."""
         return of_logged_runs(self.risk)
 
     def problem(self) -> CoDesignProblem:

@@ -1,4 +1,4 @@
-"""How far from what has been deployed a redesign may go."""
+"""Trust region: how far from what has been deployed a redesign may go."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
-    """Problem with the box of designs narrowed to so much of each range on either side of a design.
+    """Problem with a narrowed box of designs. It keeps so much of each range on either side of a design.
 
     A whole number may take the next one either way, however short its range or small the radius.
     """
@@ -93,7 +93,7 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
 
 
 def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, str]:
-    """Parameters at a side of a region that is no bound of the whole box, with "lower" or "upper"."""
+    """Parameters at a side of a region that is no bound of the whole box. With "lower" or "upper"."""
     bounds = space.active_bounds(design)
     return {name: side for name, side in region.active_bounds(design).items() if bounds.get(name) != side}
 
@@ -112,7 +112,7 @@ def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpac
 
 
 def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
-    """Split of a log carried to the newest design: errors through the disturbance and the rest, (n, T, nx) each."""
+    """Split of a log carried to the newest design. Errors through the disturbance and the rest, (n, T, nx) each."""
     newest = twin.logs[-1].p
     if isinstance(twin.model, SampledModel):
         rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))

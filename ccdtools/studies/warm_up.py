@@ -1,4 +1,4 @@
-"""How long a replay must run before it shows what a design earns, and not where the log's own loop had left it."""
+"""Warm-up: how long a replay runs before it shows what a design earns, not where the log's own loop had left it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mpc import MPCError
 
 
 def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
-    """Steps before a window after which its return is that of each design's own loop, whichever loop was logged.
+    """Steps before a window that leave the log's own loop behind. Its return is then that of each design's own loop.
 
     A window starts at a state of the logged loop. Where that costs a design more, or less, than its own states would,
     and the loop settles slowly, the start outweighs the disturbance. LQR is run over windows of the logged errors at
@@ -76,7 +76,7 @@ def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before:
 
 
 def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Log, run and first step of windows spread over all runs, each with room for so many steps before it."""
+    """Log, run and first step of windows spread over all runs. Each has room for so many steps before it."""
     every = [(i, run) for i, log in enumerate(logs) for run in range(log.runs)]
     some = np.unique(np.linspace(0, len(every) - 1, min(WARM_UP_WINDOWS, len(every))).round().astype(int))
     for i, run in (every[k] for k in some):

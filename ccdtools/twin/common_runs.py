@@ -16,7 +16,7 @@ def is_common(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def groups(logs: Sequence[Residuals]) -> NDArray[np.int64]:
-    """The group of every run of logs: its number where it met the same disturbance in all of them, else its own."""
+    """Group of every run of logs. Its number where it met the same disturbance in all of them, else its own."""
     several = 1 + max(int(log.numbers.max()) for log in logs)
     own = [(k + 1) * several + log.numbers for k, log in enumerate(logs)]
     return np.concatenate([np.where(is_common(log.numbers), log.numbers, alone) for log, alone in zip(logs, own)])

@@ -1,4 +1,4 @@
-"""What can be deployed: a policy together with the design that it controls."""
+"""Deployables: a policy together with the design that it controls."""
 
 from __future__ import annotations
 

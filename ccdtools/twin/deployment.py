@@ -201,7 +201,7 @@ class _DeployedPolicy:
         return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
     def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
-        """Log of the deployed policy on one part of the deployment, from where the last one ended."""
+        """Log of the deployed policy on one part of the deployment. It begins where the last one ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
         return deploy(
             self.whole.plant, self.deployed.controller(self.admissible), self.deployed.design,
@@ -298,7 +298,7 @@ def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
 
 
 def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
-    """Runs and steps of each part: groups of runs, or pieces in time of the only run."""
+    """Runs and steps of each part. Parts are groups of runs, or pieces in time of the only run."""
     if runs > 1:
         edges = np.unique(np.linspace(0, runs, pieces + 1).round().astype(int))
         return [(slice(a, b), slice(0, steps)) for a, b in pairwise(edges)]

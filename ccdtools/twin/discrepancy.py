@@ -134,7 +134,7 @@ class Discrepancy(Immutable):
         return kept if kept.shape[-1] else e.new_zeros(*e.shape[:-1], self._copula.memory)
 
     def past(self, log: Residuals) -> Tensor:
-        """Error e along a log with what the draws remember of former steps, (n, T, nx + memory), for `advance`.
+        """Error e along a log, (n, T, nx + memory), for `advance`. With what the draws remember of former steps.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class Discrepancy(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwinPlant(Immutable, PlantOfModel):
-    """Updated model as a plant to simulate: x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
+    """Updated model as a plant to simulate. x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
 
     f is the model's own step, A(p) x + B(p) u + c(p) of a linear one.
 
@@ -190,7 +190,7 @@ class TwinPlant(Immutable, PlantOfModel):
         return self.model.nx
 
     def stepper(self, p: Array, *, batch: int) -> TwinStepper:
-        """Steps (x, u, w) → x⁺ at design `p` (np,), from e₀ = 0 or the error given, remembering e."""
+        """Steps (x, u, w) → x⁺ at design `p` (np,), remembering e. They begin from e₀ = 0 or the error given."""
         if self.error is not None and len(self.error) != batch:
             raise InputError("error", f"those of {len(self.error)} runs", f"one for each of the {batch} runs")
         return TwinStepper(self, p, batch)

@@ -87,7 +87,7 @@ class ServedDistributions:
     def on(
         self, logs: Sequence[Residuals], plant: UpdatedPlant, design: Array, rng: np.random.Generator
     ) -> list[Distribution]:
-        """Distributions that a change at a design will serve beside the log, on the model as updated by it."""
+        """Distributions that a change at a design will serve beside the log. On the model as updated by it."""
         drawn = {name: plant.drawn(logs, w) for name, w in self.kinds.items()}
         found = [Distribution(name, Scenario(plant, np.tile(self.x0, (len(w), 1)), w), Asked.TOLERANCE)
                  for name, w in drawn.items()]  # fmt: skip

@@ -26,7 +26,7 @@ STEPS = (10, 50, 100)  # Bands are measured after so many steps by default.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FreeRunningBands(Immutable):
-    """Bands of the states that a twin draws from logged ones, and how well they cover what the plant did.
+    """Bands of the states that a twin draws from logged ones. Also how well they cover what the plant did.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ def free_running_bands(
     blocks: int = BLOCKS,
     since: int = 0,
 ) -> FreeRunningBands:
-    """Bands of `twin` in closed loop, started from the states of a log and compared with what followed.
+    """Bands of `twin` in closed loop. They start from the states of a log and are compared with what followed.
 
     The draws know the state and the error at the start of a window, and nothing of what follows.
 
@@ -154,7 +154,7 @@ Span = tuple[int, int, int]  # run, first sample, one past the last
 
 
 def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: int, since: int) -> list[Span]:
-    """Stretches of the errors to start windows in, without the first `since` samples of the log, run after run."""
+    """Stretches of the errors to start windows in, run after run. The first `since` samples of the log are left out."""
     parts = [(slice(0, errors.runs), slice(0, errors.steps))]
     if held_out is not None:
         parts = block_spans(errors, held_out, blocks, last=True)
@@ -181,7 +181,7 @@ def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
 
 
 def _starts(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
-    """Run and first sample (n, 2) of at most so many windows, evenly spread over all that the spans hold."""
+    """Run and first sample (n, 2) of at most so many windows. Evenly spread over all that the spans hold."""
     every = np.array([(run, k) for run, first, end in spans for k in range(first, end - length + 1)])
     return every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))]
 
@@ -190,7 +190,7 @@ def _draws(
     twin: DigitalTwin, errors: Residuals, controller: Controller, starts: NDArray[np.int64], length: int, draws: int,
     rng: np.random.Generator,
 ) -> Array:  # fmt: skip
-    """Drawn states (n, draws, length + 1, nx) from the logged ones at the starts (n, 2)."""
+    """Drawn states (n, draws, length + 1, nx). They start from the logged ones at the starts (n, 2)."""
     assert twin.discrepancy is not None
     discrepancy = replace(twin.discrepancy, noise="quantiles")
     past = discrepancy.past(_as_learned(twin, errors))[starts[:, 0], starts[:, 1]].double().numpy()
@@ -203,7 +203,7 @@ def _draws(
 
 
 def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
-    """Errors as they would be at the design of the twin's newest log, where its network works."""
+    """Errors at the design of the twin's newest log. Its network works there."""
     assert twin.scale is not None
     return carried(twin.model, errors, twin.logs[-1].p, twin.scale)
 
@@ -214,7 +214,7 @@ def _last(twin: DigitalTwin, errors: Residuals) -> Array:
 
 
 def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:
-    """Bands of the draws (n, draws, T + 1, nx) at the horizons, compared with the actual states (H, n, nx)."""
+    """Bands of draws, compared with the actual states (H, n, nx). Draws (n, draws, T + 1, nx) at the horizons."""
     at = np.moveaxis(drawn[:, :, horizons], 2, 0)
     lower, upper = np.quantile(at, (0.1, 0.9), axis=2, method="weibull")  # 80 %, if draws are as good as the truth
     inside = (actual >= lower) & (actual <= upper)

@@ -18,7 +18,7 @@ Indices: TypeAlias = NDArray[np.int64]
 
 
 def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:
-    """Disturbances ŵ (n, T, nw) that bring f(x, u, ŵ, p) nearest to the logged next states, divided by scale (nx,).
+    """Disturbances ŵ (n, T, nw) that explain the log best. f(x, u, ŵ, p) is nearest to next states over scale (nx,).
 
     It is zero where w has no effect. Where the effect is less than a tenth of the largest in the log, ŵ is at most
     twice as large as where it is more: a small effect would make large disturbances, that another state would feel, of
@@ -98,7 +98,7 @@ class _LeastSquares:
         return np.where((self.distance(within) < self.size)[:, None], within, 0.0)
 
     def effect_of(self, w: Array, some: Indices) -> Array:
-        """Move of the next states of some samples (m,) by disturbances (k, 1, nw), in scaled states (k, m)."""
+        """Move of the next states of samples (m,) by disturbances (k, 1, nw). In scaled states (k, m)."""
         with np.errstate(all="ignore"):
             moved = (self._next_states(w, some) - self._next_states(np.zeros_like(w[:1]), some)) / self._scale
             return np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf)
@@ -148,7 +148,7 @@ def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
 
 
 def _least_squares(M: Array, b: Array) -> Array:
-    """Shortest z (m, nw) that brings M z (m, nx) nearest to b, without directions of hardly any effect."""
+    """Shortest z (m, nw) that brings M z (m, nx) nearest to b. Directions of hardly any effect are left out."""
     U, values, V = np.linalg.svd(M, full_matrices=False)
     inverse = np.where(values > UNTOLD, 1.0 / np.maximum(values, UNTOLD), 0.0)
     along = np.einsum("nik,ni->nk", U, np.nan_to_num(b, nan=0.0, posinf=0.0, neginf=0.0))

@@ -1,4 +1,4 @@
-"""How a policy is updated while it is deployed."""
+"""Settings and results of updating a policy while it is deployed."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class OnlineUpdate(Immutable):
 
     @property
     def gain(self) -> PairedDifference:
-        """Return of the candidate minus that of the deployed policy on the held-out parts of the log."""
+        """Return of the candidate minus that of the deployed policy. On the held-out parts of the log."""
         return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
 
     def as_dict(self) -> dict[str, Any]:

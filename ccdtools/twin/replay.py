@@ -53,7 +53,7 @@ class Replay(Immutable):
         return f"Replay({', '.join(map(repr, self.logs))})"
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx) and errors (runs, steps, nx), or (ŵ, r) (runs, steps, nw + nx) if they are split.
+        """Initial states (runs, nx) and errors (runs, steps, nx). Or (ŵ, r) (runs, steps, nw + nx) if they are split.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class Replay(Immutable):
         return np.concatenate(x0), np.concatenate(w), np.concatenate(labels)
 
     def whole(self) -> tuple[Array, Array]:
-        """First states (n, nx) and all errors (n, T, ·) of every run, which a controller is judged on.
+        """First states (n, nx) and all errors (n, T, ·) of every run. A controller is judged on them.
 
         From there on a loop goes through states of its own. A window within a run would start where another loop was,
         and what that start costs is no part of what a design earns.

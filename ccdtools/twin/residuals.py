@@ -70,7 +70,7 @@ class Residuals(Immutable):
         return replace(self, e=self.e @ T.T, e_next=self.e_next @ T.T)
 
     def columns(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Columns e, x, u, p and e⁺ of all samples, one after the other, (n T, ·) each."""
+        """Columns e, x, u, p and e⁺ of all samples, (n T, ·) each. One sample after the other."""
         p = np.broadcast_to(self.p, (*self.x.shape[:2], len(self.p)))
         e, x, u, p, e_next = (c.reshape(-1, c.shape[-1]) for c in (self.e, self.x, self.u, p, self.e_next))
         return e, x, u, p, e_next
@@ -126,7 +126,7 @@ def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> 
 
 
 def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[tuple[slice, slice]]:
-    """Runs and steps of the first (or the held-out last) part of every block of a log. None is empty.
+    """Runs and steps of one part of every block of a log. The first or the held-out last; none is empty.
 
     A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
     """

@@ -55,7 +55,7 @@ class Transport(Immutable):
         return cls(E, inverse)
 
     def split(self, e: Array) -> tuple[Array, Array]:
-        """Disturbances ŵ (..., nw) and the rest r (..., nx) of errors (..., nx) at the design of the log."""
+        """Disturbances ŵ (..., nw) and the rest r (..., nx) of errors (..., nx). At the design of the log."""
         w = e @ self.inverse.T
         return w, e - w @ self.E.T
 
@@ -70,7 +70,7 @@ class Transport(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ErrorSplit(Immutable):
-    """Logged errors as disturbances (ŵ, r) of a model with [E(p) I] in the place of E(p).
+    """Logged errors as disturbances (ŵ, r) of a model. It has [E(p) I] in the place of E(p).
 
     Of a nonlinear model x⁺ = f(x, u, ŵ, p) + r along the log, with the ŵ that leaves least; see `met_disturbances`.
 
@@ -123,7 +123,7 @@ class ErrorSplit(Immutable):
 
 
 def carried(model: Model, log: Residuals, p: ArrayLike, scale: ArrayLike) -> Residuals:
-    """Log with its errors e and e⁺ at another design (np,), in the same states under the same inputs.
+    """Log with its errors e and e⁺ at another design (np,). States and inputs are the same.
 
     E(q) ŵ + r of a linear model, f(x, u, ŵ, q) + r − f(x, u, 0, q) of another.
     """
@@ -147,7 +147,7 @@ def as_extent(scale: ArrayLike, nx: int) -> Array:
 
 
 def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
-    """Whether an error at a design tells every disturbance of a model: E(p) is of full column rank."""
+    """Whether an error at a design tells every disturbance of a model. E(p) is then of full column rank."""
     scaled, lengths = _columns_of_length_one(model.matrices(p)[2] / scale[:, None])
     if model.nw == 0 or not np.isfinite(lengths).all():
         return model.nw == 0

@@ -77,7 +77,7 @@ class UpdatedPlant(PlantOfModel):
         return [replace(log, e_next=log.e_next - self.learned(log.x, log.u)) for log in own]
 
     def drawn(self, logs: Sequence[Residuals], w: Array) -> Array:
-        """Drive (ŵ, ρ) under a disturbance (n, T, nw) in the place of the logged one, whose mean is kept."""
+        """Drive (ŵ, ρ) under a disturbance (n, T, nw). It takes the place of the logged one, whose mean is kept."""
         nw = w.shape[-1]
         logged = [self.split.disturbances(log)[..., :nw].reshape(-1, nw) for log in self.unexplained(logs)]
         return np.concatenate([w + np.concatenate(logged).mean(axis=0), np.zeros((*w.shape[:2], self.nx))], axis=-1)

@@ -92,7 +92,7 @@ def axle_design() -> DesignSpace:
 def corner_forces(
     corners: list[Corner], u: ca.SX, deflections: ca.SX, travels: ca.SX, rates: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Upward forces [N] on the body at its corners and on the wheels, a row for each corner."""
+    """Upward forces [N] on the body at its corners and on the wheels. A row for each corner."""
     lifts = [corner.active(u[i]) - corner.passive(travels[i], rates[i]) for i, corner in enumerate(corners)]
     pushes = [corner.ground(deflections[i]) - lifts[i] for i, corner in enumerate(corners)]
     return ca.vertcat(*lifts), ca.vertcat(*pushes)

@@ -86,7 +86,7 @@ class Corner:
         return limited(u, self.strut.force_limit) if self.real else u
 
     def ground(self, deflection: ca.SX) -> ca.SX:
-        """Upward force of the road on the wheel [N], `deflection` [m] above where it stands at rest."""
+        """Upward force of the road on the wheel [N]. `deflection` [m] is above where it stands at rest."""
         if not self.real:
             return -self.tyre * deflection
         rounding = 0.1 * self.load  # of the corner at which the tyre leaves the road

@@ -43,7 +43,7 @@ def road_roughness(road_class: RoadClass) -> float:
 
 
 def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLike = BAND) -> Array:
-    """One-sided spectrum of the elevation of a class, G(n) = G(n₀) (n/n₀)⁻² [m³] within the band and 0 outside.
+    """One-sided spectrum of the elevation of a class. G(n) = G(n₀) (n/n₀)⁻² [m³] within the band and 0 outside.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def generate_profile(
     band: ArrayLike = BAND,
     spacing: float = SPACING,
 ) -> tuple[Array, Array]:
-    """Road of a class of ISO 8608, of one track, or of two whose coherence is that of an isotropic road.
+    """Road of a class of ISO 8608, of one track or two. Their coherence is that of an isotropic road.
 
     The elevation is a sum of cosines with normal amplitudes and random phases, on a grid of frequencies as fine as
     that of a road at least twice as long: a stationary Gaussian process, whose spectrum has the class' power in every
@@ -187,7 +187,7 @@ def as_spacing(argument: str, value: Any, high: float) -> float:
 
 
 def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
-    """Frequencies k·step of the cells (k ± ½)·step that meet the band, and ∫ n⁻² dn over what lies in it."""
+    """Frequencies k·step of the cells (k ± ½)·step that meet the band. And ∫ n⁻² dn over what lies in it."""
     k = np.arange(max(1, round(low / step)), round(high / step) + 1, dtype=np.float64)
     begin = np.maximum((k - 0.5) * step, low)
     end = np.minimum((k + 0.5) * step, high)

@@ -1,4 +1,4 @@
-"""How a vehicle rode, as a few numbers of a trajectory: what a table of controllers shows beside their returns."""
+"""Ride of a vehicle, as a few numbers of a trajectory: what a table of controllers shows beside their returns."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Ride(Immutable):
         set_(self, "stop", as_positive("stop", self.stop, unit="m"))
 
     def __call__(self, run: Trajectory) -> dict[str, float]:
-        """Means over the runs and wheels, but for the largest travel and the power of all actuators.
+        """Means over the runs, and over the wheels. Largest travel and power of all actuators are not over wheels.
 
         The power is that of what the actuators do on the suspension, without what comes back from braking.
 

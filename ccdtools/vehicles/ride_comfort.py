@@ -76,7 +76,7 @@ def _second_order(f: NDArray[np.complex128], corner: float, Q: float) -> NDArray
 
 
 def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") -> Array:
-    """Acceleration as people feel it, a_w (..., T) [m/s²], as a filter gives it that starts at rest.
+    """Acceleration as people feel it, a_w (..., T) [m/s²]. A filter gives it that starts at rest.
 
     The record is weighted in the frequency domain, followed by zeros until the filter has settled. Below half the
     sampling rate the weights are therefore those of the standard at every rate; the usual bilinear filter at

@@ -31,7 +31,7 @@ def road_disturbance(
     dt: float,
     steps: int | None = None,
 ) -> Array:
-    """Vertical velocity of the road under the wheel, ż₀ = dz₀/ds · v [m/s], one value per time step.
+    """Vertical velocity of the road under the wheel [m/s]. ż₀ = dz₀/ds · v, one value per time step.
 
     Each value is the mean of dz₀/ds · v over its step, (z₀(s(t_k + dt)) − z₀(s(t_k))) / dt: what a model that
     holds its disturbance over a step must be fed. Their sum gives the elevation back exactly, and no edge
@@ -118,7 +118,7 @@ def _travelled(time: Array, speed: Array, instants: Array) -> Array:
 
 @dataclass(frozen=True)
 class Feature:
-    """One kind of obstacle: how long and how high it may be, and its profile between 0 and 1.
+    """One kind of obstacle. It says how long and how high it may be, and has a profile between 0 and 1.
 
     `profile(x, length)` is the share of the height at the distance x [m] into an obstacle of that length [m].
     """

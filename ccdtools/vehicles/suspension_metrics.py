@@ -121,7 +121,7 @@ def suspension_metrics(
 
 
 def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Array]:
-    """Root mean square [m], largest value [m], and largest value over the stop, each (...,), of travels (..., T).
+    """Root mean square [m] and largest value [m] of travels (..., T). Also the largest over the stop. Each (...,).
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Arr
 
 
 def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
-    """Root mean square of the dynamic load over the static one, and the fraction of time without load, each (...,).
+    """Root mean square of the dynamic load over the static one. Also the fraction of time without load, each (...,).
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ def study_on_roads(
     name: str, title: str, nominal: Plant, real: Plant, X: Polytope, Q: Array, metrics: Metrics, *,
     track: float | None = None, heights: bool = False,
 ) -> Study:  # fmt: skip
-    """Study of a car on an average road, from a rest, within X and at the cost Q of its states."""
+    """Study of a car on an average road, from a rest. Within X and at the cost Q of its states."""
     start = np.zeros(nominal.nx)
 
     def road(road_class: RoadClass) -> ISORoad:

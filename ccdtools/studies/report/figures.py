@@ -37,7 +37,7 @@ def figures(run: FinishedRun) -> Iterator[ReportFigure]:
 
 
 def _changes(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of what changed from LQR at the start design, and what each source brought."""
+    """Figure of what changed from LQR at the start design. Also what each source brought."""
     rows = in_first_place(run.results)
     places = run.results["gains"]
     figure = style.blank(11, 1.0 + 0.36 * max(len(rows), 2 * len(places)), quick=run.quick)
@@ -107,12 +107,12 @@ def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _trajectories(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of states and inputs under LQR and the learned policy, on the model and on the real plant."""
+    """Figure of states and inputs under LQR and the learned policy. On the model and on the real plant."""
     return [_trajectories_on(run, kind) for kind in ("model", "real")]
 
 
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
-    """Figure of states and inputs at the start design and at the final one, on the model or on the real plant."""
+    """Figure of states and inputs at the start design and at the final one. On the model or on the real plant."""
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
@@ -144,7 +144,7 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
 
 
 def _signals(arrays: dict[str, Array], name: str, window: slice) -> Array:
-    """Signals of a controller side by side: states and inputs, low, mean and high, (3, T, nx + nu)."""
+    """Signals of a controller side by side. States and inputs, low, mean and high, (3, T, nx + nu)."""
     states = arrays[f"{name}_states"]
     inputs = arrays[f"{name}_inputs"]
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
@@ -168,7 +168,7 @@ def _quantiles(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
-    """Figure of the learned quantiles of one generation with the errors at the end of its deployment."""
+    """Figure of the learned quantiles of one generation. With the errors at the end of its deployment."""
     dt = run.study.plant.dt
     logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
     log = residuals(run.study.model, Trajectory(**logged, dt=dt))

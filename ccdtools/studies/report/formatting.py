@@ -14,7 +14,7 @@ FORMER = "return to "  # begins the name of a proposal that was deployed before,
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Number to so many significant digits, as a power of ten only where it is very small or large."""
+    """Number to so many significant digits. As a power of ten only where it is very small or large."""
     if value is None or not math.isfinite(value):
         return "n/a"
     if value != 0 and not 1e-3 <= abs(value) < 1e6:
@@ -33,7 +33,7 @@ def capitalised(text: str) -> str:
 
 
 def limits_of(results: Mapping[str, Any]) -> str:
-    """Name of what a controller of a run leaves: "X", or "the limits" where those of outputs count, too."""
+    """Name of what a controller of a run leaves. "X", or "the limits" where those of outputs count, too."""
     return str(results.get("limits", "X"))
 
 
@@ -59,7 +59,7 @@ def active_bounds_text(active: Mapping[str, str]) -> str:
 
 
 def holding_text(row: Mapping[str, Any]) -> str:
-    """Phrase for what holds the design of a row: active bounds, and active constraints where there are any.
+    """Phrase for what holds the design of a row. Active bounds, and active constraints where there are any.
 
     Runs of versions that knew no constraints have none.
     """

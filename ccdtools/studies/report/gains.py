@@ -17,7 +17,7 @@ WORDS = {
 
 
 def gain_percent(place: Values, source: str) -> tuple[float, float | None, float | None] | None:
-    """Gain and its interval in per cent of LQR's return at the start design, without the cost of that design.
+    """Gain and its interval in per cent of LQR's return. At the start design, without the cost of that design.
 
     None where there is none.
 
@@ -53,7 +53,7 @@ def gain_rows(results: Values) -> list[list[str]]:
 
 
 def gain_headings(results: Values) -> list[str]:
-    """Headings of the places: name, runs and steps, and the part of the runs left out where some diverged."""
+    """Headings of the places. Name, runs and steps, and the part of the runs left out where some diverged."""
     return [_heading(place) for place in results["gains"]]
 
 

@@ -1,4 +1,4 @@
-"""What came out, in one sentence."""
+"""Headline: what came out, in one sentence."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Results = Mapping[str, Any]
 
 
 def headline(results: Results) -> str:
-    """Sentence with the cost on the real plant before and after, the sources of the change, and every generation."""
+    """Sentence with the cost on the real plant before and after. Also the sources, and what each generation did."""
     last = len(results["generations"])
     idle = _no_further_gain(results)
     changes = [idle] if idle else _generations(results)
@@ -60,7 +60,7 @@ def _missed_predictions(results: Results) -> list[str]:
 
 
 def _worse(results: Results) -> str:
-    """Worse numbers other than the cost, each with its change and, where not in the first place, where."""
+    """Worse numbers other than the cost, each with its change. And with the place where that is not the first one."""
     first = results["gains"][0]["place"] if results.get("gains") else ""
     named = [
         f"{bare(name)} {one.text.split(' [')[0]}" + ("" if one.place == first else f" ({one.place})")
@@ -70,7 +70,7 @@ def _worse(results: Results) -> str:
 
 
 def _judged_by(results: Results) -> str:
-    """Phrase for the measure that was optimised and judged by, where it is not the mean, as the costs here are."""
+    """Phrase for the measure that was optimised and judged by. Where it is not the mean, as the costs here are."""
     measure = results.get("measure", "mean")
     if measure != "mean":
         return f"these are mean costs, the study is judged by the {measure}"
@@ -143,7 +143,7 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
 
 
 def _policy(results: Results, last: int) -> str:
-    """Comparison of policy and LQR at the same design, where deployed and wherever it is worse or untold."""
+    """Comparison of policy and LQR at the same design. Where deployed, and wherever it is worse or untold."""
     rows = [row for row in results.get("held_out", ()) if row["generation"] == last]
     words: dict[str, list[str]] = {}
     for row in rows:
@@ -160,7 +160,7 @@ def _policy(results: Results, last: int) -> str:
 
 
 def _where_deployed(results: Results, last: int) -> str:
-    """Comparison of policy and LQR at the same design, on the runs where it was deployed."""
+    """Comparison of policy and LQR at the same design. On the runs where it was deployed."""
     row = _row(results, last, "learned")
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
@@ -178,7 +178,7 @@ def _where_deployed(results: Results, last: int) -> str:
 
 
 def _limits(results: Results, last: int) -> str:
-    """Sentence that the deployed co-design violates its limits, and which of them the real plant exceeds most."""
+    """Sentence that the deployed co-design violates its limits. It names what the real plant exceeds most."""
     found = _limits_as_deployed(results)
     if found is None or found["kept"]:
         return ""
@@ -198,7 +198,7 @@ def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:
-    """Sentence on policy and LQR where a run is too short, or drifts too much, to say what the next would bring."""
+    """Sentence on policy and LQR without an interval. A run is too short, or drifts too much, to foresee the next."""
     percent = -100 * row["paired_to_lqr"]["mean"] / (size_of(row, "lqr_mean") or abs(row["lqr_mean"]))
     if abs(percent) < NOT_WORSE_PERCENT:
         costs = f"as much as LQR within {NOT_WORSE_PERCENT:g} %"

@@ -85,7 +85,7 @@ def _runs(run: FinishedRun) -> int:
 
 
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:
-    """Mean return of LQR, half-width of its 95 % interval, and fraction of diverged runs, of every design."""
+    """Mean return of LQR of every design. Also half-width of its 95 % interval, and fraction of diverged runs."""
     rng = np.random.default_rng(np.random.SeedSequence(run.results["seed"], spawn_key=tuple(b"landscape")))
     x0, w = run.problem.scenarios.sample(_runs(run), run.study.steps, rng)
     columns = [_return_at(run, design, x0, w) for design in designs]

@@ -109,7 +109,7 @@ def _no_sets(run: FinishedRun) -> str:
 
 
 def _cards(run: FinishedRun) -> list[dict[str, Any]]:
-    """Cards of the start and every generation: design, bounds and returns of the learned policy beside LQR's."""
+    """Cards of the start and every generation. Design, bounds and returns of the learned policy beside LQR's."""
     results = run.results
     generations: list[dict[str, Any]] = [{"generation": 0, "design": results["start"]}, *results["generations"]]
     rows = []

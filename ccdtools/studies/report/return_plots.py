@@ -37,7 +37,7 @@ SOURCE_COLOURS = ("#3D3D3D", "#D55E00", "#E69F00", "#0072B2")
 def plot_history(
     figure: Figure, histories: Sequence[History], chosen: Sequence[int], space: DesignSpace, judges: Sequence[str]
 ) -> list[Axes]:
-    """Plot return (top) and design (below) over the iterations of every co-design, one column per generation.
+    """Plot return (top) and design (below) over the iterations. Every co-design, one column per generation.
 
     Fixed parameters are left out.
 
@@ -184,7 +184,7 @@ def plot_landscape_curve(
     ax: Axes, designs: Array, mean: Array, interval: Array, diverged: Array, paths: Sequence[Array], *, label: str,
     allowed: float, whole: bool = False,
 ) -> list[Any]:  # fmt: skip
-    """Plot LQR's return over one design parameter, with the paths of the design drawn on it.
+    """Plot LQR's return over one design parameter. The paths of the design are drawn on it.
 
     Parameters
     ----------

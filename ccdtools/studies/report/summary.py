@@ -42,7 +42,7 @@ class Change:
 
     @property
     def label(self) -> str:
-        """Label of a metric by its name, of a cost with its place and the steps that it adds up."""
+        """Label of a metric by its name. Of a cost with its place and the steps that it adds up."""
         return f"cost of {self.steps} steps, {self.place}" if self.name == COST else self.name
 
     @property
@@ -73,7 +73,7 @@ def in_first_place(results: Values) -> list[Change]:
 
 
 def of_word(results: Values, word: str) -> dict[str, Change]:
-    """Metrics that got worse (or better) anywhere, each in the first place where it did."""
+    """Metrics that got worse (or better) anywhere. Each in the first place where it did."""
     found: dict[str, Change] = {}
     for one in changes(results):
         if one.word == word and one.name != COST:
@@ -98,7 +98,7 @@ def bare(name: str) -> str:
 
 
 def next_steps(results: Values) -> list[str]:
-    """Next steps: about numbers that got worse, and the advice of the co-design that is deployed."""
+    """Next steps about numbers that got worse. Also the advice of the co-design that is deployed."""
     steps = []
     worse = ", ".join(bare(name) for name in of_word(results, "worse"))
     if worse:

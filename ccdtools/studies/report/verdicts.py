@@ -23,7 +23,7 @@ def saw_fewer_runs(row: Row, reference: Row | None) -> bool:
 
 
 def on_same_runs(row: Row, reference: Row | None) -> Row:
-    """Row without its means and metrics where these are of fewer runs than LQR's: they share no column."""
+    """Row without its means and metrics where these are of fewer runs. They share no column with LQR's."""
     if not saw_fewer_runs(row, reference):
         return row
     nothing = {"mean": None, "std": None, "median": None, "ci95": (None, None)}
@@ -37,7 +37,7 @@ def _tried(row: Row) -> float:
 
 
 def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float, float] | None:
-    """Paired difference of a row and its interval in per cent of |LQR| on the same runs. None without one.
+    """Paired difference of a row and its interval in per cent of |LQR|. On the same runs; None without one.
 
     The cost of the design, which both pay, is no part of it.
     """
@@ -56,7 +56,7 @@ def size_of(row: Row, name: str = "mean") -> float:
 
 
 def verdict(row: Row, reference: Row | None) -> str:
-    """Word "equal", "better", "not worse", "worse" or "open", with "in return only" where X is left for it.
+    """Word "equal", "better", "not worse", "worse" or "open". It ends "in return only" where X is left for it.
 
     "Better" and "worse" are certain and matter: the interval of the paired difference to LQR excludes zero, and its
     mean is at least 0.5 % of LQR's return. An interval within ±0.5 % is "equal", one above −0.5 % "not worse". A
@@ -95,12 +95,12 @@ def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
 
 
 def further_than(row: Row) -> tuple[str, ...]:
-    """Names of the controllers that leave X less than that of a row does, on the same runs."""
+    """Names of the controllers that leave X less than that of a row. All on the same runs."""
     return tuple(row.get("further_outside_than", ()))
 
 
 def outside_text(row: Row, rows: Sequence[Row]) -> str:
-    """Text of the violation of X beside LQR and MPC: "0.99 half-widths (v > 0.5); LQR 0.4, MPC 0.04"."""
+    """Text of the violation of X beside LQR and MPC. Such as "0.99 half-widths (v > 0.5); LQR 0.4, MPC 0.04"."""
     same = [o for o in rows if (o["generation"], o["plant"]) == (row["generation"], row["plant"])]
     others = [o for o in same if o["controller"] in ("LQR", "MPC") and o["controller"] != row["controller"]]
     beside = ", ".join(f"{o['controller']} {number(o['depth_peak'], 2)}" for o in others)
@@ -109,7 +109,7 @@ def outside_text(row: Row, rows: Sequence[Row]) -> str:
 
 
 def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
-    """Notes on controllers whose verdict is on the return only: who leaves X, or the limits, how far. A line each."""
+    """Notes on controllers whose verdict is on the return only. A line each: who leaves X, or the limits, how far."""
     notes = []
     for row in rows:
         reference = reference_of(rows, row)
@@ -123,7 +123,7 @@ def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """Verdict where the return of LQR is zero, there is no interval, or there are no pairs."""
+    """Verdict without a comparison. LQR's return is zero, or there is no interval, or there are no pairs."""
     if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
     if row["lqr_mean"] != 0:
