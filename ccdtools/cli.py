@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from ccdtools.co_design.method_comparison import MethodComparison
     from ccdtools.studies.preparation import PreparedRun
 
-MISUSE = 2  # This exit code tells misuse.
 INTERRUPTED = 130  # This exit code tells an interruption.
 
 app = typer.Typer(
@@ -258,7 +257,7 @@ def _run(arguments: list[str]) -> int:
         if line is None:
             raise
         typer.echo(f"ccdtools: {line}", err=True)
-        return MISUSE
+        return 2  # This exit code tells misuse.
 
 
 def _stop(folder: RunFolder | None) -> NoReturn:

@@ -151,4 +151,3 @@ class Observed(Immutable):
         if rows.ndim != 2 or rows.shape[1] != size:
             raise InputError(name, f"shape {np.shape(value)}", f"({size},) or (n, {size}) of the estimator", cure)
         return rows
-

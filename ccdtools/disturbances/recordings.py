@@ -24,7 +24,6 @@ Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 
 TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or without a unit behind
-KMH = 1 / 3.6  # One km/h in m/s.
 
 
 def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "path") -> Array:
@@ -121,7 +120,7 @@ def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]
     if (speed < 0).any():
         row = int(np.argmax(speed < 0))
         table.fail(f"negative speed {speed[row]:g} km/h in line {table.lines[row]}", "speeds ≥ 0")
-    return time, speed * KMH
+    return time, speed * (1 / 3.6)  # km/h in m/s
 
 
 @dataclass(frozen=True)

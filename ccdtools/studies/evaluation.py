@@ -28,7 +28,7 @@ from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
-from ccdtools.studies.tolerances import LONGEST_EPISODE, MOSTLY_OUTSIDE
+from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
@@ -109,7 +109,7 @@ class Evaluation:
 
         Of several runs that are not very long, an episode is a whole run from its own start.
         """
-        if self.study.real.runs > 1 and self.deployment_steps <= LONGEST_EPISODE:
+        if self.study.real.runs > 1 and self.deployment_steps <= 1000:  # longer ones are cut
             return self.deployment_steps, 0
         return self.window, warm_up(self.problem, logs, self.window, space)
 

@@ -94,5 +94,3 @@ class Judge:
             counted=on.counted,
         )  # fmt: skip
         return found, after, before
-
-

@@ -75,8 +75,8 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
 
 @dataclass(frozen=True, eq=False)
 class _ShownSets:
-    """Sets by label with their (colour, line style). Also the label of the final design, and the labels of designs without
-    a set and of those whose set is not the largest.
+    """Sets by label with their (colour, line style). Also the label of the final design, and the labels of designs
+    without a set and of those whose set is not the largest.
     """
 
     sets: dict[str, Polytope]
