@@ -1,9 +1,9 @@
-"""Joint draws from conditional quantiles: margins, correlation between outputs, and correlation in time.
+"""Joint draws from conditional quantiles: margins, and correlation between outputs.
 
 Every sample is seen by its *position* among the conditional quantiles: 0 at the lowest level, 1 at the next, …, linear
 between them and beyond. The positions of a data set have a distribution of their own, which says what happens between
 the levels and beyond the outer ones. It is kept for several widths of the levels, because the tails beyond wide ones
-are often shorter in proportion. Its normal scores are correlated between the outputs and, where asked for, in time.
+are often shorter in proportion. Its normal scores are correlated between the outputs.
 
 Quantiles are fitted to ranks, and a simulation lives on moments: a mean that is off by a hundredth of the noise, but
 always in the direction of a slow state, changes the spread of that state by a tenth. The draws are therefore shifted by
@@ -12,9 +12,7 @@ the subspace that the samples fill: outside it, a simulation amplifies what the 
 
 References
 ----------
-Joe, "Dependence Modeling with Copulas", CRC Press 2014 (Gaussian copula of normal scores);
-Biller and Nelson, "Modeling and generating multivariate time-series input processes using a vector autoregressive
-technique", ACM TOMACS 13(3), 2003 (a vector autoregression of normal scores with given margins).
+Joe, "Dependence Modeling with Copulas", CRC Press 2014 (Gaussian copula of normal scores).
 """
 
 from __future__ import annotations
@@ -31,7 +29,6 @@ from learning.tolerances import UNIFORM_MARGIN
 Array = NDArray[np.float64]
 
 
-
 class InnovationCopula(nn.Module):
     """Transformation of independent uniform draws into joint draws around conditional quantiles.
 
@@ -44,9 +41,8 @@ class InnovationCopula(nn.Module):
         What is added to the quantiles before a draw: slopeᵀ (inputs − centre) + shift.
     origin (m,), subspace (m, m)
         A draw y becomes origin + subspace (y − origin): the identity but for directions that the samples hardly fill.
-    gains (order + 1, order, m, m), factors (order + 1, m, m)
-        Scores z = Σᵢ gains[j, i] zᵢ + factors[j] ε from the j last scores that are known: j grows from 0 to the order,
-        so that a run without a past starts in the stationary distribution.
+    factor (m, m)
+        Scores z = factor ε of independent ones.
     """
 
     probabilities: Tensor
@@ -57,14 +53,12 @@ class InnovationCopula(nn.Module):
     shift: Tensor
     origin: Tensor
     subspace: Tensor
-    gains: Tensor
-    factors: Tensor
+    factor: Tensor
 
-    def __init__(self, inputs: int, outputs: int, *, knots: int, widths: int, order: int) -> None:
+    def __init__(self, inputs: int, outputs: int, *, knots: int, widths: int) -> None:
         super().__init__()
         self.inputs = inputs
         self.outputs = outputs
-        self.order = order
         self.register_buffer("probabilities", torch.linspace(0, 1, knots))
         self.register_buffer("positions", torch.zeros(widths, knots, outputs))
         self.register_buffer("widths", torch.arange(widths).float()[:, None].repeat(1, outputs))
@@ -73,13 +67,7 @@ class InnovationCopula(nn.Module):
         self.register_buffer("shift", torch.zeros(outputs))
         self.register_buffer("origin", torch.zeros(outputs))
         self.register_buffer("subspace", torch.eye(outputs))
-        self.register_buffer("gains", torch.zeros(order + 1, order, outputs, outputs))
-        self.register_buffer("factors", torch.eye(outputs).repeat(order + 1, 1, 1))
-
-    @property
-    def memory(self) -> int:
-        """Number of columns of a memory: the count of known scores, and the last `order` of them."""
-        return 1 + self.order * self.outputs if self.order else 0
+        self.register_buffer("factor", torch.eye(outputs))
 
     @classmethod
     def independent(cls, network: QuantileNetwork) -> InnovationCopula:
@@ -90,13 +78,13 @@ class InnovationCopula(nn.Module):
         if len(levels) > 1:
             positions[0] = -levels[0] / (levels[1] - levels[0])
             positions[-1] += (1 - levels[-1]) / (levels[-1] - levels[-2])
-        copula = cls(len(network.input_offset), network.outputs, knots=len(edges), widths=1, order=0)
+        copula = cls(len(network.input_offset), network.outputs, knots=len(edges), widths=1)
         copula.probabilities.copy_(torch.tensor(edges))
         copula.positions.copy_(torch.tensor(positions)[None, :, None].expand(1, -1, network.outputs))
         return copula
 
-    def draw(self, quantiles: Tensor, inputs: Tensor, uniform: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Draws (n, m) and the memory (n, `memory`) for the next ones. Differentiable in all but the noise.
+    def draw(self, quantiles: Tensor, inputs: Tensor, uniform: Tensor) -> Tensor:
+        """Draws (n, m). Differentiable in all but the noise.
 
         Parameters
         ----------
@@ -106,17 +94,12 @@ class InnovationCopula(nn.Module):
             Within the range that the network clips them to.
         uniform : (n, m) tensor
             Independent, uniform in [0, 1].
-        memory : (n, `memory`) tensor
-            Zeros for a run without a past.
         """
-        scores = self._scores(torch.special.ndtri(uniform.clamp(UNIFORM_MARGIN, 1 - UNIFORM_MARGIN)), memory)
+        shocks = torch.special.ndtri(uniform.clamp(UNIFORM_MARGIN, 1 - UNIFORM_MARGIN))
+        scores = shocks @ self.factor.T.to(shocks.dtype)
         drawn = self.at(self.shifted(quantiles, inputs), torch.special.ndtr(scores))
-        return self._within(drawn), self.remember(scores, memory)
-
-    def _within(self, y: Tensor) -> Tensor:
-        """Values (n, m) mapped into the subspace of the samples."""
-        origin = self.origin.to(y.dtype)
-        return origin + (y - origin) @ self.subspace.T.to(y.dtype)
+        origin = self.origin.to(drawn.dtype)
+        return origin + (drawn - origin) @ self.subspace.T.to(drawn.dtype)
 
     def shifted(self, quantiles: Tensor, inputs: Tensor) -> Tensor:
         """Quantiles (n, levels, m) at inputs (n, d), moved so that the draws have the right mean."""
@@ -138,18 +121,6 @@ class InnovationCopula(nn.Module):
         shares = ((edges[1:] + edges[:-1]) / 2).to(quantiles.dtype)
         like = quantiles[..., 0, :]
         return sum((m.item() * self.at(quantiles, torch.full_like(like, s)) for m, s in zip(mass, shares)), 0 * like)
-
-    def _scores(self, shocks: Tensor, memory: Tensor) -> Tensor:
-        """Correlated scores (n, m) from independent shocks and as many past scores as are known."""
-        known = memory[..., 0].round().long() if self.order else torch.zeros(shocks.shape[:-1], dtype=torch.long)
-        scores = torch.zeros_like(shocks)
-        for j in range(self.order + 1):
-            drawn = shocks @ self.factors[j].T.to(shocks.dtype)
-            for i in range(j):
-                past = memory[..., 1 + i * self.outputs : 1 + (i + 1) * self.outputs]
-                drawn = drawn + past @ self.gains[j, i].T.to(shocks.dtype)
-            scores = torch.where((known == j)[..., None], drawn, scores)
-        return scores
 
     def _positions(self, share: Tensor, width: Tensor) -> Tensor:
         """Margins at shares and log widths (n, m), linear between knots and widths, constant beyond."""
@@ -177,22 +148,6 @@ class InnovationCopula(nn.Module):
         entry = (width * self.positions.shape[1] + knot) * self.outputs + output
         return self.positions.reshape(-1)[entry].to(like.dtype)
 
-    def remember(self, scores: Tensor, memory: Tensor) -> Tensor:
-        """The memory (n, `memory`) after one more score (n, m)."""
-        if not self.order:
-            return memory
-        known = (memory[..., :1] + 1).clamp(max=self.order)
-        return torch.cat([known, scores, memory[..., 1 : self.memory - self.outputs]], dim=-1)
-
-    def memories(self, scores: Tensor) -> Tensor:
-        """The memory (n, T, `memory`) before every step of runs with scores (n, T, m)."""
-        runs, steps, _ = scores.shape
-        if not self.order:
-            return scores.new_zeros(runs, steps, 0)
-        known = torch.arange(steps, dtype=scores.dtype).clamp(max=self.order).expand(runs, steps)
-        late = [nn.functional.pad(scores, (0, 0, i, 0))[:, :steps] for i in range(1, self.order + 1)]
-        return torch.cat([known.unsqueeze(-1), *late], dim=-1)
-
     def scores(self, quantiles: Array, targets: Array) -> Array:
         """Normal scores (n, m) of targets (n, m) among their quantiles (n, levels, m)."""
         width = log_width(torch.tensor(quantiles))
@@ -211,7 +166,7 @@ class InnovationCopula(nn.Module):
     def shape(self) -> dict:
         """Sizes from which `from_shape` builds a copula again."""
         widths, knots, outputs = self.positions.shape
-        return {"inputs": self.inputs, "outputs": outputs, "knots": knots, "widths": widths, "order": self.order}
+        return {"inputs": self.inputs, "outputs": outputs, "knots": knots, "widths": widths}
 
     @classmethod
     def from_shape(cls, shape: dict) -> InnovationCopula:

@@ -6,5 +6,3 @@ LEAK = 0.01  # While cloning, the clip keeps this slope outside its range, so th
 UNIFORM_MARGIN = 1e-7  # Uniform draws keep this distance from 0 and 1: single precision has no number closer to 1.
 COLLINEAR = 0.01  # The shift ignores singular values of standardised inputs below this part of the largest one.
 NARROW = 0.05  # Directions with less than this part of the largest output variance keep the samples' own variance.
-SIGNIFICANT = 0.01  # Components of the scores below this part of their total variance are independent in time.
-FEWEST_HELD_OUT = 100  # No correlation in time is looked for with fewer held-out samples.

@@ -103,7 +103,7 @@ def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) ->
 
 
 def _solve_scaled(M: Array, right: Array) -> Array:
-    """M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal. Least squares where it is singular."""
+    """Product M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal. Least squares where it is singular."""
     d = np.sqrt(np.abs(np.diag(M)))
     d[d == 0] = 1.0
     return np.asarray(np.linalg.lstsq(M / d / d[:, None], right / d[:, None], rcond=None)[0] / d[:, None])

@@ -168,7 +168,7 @@ class StagewiseQP:
         return Hc
 
     def _dynamics(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
-        """(A, B, c) of the step after k; zero at the end."""
+        """Dynamics (A, B, c) of the step after k; zero at the end."""
         nx = self.problem.nx
         n = self.n
         m = self.memory
@@ -189,7 +189,7 @@ class StagewiseQP:
         return A, B, c
 
     def _rows(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
-        """(C, D, d) of the rows of step k, each in the unit of its bound."""
+        """Rows (C, D, d) of step k, each in the unit of its bound."""
         nx = self.problem.nx
         n = self.n
         width = free + priced

@@ -16,13 +16,14 @@ from ccdtools.cli import app
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 FOR_PEOPLE = [p for p in PAGES if p.parent.name in {"start", "how_to", "explanation", "gallery"} and p.stem != "index"]
 PICTURES = sorted((DOCS / "pictures").glob("[a-z]*.py"))
 BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing else
 WRITTEN = re.compile(r"```sh\n(.*?)```", re.S)
 INLINE = re.compile(r"`((?:ccdtools|python|make) [^`…]+)`")
-HEAVY = dict.fromkeys(["every_stage_alone.md", "ten_minutes.md"], pytest.mark.check)  # one trains a policy and a twin
+LONG = ["codesign.md", "every_stage_alone.md", "ten_minutes.md"]  # co-designs; a policy and a twin that are trained
+HEAVY = dict.fromkeys(LONG, pytest.mark.check)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 RUN = [page for page in PAGES if page.name != "README.md" and BLOCK.search(page.read_text(encoding="utf-8"))]
 
@@ -80,6 +81,12 @@ def test_a_page_for_people_is_short_and_has_a_picture(page):
 def test_a_page_for_people_has_short_sentences(page):
     long = [sentence for sentence in sentences(page.read_text(encoding="utf-8")) if len(sentence.split()) > 40]
     assert long == []
+
+
+def test_pages_for_people_are_few_words_together():
+    apart = {"reference", "benchmarks"}
+    pages = [page for page in PAGES if page.name != "CONTRIBUTING.md" and page.parent.name not in apart]
+    assert sum(len(page.read_text(encoding="utf-8").split()) for page in pages) <= 12_000
 
 
 def sentences(text: str) -> list[str]:

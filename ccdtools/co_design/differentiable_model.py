@@ -94,11 +94,6 @@ class Stepper:
         x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
         return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
-    def without_error(self, x0: Tensor) -> Tensor:
-        """The error before the first step from states (n, nx): none, and nothing remembered of steps before."""
-        discrepancy = self.problem.discrepancy
-        return x0.new_zeros(len(x0), x0.shape[-1] if discrepancy is None else discrepancy.error_size)
-
     def drive(self, w: Tensor) -> Tensor:
         """What a disturbance (n, T, nw) adds to the states of a linear model, (n, T, nx).
 

@@ -87,7 +87,7 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     steps = w.shape[1] - warm_up
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
-    progress = _Progress(x0, step.without_error(x0), running, nothing, nothing, nothing, nothing)
+    progress = _Progress(x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
     recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
 

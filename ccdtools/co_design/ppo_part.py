@@ -45,7 +45,7 @@ class DesignEnv:
         """Fresh scenarios; observations (runs, nx + np)."""
         self._x0, self._w = scenario_tensors(self.problem, self.runs, self._rng)
         self._x = self._x0
-        self._e = self._step.without_error(self._x0)
+        self._e = torch.zeros_like(self._x0)
         self._k = 0
         return observe(self._x, self._step.p)
 

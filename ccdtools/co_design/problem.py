@@ -64,11 +64,6 @@ class ErrorModel(Protocol):
         """Carries errors from the design they were learned at to others: a `Transport`, or None."""
         ...
 
-    @property
-    def error_size(self) -> int:
-        """Columns of an error: nx, and what draws remember."""
-        ...
-
     def advance(self, e: Any, x: Any, u: Any, p: Any, w: Any) -> tuple[Any, Any]:
         """Next errors (n, nx) and penalties (n,), torch tensors."""
         ...

@@ -152,18 +152,23 @@ class Baseline(Immutable):
     design : (np,) array
     gain : PairedDifference
         Of the baseline over the result on common scenarios, in parts of the return that control makes.
+    measure : str
+        What of the returns it is a gain in: "mean", or the problem's risk in words.
     """
 
     name: str
     design: ArrayField
     gain: PairedDifference
+    measure: str = "mean"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", as_vector("design", self.design))
 
     def __repr__(self) -> str:
         low, high = self.gain.ci95
-        return f"{self.name}: {100 * self.gain.mean:+.2f} % [{100 * low:+.2f}, {100 * high:+.2f}]"
+        ends = f" [{100 * low:+.2f}, {100 * high:+.2f}]" if np.isfinite([low, high]).all() else ""
+        return f"{self.name}: {100 * self.gain.mean:+.2f} %{ends}" + (
+            "" if self.measure == "mean" else f" in the {self.measure}")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -223,7 +228,7 @@ class CoDesignResult(Immutable):
     slope: float = float("nan")
     evaluations: int = 0
     seconds: float = float("nan")
-    history: History
+    history: History = None  # type: ignore[assignment]  # by default one row, of the design and its objective
     limits: LimitsOutcome | None = None
     baselines: tuple[Baseline, ...] = ()
     valleys: tuple[Valley, ...] = ()
@@ -232,6 +237,9 @@ class CoDesignResult(Immutable):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
+        if self.history is None:
+            row = ([1], [1], [self.design], [self.objective], [0.0], [0.0])
+            object.__setattr__(self, "history", History(*map(np.array, row)))
 
     def __repr__(self) -> str:
         bounds = ", ".join(f"{name} at its {side} bound" for name, side in self.active_bounds.items()) or "none"

@@ -31,6 +31,8 @@ from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.risk import measure
+from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import LinearFeedback
@@ -38,7 +40,7 @@ from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import at
-from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 
 LOSS = 5e-3  # of the return that control makes: a settled controller is worse than no baseline by more
@@ -159,15 +161,16 @@ class Settling:
         limits = self._limits(other, design, limits)
         if other.lost.any() or not (limits is None or limits.kept):
             return None
-        runs = min(len(loop.values), len(other.values))
-        gain = paired_difference(other.values[:runs], loop.values[:runs])
-        return Baseline(name, design, self._relative(gain, loop, design))
+        runs = np.arange(min(len(loop.values), len(other.values)))
+        gain = difference_of_parts(self.problem.risk, other.parts(runs) - loop.parts(runs), runs)
+        return self._in_parts(name, design, gain, loop)
 
-    def _relative(self, gain: PairedDifference, loop: ClosedLoopReturns, design: Array) -> PairedDifference:
-        """A gain in parts of the return that control makes."""
+    def _in_parts(self, name: str, design: Array, gain: PairedDifference, loop: ClosedLoopReturns) -> Baseline:
+        """The baseline of a gain, in parts of the return that control makes, in the risk of the problem."""
         size = float(self.problem.made_by_control(loop.summary.mean, design)) or 1.0
         low, high = gain.ci95
-        return PairedDifference(gain.mean / size, (low / size, high / size))
+        relative = PairedDifference(gain.mean / size, (low / size, high / size))
+        return Baseline(name, design, relative, measure(self.problem.risk))
 
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
         """The result of a policy; settled if it is at an optimum, as its gradient and a plain search see it."""
@@ -182,11 +185,11 @@ class Settling:
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
         found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2))
-        retuned = Baseline("its last layer retuned", result.design, self._relative(found, loop, result.design))
+        retuned = self._in_parts("its last layer retuned", result.design, found, loop)
         result = replace(result, baselines=(*result.baselines, retuned))
         return replace(result, status=CoDesignStatus.NOT_STATIONARY) if _better(retuned) else result
 
 
 def _better(baseline: Baseline) -> bool:
-    """Whether a baseline is better by more than a settled result may lose, beyond chance."""
-    return baseline.gain.mean > LOSS and baseline.gain.ci95[0] > 0
+    """Whether a baseline is better by more than a settled result may lose, beyond chance; in the mean without one."""
+    return baseline.gain.mean > LOSS and not baseline.gain.ci95[0] <= 0

@@ -23,6 +23,8 @@ class Status(Enum):
     FIRST = "the first deployed"
     BETTER = "better"
     NOT_WORSE = "not worse"
+    NO_LOSS_SHOWN = "no loss shown"
+    NOT_COMPARED = "not compared"
     NO_GAIN = "no gain beyond chance"
     BELOW_PRICE = "less than its price"
     LOSS = "a loss beyond the tolerance"
@@ -36,7 +38,7 @@ class Status(Enum):
     @property
     def replaces(self) -> bool:
         """Whether the candidate takes the place of the current one."""
-        return self in (Status.FIRST, Status.BETTER, Status.NOT_WORSE)
+        return self in (Status.FIRST, Status.BETTER, Status.NOT_WORSE, Status.NO_LOSS_SHOWN, Status.NOT_COMPARED)
 
     @property
     def advice(self) -> str:
@@ -45,6 +47,8 @@ class Status(Enum):
 
 
 ADVICE = {
+    Status.NO_LOSS_SHOWN: "It stays deployed; log more runs or a longer one to know whether it loses.",
+    Status.NOT_COMPARED: "It stays deployed as it was decided before; log runs that both keep to compare them.",
     Status.NO_GAIN: "Log more runs or a longer one; or what is deployed is as good as the log can tell.",
     Status.BELOW_PRICE: "State another price (redesign_price) if so small a gain is worth a redesign.",
     Status.LOSS: "If the gain is worth that loss, say so: accept_loss, or --accept-loss on the command line.",
@@ -102,7 +106,7 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
 
     It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may
     lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare. It is
-    called better where it gains on what it was made for.
+    called better where it gains on what it was made for, and not worse where no interval reaches below the tolerance.
 
     Parameters
     ----------
@@ -128,9 +132,21 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
             if found is not None:
                 return Verdict(found, records, _reason(found, one, tolerance), tolerance)
     first = deciding[0]
-    gained = first.gain.ci95[0] > SAME_RETURN * first.size
-    status = Status.BETTER if gained else Status.NOT_WORSE
-    return Verdict(status, records, f"{first.percent} on {first.distribution}", tolerance)
+    status, shown_by = Status.BETTER, first
+    if not first.gain.ci95[0] > SAME_RETURN * first.size:
+        status, shown_by = _without_gain(deciding, tolerance)
+    return Verdict(status, records, f"{shown_by.percent} on {shown_by.distribution}", tolerance)
+
+
+def _without_gain(deciding: Sequence[Evidence], tolerance: float) -> tuple[Status, Evidence]:
+    """What is known of a candidate that replaces without a gain, and the evidence that says so."""
+    for one in deciding:
+        if np.isnan(one.gain.mean):
+            return Status.NOT_COMPARED, one
+    for one in deciding:
+        if not one.gain.ci95[0] >= -max(tolerance, SAME_RETURN) * one.size:
+            return Status.NO_LOSS_SHOWN, one
+    return Status.NOT_WORSE, deciding[0]
 
 
 def _lost(one: Evidence) -> Status | None:

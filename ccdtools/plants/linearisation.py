@@ -72,8 +72,9 @@ def deviations(plant: Plant, about: Equilibrium) -> Plant:
     A disturbance at rest that is not 0 is counted from, too: w = 0 is then that one.
     Outputs remain those of the plant, y = h(x_e + x, u_e + u, p), and their limits hold as they are.
 
-    So that p stays symbolic, every right-hand side holds the way to rest: of the hanging mass of docs/how_to/plant.md 170
-    instructions in place of 22. A sample of 1000 runs takes 1.6 times as long at one design, 2.9 times with one each.
+    So that p stays symbolic, every right-hand side holds the way to rest: 170 instructions in place of 22 of the
+    hanging mass of docs/how_to/plant.md. A sample of 1000 runs takes 1.6 times as long at one design, 2.9 times with
+    one each.
 
     Parameters
     ----------

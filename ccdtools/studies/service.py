@@ -196,8 +196,8 @@ def judge_deployment(
     for k, one in enumerate(evidence[1:], 1):
         sure = np.isfinite(one.gain.ci95).all()
         evidence[k] = replace(one, asked=Asked.NO_SURE_LOSS if sure else Asked.SHOWN)
-    reason = "no samples in common" if candidates else "the same policy"
-    verdict = decide(evidence) if evidence else Verdict(Status.NOT_WORSE, reason=reason)
+    alone = (Status.NOT_COMPARED, "no samples in common") if candidates else (Status.NOT_WORSE, "the same policy")
+    verdict = decide(evidence) if evidence else Verdict(alone[0], reason=alone[1])
     size = evidence[0].size if evidence else size
     return Delivery(expected, returns, agreement, verdict, size, carried and bool(evidence), former.generation)
 

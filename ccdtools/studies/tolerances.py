@@ -4,12 +4,6 @@ MOSTLY_OUTSIDE = 0.5  # A recording with a larger part of its samples outside X 
 REAL_RUNS = 500  # The gains on a real plant of short runs are measured on so many of them.
 WORTH_A_POLICY = 0.001  # A policy costs nothing to build and is replaced for a gain of this part of the return.
 FALSE_ALARM = 0.002  # A prediction that is right is called wrong with this chance in a generation.
-
-# --- steps of the real plant, errors as parts of half the range of a state in X --------------------------------------
-WRONG_SAMPLE = 0.1  # A sample may be wrong by this without a warning.
-UNSTABLE_SAMPLE = 3.0  # Steps whose error within the middle exceeds this do not follow the plant.
-THROWN_OUT = 1e3  # A larger error is that of a disturbance that throws the plant out of X, not that of the steps.
-NEAR_MIDDLE = 0.1  # Every step must hold in this part of X around its middle.
 UNATTRIBUTED = 0.1  # A redesign is limited if more than this part of the errors' energy is not known at another design.
 FIRST_RADIUS = 0.25  # The first redesign moves a parameter by at most this part of its range.
 LEAST_RADIUS = 1 / 64  # The radius is never less than this part of the range.
@@ -25,3 +19,9 @@ DIVERGED_RUNS = 0.01  # A design of the landscape is left blank if a larger part
 LANDSCAPE = {1: 21, 2: 9}  # The landscape over 1 or 2 design parameters has so many designs per axis.
 SURFACE_GRID = 121  # Policies are drawn over so many values of each of two states.
 SHOWN_STEPS = 200  # Of a long trajectory so many steps are drawn.
+
+# --- steps of the real plant, errors as parts of half the range of a state in X --------------------------------------
+WRONG_SAMPLE = 0.1  # A sample may be wrong by this without a warning.
+UNSTABLE_SAMPLE = 3.0  # Steps whose error within the middle exceeds this do not follow the plant.
+THROWN_OUT = 1e3  # A larger error is that of a disturbance that throws the plant out of X, not that of the steps.
+NEAR_MIDDLE = 0.1  # Every step must hold in this part of X around its middle.

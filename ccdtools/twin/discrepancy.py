@@ -94,64 +94,26 @@ class Discrepancy(Immutable):
 
         Parameters
         ----------
-        e : (n, nx) or (n, nx + memory) tensor
-            What the last step returned; `(n, nx)` zeros, or an error that was measured, at the first one.
+        e : (n, nx) tensor
+            What the last step returned; zeros, or an error that was measured, at the first one.
         x, u, p : (n, nx), (n, nu) and (np,) tensors
         w : (n, nx) tensor
             Draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
         """
-        nx = self.network.outputs
-        inputs = self.features(e[..., :nx], x, u, p)
+        inputs = self.features(e, x, u, p)
         quantiles = self.network(inputs)
         median = quantiles[..., len(self.network.levels) // 2, :]
         width = quantiles[..., -1, :] - quantiles[..., 0, :]
         weight = x.new_tensor(self.weight.tolist())
         penalty = ((width @ weight) * width).sum(-1)
         if self.noise == "quantiles":
-            drawn, memory = self._copula.draw(quantiles, self.network.clipped(inputs), w, self._memory(e))
-            return torch.cat([drawn, memory], dim=-1), penalty
+            assert self.copula is not None
+            return self.copula.draw(quantiles, self.network.clipped(inputs), w), penalty
         return (median + w if self.noise == "replayed" else median), penalty
 
     def double(self) -> Discrepancy:
         """Discrepancy in double precision."""
         return replace(self, network=copy.deepcopy(self.network).double())
-
-    @property
-    def error_size(self) -> int:
-        """Columns of the error that `advance` returns."""
-        drawn = self.noise == "quantiles"
-        return self.network.outputs + (self._copula.memory if drawn else 0)
-
-    @property
-    def _copula(self) -> InnovationCopula:
-        """Copula for draws with noise "quantiles"."""
-        assert self.copula is not None
-        return self.copula
-
-    def _memory(self, e: Tensor) -> Tensor:
-        """Memory of the draws (n, memory): zeros for an error without a past."""
-        kept = e[..., self.network.outputs :]
-        return kept if kept.shape[-1] else e.new_zeros(*e.shape[:-1], self._copula.memory)
-
-    def past(self, log: Residuals) -> Tensor:
-        """Error e along a log, (n, T, nx + memory), for `advance`. With what the draws remember of former steps.
-
-        Raises
-        ------
-        InputError
-            If the noise is not "quantiles".
-        """
-        if self.noise != "quantiles":
-            raise InputError("noise", f"{self.noise!r}", "'quantiles', which draws")
-        e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
-        if not self._copula.memory:
-            return e
-        with torch.no_grad():
-            inputs = self.features(e, x, u, p).flatten(0, 1)
-            quantiles = self._copula.shifted(self.network(inputs), self.network.clipped(inputs)).double().numpy()
-        flat = self._copula.scores(quantiles, log.e_next.reshape(-1, e.shape[-1]))
-        scores = torch.tensor(flat.reshape(log.e_next.shape), dtype=torch.float32)
-        return torch.cat([e, self._copula.memories(scores)], dim=-1)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -164,8 +126,8 @@ class TwinPlant(Immutable, PlantOfModel):
 
     Attributes
     ----------
-    error : (n, nx + memory) array, optional
-        Error before the first step of each of n runs, from `Discrepancy.past`; none by default.
+    error : (n, nx) array, optional
+        Error before the first step of each of n runs, as at the design of the log; none by default.
     """
 
     model: Model
@@ -178,7 +140,7 @@ class TwinPlant(Immutable, PlantOfModel):
         if self.discrepancy.network.outputs != self.model.nx:
             raise InputError("discrepancy", f"{self.discrepancy.network.outputs} states", f"{self.model.nx}")
         if self.error is not None:
-            error = as_array("error", self.error, ("n", self.model.nx), ("n", self.discrepancy.error_size))
+            error = as_array("error", self.error, ("n", self.model.nx))
             object.__setattr__(self, "error", error)
 
     def __repr__(self) -> str:
@@ -212,7 +174,7 @@ class TwinStepper:
         e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
         with torch.no_grad():
             self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
-        return self._model(x, u) + self._e[:, : x.shape[1]] @ self._carry.T
+        return self._model(x, u) + self._e @ self._carry.T
 
 
 @dataclass(frozen=True)

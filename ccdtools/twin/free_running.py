@@ -193,7 +193,7 @@ def _draws(
     """Drawn states (n, draws, length + 1, nx). They start from the logged ones at the starts (n, 2)."""
     assert twin.discrepancy is not None
     discrepancy = replace(twin.discrepancy, noise="quantiles")
-    past = discrepancy.past(_as_learned(twin, errors))[starts[:, 0], starts[:, 1]].double().numpy()
+    past = _as_learned(twin, errors).e[starts[:, 0], starts[:, 1]]
     plant = TwinPlant(twin.model, discrepancy, np.repeat(past, draws, axis=0))
     x0 = np.repeat(errors.x[starts[:, 0], starts[:, 1]], draws, axis=0)
     w = rng.random((len(x0), length, twin.model.nx))

@@ -117,7 +117,7 @@ class DigitalTwin(Immutable):
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
         discrepancy = Discrepancy(network, weight, design_as_feature, transport=twin.transport)
         if len(network.levels) > 1:
-            copula = fit_copula(network, inputs, train[-1])  # without memory: e and x hold the past
+            copula = fit_copula(network, inputs, train[-1])  # e and x hold the past
             discrepancy = replace(discrepancy, copula=copula)
         return replace(
             twin,

@@ -8,6 +8,8 @@ import matplotlib
 
 matplotlib.use("Agg")
 
+import matplotlib.pyplot as plt
+
 DOCS = Path(__file__).parents[1]
 
 
@@ -21,8 +23,9 @@ def run(page: str) -> dict[str, Any]:
 
 
 def save(figure: Any, script: str) -> None:
-    """Write the figure beside the script that draws it."""
+    """Write the figure beside the script that draws it, and close what is open."""
     figure.savefig(Path(script).with_suffix(".png"), dpi=100)
+    plt.close("all")
 
 
 def table(page: str, first: str) -> list[list[str]]:

@@ -8,7 +8,10 @@ from ccdtools.figure_style import styled
 rows = [row for row in table("benchmarks/gallery.md", "first co-design") if row[0] != "`rail_mass`"]
 with styled():
     figure, ax = plt.subplots(figsize=(7, 3.2), layout="constrained")
-    for column, label, marker, shift in ((2, "from the study's start", "o", -0.12), (3, "from the worst corner", "^", 0.12)):
+    for column, label, marker, shift in (
+        (2, "from the study's start", "o", -0.12),
+        (3, "from the worst corner", "^", 0.12),
+    ):
         points = [(number(v), i + shift) for i, row in enumerate(rows) for v in row[column].split(",")]
         ax.plot(*zip(*points), marker, ls="none", label=label)
     ax.axvline(0.5, color="#444444", lw=0.9, ls="--", label="required")

@@ -293,7 +293,7 @@ def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
 
 
 def _as_rows(rows: Any, nu: int) -> tuple[Array, Array]:
-    """(H, h) of the input set, checked."""
+    """Rows (H, h) of the input set, checked."""
     if not isinstance(rows, tuple) or len(rows) != 2:
         raise InputError("input_rows", type(rows).__name__, "a pair (H, h) with Hu <= h")
     return as_halfspaces("input_rows", _Halfspaces(*rows), nu)

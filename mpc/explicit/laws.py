@@ -136,7 +136,7 @@ class PiecewiseLaw(Protocol):
 
     @property
     def input_rows(self) -> tuple[Array, Array]:
-        """(H, h) of the input set {u : Hu <= h}."""
+        """Rows (H, h) of the input set {u : Hu <= h}."""
 
     @property
     def status(self) -> MPQPStatus:

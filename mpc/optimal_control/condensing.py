@@ -1,4 +1,7 @@
-"""States of a linearised plan eliminated, compiled: moves are counted from a feedback that keeps them bounded."""
+"""States of a linearised plan eliminated, compiled: moves are counted from a feedback that keeps them bounded.
+
+Save this file after a change in `tolerances.py`: numba's cache on disk does not notice it.
+"""
 
 from __future__ import annotations
 
@@ -119,7 +122,7 @@ def _product(M, L):
 
 @njit(cache=True)
 def _divided(M, right):
-    """M⁻¹ right for a symmetric M ⪰ 0 (nu, nu), scaled to a unit diagonal, by Cholesky."""
+    """Product M⁻¹ right for a symmetric M ⪰ 0 (nu, nu), scaled to a unit diagonal, by Cholesky."""
     n = len(M)
     scale = np.zeros(n)
     for i in range(n):

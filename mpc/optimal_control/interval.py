@@ -60,7 +60,7 @@ def layout_of(phase: Phase, nw: int, scheme: Scheme) -> Layout:
 
 def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, layout: Layout,
                       parameters: int) -> ca.Function:  # fmt: skip
-    """(x, v, own, next x, next v, p, t, h, w) → defects, cost, path values.
+    """Function (x, v, own, next x, next v, p, t, h, w) → defects, cost, path values.
 
     v are the inputs of a node, w the signal (nw, its points).
     """

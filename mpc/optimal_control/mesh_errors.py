@@ -13,7 +13,7 @@ from mpc.optimal_control.phase import signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import LEAST_LIMIT_SIZE, LIMIT_CHECKS, RESTING_STATE
+from mpc.tolerances import CLOSER_LOOKS, DIFFERENCE, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, RESTING_STATE
 
 
 class Missed(NamedTuple):
@@ -51,7 +51,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     """Integrals ∫ |dx/dt − f| over every interval, (N, nx), and errors of the cost."""
     part, N = phase.part, phase.part.intervals
-    tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))
+    tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
     h, basis = np.diff(phase.times), scheme.basis(tau)
     k, at = np.repeat(np.arange(N), len(tau)), np.tile(tau, N)
@@ -140,20 +140,87 @@ def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
-    tau = (np.arange(LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
-    beyond = _beyond(phase, p, np.repeat(np.arange(N), LIMIT_CHECKS), np.tile(tau, N)).reshape(m, N, LIMIT_CHECKS)
-    relative = beyond.max(axis=2) / sizes
+    places = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
+    beyond = _beyond(phase, p, places)
+    relative = beyond.reshape(m, N, LIMIT_CHECKS).max(axis=2) / sizes
+    rows, first = _peaks(beyond, LIMIT_PASSED / 10 * sizes.repeat(LIMIT_CHECKS, axis=1))
+    value, place, local = _closer(phase, p, rows, places[first])
+    k = np.minimum(place.astype(int), N - 1)
+    np.maximum.at(relative, (rows, k), value / np.minimum(sizes[rows, k], local))
     worst = relative.argmax(axis=1)
-    rows = np.arange(m)
-    first = tau[beyond[rows, worst].argmax(axis=1)]
-    near = np.clip(first[:, None] + np.linspace(-1, 1, LIMIT_CHECKS + 1) / LIMIT_CHECKS, 0, 1)
-    k = np.repeat(worst, LIMIT_CHECKS + 1)
-    closer = _beyond(phase, p, k, near.ravel()).reshape(m, m, LIMIT_CHECKS + 1)[rows, rows]
-    at = closer.argmax(axis=1)
-    value = np.maximum(closer[rows, at], 0.0)
-    relative[rows, worst] = value / sizes[rows, worst]
-    times = phase.times[worst] + np.diff(phase.times)[worst] * near[rows, at]
-    return Excess(value, times, relative[rows, worst], np.maximum(relative, 0.0).max(axis=0), names)
+    depth, when = np.zeros(m), worst + 0.5
+    for row, interval, at, deep in zip(rows, k, place, value):
+        if interval == worst[row] and deep > depth[row]:
+            depth[row], when[row] = deep, at
+    intervals = np.maximum(relative, 0.0)
+    return Excess(depth, _time(phase, when), intervals[np.arange(m), worst], intervals.max(axis=0), names)
+
+
+def _peaks(beyond: Array, floor: Array) -> tuple[Any, Any]:
+    """Limits and places of local maxima of violations (m, n) that may exceed `floor` (m, n) between their neighbours.
+
+    Of a cone and of a parabola the maximum lies above its sample by no more than the larger drop to a neighbour.
+    """
+    around = np.pad(beyond, ((0, 0), (1, 1)), mode="edge")
+    behind, ahead = beyond - around[:, :-2], beyond - around[:, 2:]
+    peak = (behind >= 0) & (ahead >= 0) & ((ahead > 0) | (np.arange(beyond.shape[1]) == beyond.shape[1] - 1))
+    rows, places = np.nonzero(peak & (beyond + 2 * np.maximum(behind, ahead) > floor))
+    return rows, places
+
+
+def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Array, Array, Array]:
+    """Largest violation of limits `rows` (k,) about places (k,), where it is, and the size of the limit there.
+
+    The size is the largest change of the limit over the extents of states and inputs by its slope, where it is passed;
+    infinite for bounds of states, and where it is not.
+    """
+    N, count = phase.part.intervals, len(rows)
+    steps = np.linspace(-1, 1, LIMIT_CHECKS + 1)
+    value, size, width = np.full(count, -np.inf), np.zeros(count), 1 / LIMIT_CHECKS
+    for _ in range(CLOSER_LOOKS if count else 0):
+        near = np.clip(place[:, None] + width * steps, 0.0, N)
+        seen = _beyond(phase, p, near.ravel())[rows.repeat(len(steps)), np.arange(near.size)].reshape(near.shape)
+        slopes = np.zeros(near.shape)
+        passed = seen > 0
+        slopes[passed] = _slopes(phase, p, near[passed], rows.repeat(len(steps)).reshape(near.shape)[passed])
+        size = np.maximum(size, slopes.max(axis=1))
+        best = seen.argmax(axis=1)[:, None]
+        place, value = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (near, seen))
+        width *= 2 / LIMIT_CHECKS
+    return np.maximum(value, 0.0), place, np.where(size > 0, size, np.inf)
+
+
+def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
+    """Change (n,) of path limits `rows` over the extents of states and inputs; zero of bounded states."""
+    path = phase.part.functions.path
+    if path is None or not len(places):
+        return np.zeros(len(places))
+    x, u, times = _along(phase, places)
+    z = np.hstack([x, u])
+    extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
+    own = np.minimum(rows, path.numel_out(0) - 1)
+    found = np.zeros(len(places))
+    for i, step in enumerate(DIFFERENCE * extents):
+        ends = []
+        for side in (step, -step):
+            moved = z.copy()
+            moved[:, i] += side
+            ends.append(evaluated(path, phase, moved[:, : x.shape[1]], moved[:, x.shape[1] :], times, p))
+        found += np.abs(ends[0] - ends[1])[np.arange(len(places)), own] / (2 * DIFFERENCE)
+    return np.where((rows < path.numel_out(0)) & np.isfinite(found), found, 0.0)
+
+
+def _along(phase: PhaseSolution, places: Array) -> tuple[Array, Array, Array]:
+    """States, inputs within their bounds, and times at places (n,), counted in intervals from the start."""
+    k = np.minimum(places.astype(int), phase.part.intervals - 1)
+    tau = places - k
+    return phase.states_within(k, tau), np.clip(phase.inputs_within(k, tau), *phase.part.phase.u_bounds), _time(
+        phase, places)  # fmt: skip
+
+
+def _time(phase: PhaseSolution, places: Array) -> Array:
+    """Times at places (n,)."""
+    return np.interp(places, np.arange(len(phase.times)), phase.times)
 
 
 def _bounded(phase: PhaseSolution) -> Any:
@@ -162,18 +229,16 @@ def _bounded(phase: PhaseSolution) -> Any:
     return np.flatnonzero(np.isfinite(low) | np.isfinite(high))
 
 
-def _beyond(phase: PhaseSolution, p: Array, k: Any, tau: Array) -> Array:
-    """Violation (m, n) of each limit at fractions (n,) of intervals k (n,)."""
+def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
+    """Violation (m, n) of each limit at places (n,), counted in intervals from the start."""
     part, scheme = phase.part, phase.part.scheme
-    x, u = phase.states_within(k, tau), np.clip(phase.inputs_within(k, tau), *part.phase.u_bounds)
+    x, u, times = _along(phase, places)
     own = _bounded(phase)
     low, high = (side[own, None] for side in part.phase.x_bounds)
     of_states = np.maximum(x.T[own] - high, low - x.T[own])
     path = part.functions.path
     if path is None:
         return of_states
-    h = np.diff(phase.times)[k]
-    times = phase.times[k] + h * tau
     low, high = (side[:, None] for side in part.functions.path_bounds)
 
     def of_path(inputs: Array) -> Array:
@@ -183,6 +248,8 @@ def _beyond(phase: PhaseSolution, p: Array, k: Any, tau: Array) -> Array:
 
     passed = of_path(u)
     if isinstance(scheme, Collocation):
+        k = np.minimum(places.astype(int), part.intervals - 1)
+        tau, h = places - k, np.diff(phase.times)[k]
         lines = np.stack([np.interp(tau, scheme.points, one) for one in np.eye(scheme.stages)], axis=1)
         between = of_path(np.einsum("nj,nji->ni", lines, phase.stages.inputs[k]))
         passed = np.maximum(np.minimum(passed, between), passed * h / phase.duration)

@@ -102,7 +102,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
         size = sizes_of(problem)
         at = np.zeros(len(size))
-        for _ in range(20):
+        for _ in range(20):  # Newton steps
             x, u = np.split(at, [problem.nx])
             after, A, B = model.linearised_at(x, u, w, p)
             if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):

@@ -36,7 +36,7 @@ class Clock:
 
 
 def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, int], data: int) -> ca.Function:
-    """(z, data) → values, of a function of the columns that z consists of, by name, and the data."""
+    """Function (z, data) → values, from one of the columns that z consists of, by name, and the data."""
     kind: Any = ca.SX if scalar else ca.MX
     z, given = kind.sym("z", sum(sizes.values())), kind.sym("data", data)
     cuts = np.cumsum([0, *sizes.values()])

@@ -129,7 +129,7 @@ class Planner:
                 return at, last, Status.LATE
             step = self.programs.step(
                 x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed,
-                costates=costates if count >= 6 else None,
+                costates=costates if count >= 6 else None,  # then the curvature of the model counts
             )  # fmt: skip
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)

@@ -13,7 +13,7 @@ from ccdtools.co_design.methods.design_cost import DesignCost
 from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History
+from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.risk import MEAN, WorstCase
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
@@ -115,13 +115,12 @@ class TrajectoryCost(DesignCost):
         """What there is to say where no design has trajectories within the limits: that, at the given one."""
         space = self.problem.design
         design = space.settled(v)
-        row = (np.ones(1), np.ones(1), design[None], np.full(1, np.nan), np.zeros(1), np.zeros(1))
         impossible = self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
         return CoDesignResult(
             design=design, controller=self.controller(design), method=name,
             status=CoDesignStatus.INFEASIBLE if impossible else CoDesignStatus.BUDGET_SPENT,
             criterion=f"return of {self.words}", active_bounds=space.active_bounds(design),
-            active_constraints=space.active_constraints(design), history=History(*row),
+            active_constraints=space.active_constraints(design),
             notes=() if self.failed is None else told(self.problem, self.failed),
         )  # fmt: skip
 

@@ -2,11 +2,27 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from small_plants import best_design, clone_of, exact_return, mass, two_valleys
 
-from ccdtools import CoDesignConfig, FixedStart, Gaussian, QuadraticObjective, codesign
+from ccdtools import (
+    Cases,
+    CoDesignConfig,
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    MeanSpread,
+    Plant,
+    QuadraticObjective,
+    Sequential,
+    Stacked,
+    WorstCase,
+    codesign,
+    discretise,
+)
 from ccdtools.exceptions import LimitWarning
 from invariant_sets import Polytope
 
@@ -140,3 +156,23 @@ def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone
     problem, agent = mass_and_clone
     found = run(problem, agent, [1.0], iterations=10, block=10, starts=1)
     np.testing.assert_allclose(found.agent.log_std.exp().detach().numpy(), SMALL.ppo.final_std, rtol=1e-5)
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize(
+    ("risk", "words"), [(WorstCase(), "in the worst of 5 cases"), (MeanSpread(3), "in the mean minus 3 times the spread")]
+)
+def test_a_design_that_its_baseline_beats_in_the_risk_of_the_problem_has_not_settled(risk, words):
+    """Trajectories that know the disturbance ahead want a soft spring; in the worst case LQR wants a stiff one."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w", 2), ca.SX.sym("p")
+    dynamics = ca.vertcat(x[1], -p * x[0] - 0.3 * x[1] + u + w[0] + w[1])
+    plant = Plant(x, u, w, p, dynamics, DesignSpace(["k"], [0.5], [5.0]), dt=0.1)
+    problem = CoDesignProblem(
+        discretise(plant), X=(-50, 50), U=(-3, 3), steps=60, risk=risk,
+        objective=QuadraticObjective(np.eye(2), [[0.5]], design_cost=lambda p: 30 * p[0]),
+        scenarios=FixedStart([1.0, 0.0], Stacked((Gaussian([0.3]), Cases.of([-1.5, 0, 0, 0, 0.2])))),
+    )  # fmt: skip
+    found = codesign(problem, method=Sequential("open_loop", starts=1), rng=np.random.default_rng(0))
+    assert found.status.name == "WORSE_THAN_BASELINE"
+    best = max(found.baselines, key=lambda one: one.gain.mean)
+    assert words in repr(best)

@@ -1,4 +1,4 @@
-"""Joint draws from conditional quantiles: distribution, correlation and memory of what they were fitted to."""
+"""Joint draws from conditional quantiles: distribution and correlation of what they were fitted to."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import torch
 from scipy.stats import ks_2samp, norm, spearmanr
 
 from learning import fit_copula, load, save
-from learning.copula import InnovationCopula
 from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork
 
@@ -21,25 +20,19 @@ def constant_network(inputs, outputs, levels=LEVELS):
     return network
 
 
-def drawn(copula, network, inputs, steps=1, seed=0):
-    """Draws (n, steps, m) at fixed inputs (n, d), from runs without a past."""
-    rng = np.random.default_rng(seed)
+def drawn(copula, network, inputs, seed=0):
+    """Draws (n, m) at inputs (n, d)."""
     at = torch.tensor(inputs, dtype=torch.float32)
-    memory = torch.zeros(len(at), copula.memory)
-    found = []
+    uniform = torch.tensor(np.random.default_rng(seed).random((len(at), copula.outputs)), dtype=torch.float32)
     with torch.no_grad():
-        for _ in range(steps):
-            uniform = torch.tensor(rng.random((len(at), copula.outputs)), dtype=torch.float32)
-            value, memory = copula.draw(network(at), network.clipped(at), uniform, memory)
-            found.append(value.double().numpy())
-    return np.stack(found, axis=1)
+        return copula.draw(network(at), network.clipped(at), uniform).double().numpy()
 
 
-def fitted(targets, inputs=None, **options):
+def fitted(targets, inputs=None):
     """A network of constant quantiles with the copula of targets (n, m)."""
     x = np.zeros((len(targets), 1)) if inputs is None else inputs
     network = constant_network(x.shape[1], targets.shape[1])
-    return network, fit_copula(network, x, targets, **options)
+    return network, fit_copula(network, x, targets)
 
 
 # ── margins ──
@@ -49,7 +42,7 @@ def test_draws_have_the_distribution_of_the_samples_in_their_tails_too():
     rng = np.random.default_rng(0)
     y = np.stack([3e-4 * rng.standard_t(5, 6000), rng.exponential(size=6000) ** 1.5], axis=1)
     network, copula = fitted(y)
-    draws = drawn(copula, network, np.zeros((20000, 1)))[:, 0]
+    draws = drawn(copula, network, np.zeros((20000, 1)))
     for i, samples in enumerate(y.T):
         assert ks_2samp(draws[:, i], samples).statistic < 0.025
         assert draws[:, i].std() == pytest.approx(samples.std(), rel=0.06)
@@ -62,7 +55,7 @@ def test_the_score_of_a_draw_is_the_normal_score_of_its_uniform():
     uniform = np.linspace(0.01, 0.99, 99)[:, None]
     quantiles = network.predict(np.zeros((99, 1)))
     with torch.no_grad():
-        value, _ = copula.draw(torch.tensor(quantiles), torch.zeros(99, 1), torch.tensor(uniform), torch.zeros(99, 0))
+        value = copula.draw(torch.tensor(quantiles), torch.zeros(99, 1), torch.tensor(uniform))
     shifted = copula.shifted(torch.tensor(quantiles), torch.zeros(99, 1)).numpy()
     np.testing.assert_allclose(copula.scores(shifted, value.numpy()), norm.ppf(uniform), atol=2e-3)
 
@@ -106,7 +99,7 @@ def test_inputs_that_repeat_each_other_give_a_bounded_shift():
 def test_outputs_that_one_signal_drives_are_drawn_together():
     signal = np.random.default_rng(5).laplace(size=(4000, 1))
     network, copula = fitted(signal * [1.0, -3.0, 1e-4])
-    draws = drawn(copula, network, np.zeros((5000, 1)))[:, 0]
+    draws = drawn(copula, network, np.zeros((5000, 1)))
     np.testing.assert_allclose(np.corrcoef(draws.T), np.outer([1, -1, 1], [1, -1, 1]), atol=2e-3)
 
 
@@ -115,7 +108,7 @@ def test_the_rank_correlation_of_the_draws_is_that_of_the_samples():
     normal = rng.standard_normal((6000, 2)) @ np.linalg.cholesky([[1.0, 0.6], [0.6, 1.0]]).T
     y = np.stack([np.exp(normal[:, 0]), normal[:, 1] ** 3], axis=1)
     network, copula = fitted(y)
-    draws = drawn(copula, network, np.zeros((20000, 1)))[:, 0]
+    draws = drawn(copula, network, np.zeros((20000, 1)))
     assert spearmanr(draws)[0] == pytest.approx(spearmanr(y)[0], abs=0.03)
 
 
@@ -129,63 +122,9 @@ def test_draws_stay_in_the_subspace_of_the_samples():
     network.median_network.skip.weight.data[0, 0] = 0.3
     x = rng.uniform(-1, 1, (4000, 1))
     copula = fit_copula(network, x, np.hstack([signal, 2 * signal]))
-    draws = drawn(copula, network, x)[:, 0]
+    draws = drawn(copula, network, x)
     assert (draws[:, 1] - 2 * draws[:, 0]).std() < 1e-3
     assert draws[:, 0].std() == pytest.approx(1.0, rel=0.05)
-
-
-# ── correlation in time ──
-
-
-def autoregression(coefficients, runs, steps, seed):
-    """A stationary series (runs, steps)."""
-    rng = np.random.default_rng(seed)
-    y = np.zeros((runs, steps + 100))
-    for k in range(2, steps + 100):
-        y[:, k] = sum(a * y[:, k - 1 - i] for i, a in enumerate(coefficients)) + rng.standard_normal(runs)
-    return y[:, 100:]
-
-
-def test_independent_samples_get_no_memory():
-    for seed in range(5):
-        y = np.random.default_rng(seed).standard_t(4, (2000, 2))
-        assert fitted(y, orders=3)[1].order == 0
-
-
-@pytest.mark.parametrize(("coefficients", "order"), [((0.8,), 1), ((0.9, -0.6), 2)])
-def test_draws_remember_what_the_samples_remember(coefficients, order):
-    y = autoregression(coefficients, 30, 300, 7)
-    columns = np.stack([y, -2 * y], axis=-1).reshape(-1, 2)  # one signal in two outputs: a singular covariance
-    network, copula = fitted(columns, stretches=[300] * 30, orders=3)
-    assert copula.order == order
-    draws = drawn(copula, network, np.zeros((2000, 1)), steps=40)[..., 0]
-    np.testing.assert_allclose(draws.std(axis=0), y.std(), rtol=0.08)  # stationary from the first draw on
-    for lag in (1, 2, 3):
-        expected = np.corrcoef(y[:, :-lag].ravel(), y[:, lag:].ravel())[0, 1]
-        assert np.corrcoef(draws[:, :-lag].ravel(), draws[:, lag:].ravel())[0, 1] == pytest.approx(expected, abs=0.04)
-
-
-def test_a_known_past_moves_the_next_draw():
-    y = autoregression((0.9,), 20, 300, 8)
-    network, copula = fitted(y.reshape(-1, 1), stretches=[300] * 20, orders=3)
-    scores = torch.full((4000, 5, 1), 2.0)
-    memory = copula.memories(scores)[:, 4]
-    zeros = torch.zeros(4000, 1)
-    uniform = torch.tensor(np.random.default_rng(0).random((4000, 1)), dtype=torch.float32)
-    with torch.no_grad():
-        value, _ = copula.draw(network(zeros), zeros, uniform, memory)
-    assert value.mean().item() == pytest.approx(0.9 * 2 * y.std(), rel=0.08)
-    assert value.std().item() == pytest.approx(1.0, rel=0.08)
-
-
-def test_the_memory_along_a_run_is_that_of_drawing_it():
-    copula = InnovationCopula(1, 2, knots=3, widths=1, order=2)
-    scores = torch.randn(3, 5, 2)
-    memory = torch.zeros(3, copula.memory)
-    along = copula.memories(scores)
-    for k in range(5):
-        torch.testing.assert_close(along[:, k], memory)
-        memory = copula.remember(scores[:, k], memory)
 
 
 # ── the object ──
@@ -199,29 +138,23 @@ def test_draws_are_differentiable_in_the_quantiles_and_the_inputs():
     quantiles = torch.tensor(network.predict(x[:4]) + 0.01 * rng.standard_normal((4, 1, 2)), requires_grad=True)
     inputs = torch.tensor(x[:4], requires_grad=True)
     uniform = torch.tensor(rng.random((4, 2)))
-    memory = torch.zeros(4, copula.memory, dtype=torch.float64)
-    assert torch.autograd.gradcheck(lambda q, i: copula.draw(q, i, uniform, memory)[0], (quantiles, inputs))
+    assert torch.autograd.gradcheck(lambda q, i: copula.draw(q, i, uniform), (quantiles, inputs))
 
 
 def test_a_copula_comes_back_from_its_file_as_it_was(tmp_path):
-    network, copula = fitted(autoregression((0.8,), 20, 200, 10).reshape(-1, 1), stretches=[200] * 20, orders=3)
+    network, copula = fitted(np.random.default_rng(10).standard_normal((4000, 2)) @ [[1.0, 0.5], [0.0, 1.0]])
     save(tmp_path / "copula.safetensors", copula)
     again, _ = load(tmp_path / "copula.safetensors")
     zeros = np.zeros((50, 1))
-    np.testing.assert_array_equal(drawn(again, network, zeros, 5), drawn(copula, network, zeros, 5))
+    np.testing.assert_array_equal(drawn(again, network, zeros), drawn(copula, network, zeros))
 
 
 def test_an_output_that_never_changes_is_drawn_as_it_is():
     y = np.random.default_rng(11).standard_normal((500, 2)) * [1.0, 0.0]
     network, copula = fitted(y)
-    draws = drawn(copula, network, np.zeros((500, 1)))[:, 0]
+    draws = drawn(copula, network, np.zeros((500, 1)))
     assert np.isfinite(draws).all()
     np.testing.assert_allclose(draws[:, 1], 0.0, atol=1e-5)
-
-
-def test_stretches_too_short_for_a_memory_get_none():
-    y = np.random.default_rng(12).standard_normal((200, 1))
-    assert fitted(y, stretches=[2] * 100, orders=3)[1].order == 0
 
 
 @pytest.mark.parametrize(
@@ -230,8 +163,6 @@ def test_stretches_too_short_for_a_memory_get_none():
         (lambda: fit_copula(None, np.zeros((30, 1)), np.zeros((30, 1))), "network: got nothing, expected an object of"),
         (lambda: fit_copula(constant_network(1, 1), np.zeros((30, 1)), np.zeros((29, 1))), "targets: got shapes"),
         (lambda: fit_copula(constant_network(1, 1), np.zeros((30, 1)), np.full((30, 1), np.nan)), "not finite"),
-        (lambda: fit_copula(constant_network(1, 1), np.zeros((30, 1)), np.zeros((30, 1)), stretches=[10, 10]),
-         "stretches: got lengths that sum to 20, expected 30"),
         (lambda: fit_copula(constant_network(2, 1), np.zeros((30, 1)), np.zeros((30, 1))), "targets: got 1 and 1"),
     ],
 )  # fmt: skip

@@ -135,3 +135,24 @@ def test_a_program_with_too_many_equations_prints_nothing(capfd):
     mass = Phase(lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], stage_cost=lambda u: u**2)
     assert "more intervals" in solve(build(mass, Radau(1), 1)).advice
     assert capfd.readouterr() == ("", "")
+
+
+NARROW = {  # inside of it, and how far it is passed at its centre
+    "a disc of 3 mm": (lambda x: 3e-3 - ca.sqrt((x[0] - 0.8137) ** 2 + x[1] ** 2), 3e-3),
+    "a disc of 1 mm, squared": (lambda x: 1e-6 - (x[0] - 0.8137) ** 2 - x[1] ** 2, 1e-6),
+    "the same in other units": (lambda x: 1e6 * (1e-6 - (x[0] - 1.2345) ** 2 - (x[1] - 4e-4) ** 2), 1.0),
+    "a thin wall": (lambda x: 1 - ((x[0] - 1) / 3e-4) ** 2 - x[1] ** 2, 1.0),
+}
+
+
+@pytest.mark.parametrize("intervals", [10, 20, 37])
+@pytest.mark.parametrize(("inside", "deepest"), NARROW.values(), ids=NARROW)
+def test_a_trajectory_straight_through_a_narrow_obstacle_is_not_solved(inside, deepest, intervals):
+    phase = Phase(lambda u: u, 2, 2, start=[0, 0], end=[2, 0], path=inside, stage_cost=lambda u: ca.sumsqr(u))
+    found = solve(build(phase, intervals=intervals))
+    x = ca.SX.sym("x", 2)
+    along = ca.Function("g", [x], [inside(x)]).map(200_001)(found.x(np.linspace(0, 1, 200_001)).T)
+    depth = float(ca.mmax(along))
+    assert (found.status is OptimalControlStatus.LIMITS_PASSED) is (depth > 0.02 * deepest)
+    if depth > 0.02 * deepest:
+        assert max(excess.value.max() for excess in found.path_excess) == pytest.approx(depth, rel=0.02)

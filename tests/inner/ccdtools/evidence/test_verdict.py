@@ -46,7 +46,10 @@ GAIN = evidence(2.0, 1.0, 3.0)
         ([GAIN, evidence(0.0, 0.0, 0.0, Asked.TOLERANCE, size=0.0)], Status.BETTER, ""),
         # better is what gains where it was made for
         ([evidence(-3.0, -8.0, 2.0, Asked.NO_SURE_LOSS), evidence(0.3, 0.2, 0.4, Asked.NO_SURE_LOSS)],
-         Status.NOT_WORSE, "−3 % [−8, +2] on the log"),
+         Status.NO_LOSS_SHOWN, "−3 % [−8, +2] on the log"),
+        ([evidence(-0.1, -0.4, 0.2, Asked.NO_SURE_LOSS)], Status.NOT_WORSE, ""),
+        ([evidence(NAN, NAN, NAN, Asked.NO_LOSS)], Status.NOT_COMPARED, "n/a on the log"),
+        ([evidence(NAN, NAN, NAN, Asked.NO_SURE_LOSS)], Status.NOT_COMPARED, "n/a on the log"),
         # what corrects a bias must lose on the nominal model, which is shown
         ([GAIN, evidence(-9.0, -9.1, -8.9, Asked.SHOWN)], Status.BETTER, ""),
         # lost runs and limits come before any return
@@ -58,10 +61,10 @@ GAIN = evidence(2.0, 1.0, 3.0)
         ([GAIN, evidence(NAN, NAN, NAN, Asked.TOLERANCE, size=0.0, lost=(400, 400))], Status.BETTER, ""),
         # a deployment must not be a loss: in the mean where something was redesigned, else beyond chance
         ([evidence(-0.2, -0.6, 0.2, Asked.NO_LOSS)], Status.NOT_BETTER, ""),
-        ([evidence(-0.2, -0.6, 0.2, Asked.NO_SURE_LOSS)], Status.NOT_WORSE, ""),
+        ([evidence(-0.2, -0.6, 0.2, Asked.NO_SURE_LOSS)], Status.NO_LOSS_SHOWN, ""),
         ([evidence(-0.2, -0.3, -0.1, Asked.NO_SURE_LOSS)], Status.WORSE, ""),
         ([evidence(-0.2, NAN, NAN, Asked.NO_SURE_LOSS)], Status.NOT_BETTER, ""),
-        ([evidence(0.2, NAN, NAN, Asked.NO_SURE_LOSS)], Status.NOT_WORSE, ""),
+        ([evidence(0.2, NAN, NAN, Asked.NO_SURE_LOSS)], Status.NO_LOSS_SHOWN, ""),
         ([evidence(0.2, 0.1, 0.3, Asked.NO_LOSS)], Status.BETTER, ""),
     ],
 )  # fmt: skip
@@ -69,7 +72,8 @@ def test_a_verdict_follows_from_its_evidence(records, status, words):
     verdict = decide(records)
     assert verdict.status is status
     assert words in verdict.reason
-    assert verdict.replaces is (status in (Status.BETTER, Status.NOT_WORSE))
+    stays = (Status.BETTER, Status.NOT_WORSE, Status.NO_LOSS_SHOWN, Status.NOT_COMPARED)
+    assert verdict.replaces is (status in stays)
     assert verdict.status.replaces or verdict.status.advice
     kept = verdict.as_dict()
     assert kept["status"] == status.value

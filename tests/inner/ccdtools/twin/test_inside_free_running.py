@@ -61,7 +61,6 @@ def bands(illustrative, twin):
 @pytest.mark.check
 def test_one_signal_is_drawn_as_one(illustrative, twin):
     drawing = replace(twin.discrepancy, noise="quantiles")
-    assert drawing.copula.order == 0  # e and x hold the past; a memory besides would count it twice
     w = np.random.default_rng(0).random((200, 30, 2))
     plant = TwinPlant(illustrative.model, drawing)
     run = simulate(plant, law(illustrative), x0=np.zeros((200, 2)), steps=30, disturbance=w, design=DESIGN)
@@ -85,10 +84,7 @@ def test_a_generation_measures_its_own_held_out_stretches_or_says_that_they_are_
 def test_a_run_may_start_from_a_known_error(illustrative, twin, log):
     errors = residuals(illustrative.model, log)
     drawing = replace(twin.discrepancy, noise="quantiles")
-    past = drawing.past(errors)
-    assert past.shape == (1, 6000, drawing.error_size)
-    torch.testing.assert_close(past[0, :, :2], torch.tensor(errors.e[0], dtype=torch.float32))
-    plant = TwinPlant(illustrative.model, drawing, past[0, [100, 200]].double().numpy())
+    plant = TwinPlant(illustrative.model, drawing, errors.e[0, [100, 200]])
     w = np.random.default_rng(0).random((2, 3, 2))
     given, none = (
         simulate(one, LAW, x0=errors.x[0, [100, 200]], steps=3, disturbance=w, design=DESIGN).states
@@ -108,8 +104,7 @@ def test_the_model_that_learning_runs_on_draws_the_same(illustrative, twin):
     x0 = np.random.default_rng(1).standard_normal((3, 2))
     run = simulate(TwinPlant(illustrative.model, drawing), LAW, x0=x0, steps=6, disturbance=w, design=DESIGN)
     x = torch.tensor(x0, dtype=torch.float32)
-    e = step.without_error(x)
-    assert e.shape == (3, drawing.error_size)
+    e = torch.zeros_like(x)
     for k in range(6):
         x, e, _ = step(x, e, torch.tensor(run.inputs[:, k], dtype=torch.float32), torch.tensor(w[:, k]).float())
         np.testing.assert_allclose(x.detach(), run.states[:, k + 1], atol=1e-4)
@@ -118,9 +113,7 @@ def test_the_model_that_learning_runs_on_draws_the_same(illustrative, twin):
 def test_a_copula_of_another_size_or_a_single_level_draws_nothing(twin):
     network = twin.discrepancy.network
     with pytest.raises(InputError, match="copula: got 3 states, expected 2"):
-        Discrepancy(network, np.eye(2), copula=InnovationCopula(5, 3, knots=3, widths=1, order=0))
-    with pytest.raises(InputError, match="noise: got 'none', expected 'quantiles', which draws"):
-        Discrepancy(network, np.eye(2)).past(twin.logs[0])
+        Discrepancy(network, np.eye(2), copula=InnovationCopula(5, 3, knots=3, widths=1))
 
 
 def test_a_median_alone_gives_no_bands(illustrative, log):
