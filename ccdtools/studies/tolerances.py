@@ -18,7 +18,7 @@ EQUAL_PERCENT = 1e-4  # Two returns this close differ by rounding and the tolera
 DIVERGED_RUNS = 0.01  # A design of the landscape is left blank if a larger part of its runs diverges.
 LANDSCAPE = {1: 21, 2: 9}  # The landscape over 1 or 2 design parameters has so many designs per axis.
 SURFACE_GRID = 121  # Policies are drawn over so many values of each of two states.
-SHOWN_STEPS = 200  # Of a long trajectory so many steps are drawn.
+SHOWN_STEPS = 200  # So many steps of a long trajectory are drawn.
 
 # --- steps of the real plant, errors as parts of half the range of a state in X --------------------------------------
 WRONG_SAMPLE = 0.1  # A sample may be wrong by this without a warning.

@@ -26,7 +26,7 @@ BODY = {"heave rate": 1.0, "pitch rate": 1.0, "roll rate": 1.0}  # limits: m/s, 
 PLACE = {"place": 0.25}  # limit: m, rad; where the car is costs nothing
 GOOD = {"tyre": 0.01, "travel": 0.05, "wheel speed": 1.0, "heave rate": 0.2, "pitch rate": 0.2, "roll rate": 0.2,
         "place": np.inf}  # fmt: skip
-SPREAD = [28000.0, 2500.0, 21000.0, 2000.0]  # of `Car`'s source
+SPREAD = [28000.0, 2500.0, 21000.0, 2000.0]  # This is the spread of `Car`'s source.
 
 
 def car_study(name: str, title: str, nominal: Plant, real: Plant, *, track: float | None = None) -> Study:

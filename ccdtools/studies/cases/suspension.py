@@ -16,7 +16,7 @@ from ccdtools.vehicles.quarter_car import PAPER_DT
 from ccdtools.vehicles.roads import GeneratedRoad
 from invariant_sets import Polytope
 
-HARDENING = 0.01  # of k_s [1/m²] and of c_s [s/m], in the real spring and damper
+HARDENING = 0.01  # Part of k_s [1/m²] and of c_s [s/m] in the real spring and damper.
 
 
 def quarter_car(*, nonlinear: bool = False) -> Plant:
