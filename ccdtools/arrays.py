@@ -19,7 +19,7 @@ ArrayField: TypeAlias = Any
 
 
 class Immutable:
-    """Base of the frozen dataclasses: copies and unpickled objects have read-only arrays too, and no stale caches."""
+    """Base of the frozen dataclasses. Copies and unpickled objects have read-only arrays too, and no stale caches."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]

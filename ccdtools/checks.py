@@ -18,7 +18,7 @@ TOLERANCES = ("mpc", "off")  # of the state limits, in words
 
 
 def as_array(argument: str, value: Any, *shapes: tuple[int | str, ...]) -> Array:
-    """A read-only float64 array of finite numbers whose shape is one of `shapes`; a word stands for any length ≥ 1."""
+    """Read-only float64 array of finite numbers in one of `shapes`. A word in a shape stands for any length ≥ 1."""
     wanted = " or ".join(_shape_text(shape) for shape in shapes)
     array = as_floats(argument, value, expected=f"numbers of shape {wanted}" if shapes else "numbers")
     if shapes and not any(_fits(array.shape, shape) for shape in shapes):
@@ -34,7 +34,7 @@ def finite(argument: str, array: Array) -> Array:
 
 
 def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "") -> Array:
-    """A read-only vector of `size` finite numbers; a single number is a vector of one."""
+    """Read-only vector of `size` finite numbers. A single number is a vector of one."""
     array = np.atleast_1d(as_floats(argument, value))
     if array.ndim != 1 or (size is not None and len(array) != size):
         one = f"{size} number{'' if size == 1 else 's'}" if size is not None else "a vector of numbers"
@@ -43,7 +43,7 @@ def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "
 
 
 def as_weight(argument: str, value: Any, size: int | None = None, *, definite: bool = False) -> Array:
-    """A read-only symmetric positive semidefinite (or definite) matrix; a single number is a matrix of one."""
+    """Read-only symmetric positive semidefinite (or definite) matrix. A single number is a matrix of one."""
     M = np.atleast_2d(as_floats(argument, value))
     n = len(M) if size is None else size
     if M.shape != (n, n):
@@ -84,14 +84,14 @@ def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
 
 
 def nearest(value: Any, choices: Sequence[str]) -> str:
-    """The choice that a word may have meant, as a question; empty where none is like it."""
+    """The choice that a word may have meant, as a question. Empty where none is like it."""
     words = {choice.lower(): choice for choice in choices}
     found = get_close_matches(value.lower(), words, n=1) if isinstance(value, str) else []
     return f"Did you mean {words[found[0]]}?" if found else ""
 
 
 def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
-    """The words "mpc" or "off", or a fraction of the states and a depth in half-widths, both ≥ 0."""
+    """Tolerance of limits: "mpc", "off", or a fraction of the states and a depth in half-widths, both ≥ 0."""
     expected = "mpc, off, or (fraction of the states outside X, peak depth in half-widths of X), both ≥ 0"
     if isinstance(value, str):
         if value not in TOLERANCES:
@@ -104,7 +104,7 @@ def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
 
 
 def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
-    """As many words as `size`."""
+    """Names, as many as `size`."""
     if isinstance(value, str):
         raise InputError(argument, shown(value), f"a list of {size} name{'' if size == 1 else 's'}")
     try:

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.method_comparison import MethodComparison
     from ccdtools.studies.preparation import PreparedRun
 
-MISUSE = 2  # exit codes
-INTERRUPTED = 130
+INTERRUPTED = 130  # This exit code tells an interruption.
 
 app = typer.Typer(
     help="Control co-design: a plant's physical parameters and its controller, designed together.",
@@ -112,7 +111,7 @@ def run(
 
 
 def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
-    """Run a study in a new folder, the one asked for or runs/NAME-1, …; an interruption says how to go on."""
+    """Run a study in a new folder. An interruption says how to go on."""
     options.check_files()
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
@@ -258,7 +257,7 @@ def _run(arguments: list[str]) -> int:
         if line is None:
             raise
         typer.echo(f"ccdtools: {line}", err=True)
-        return MISUSE
+        return 2  # This exit code tells misuse.
 
 
 def _stop(folder: RunFolder | None) -> NoReturn:
@@ -272,7 +271,7 @@ def _stop(folder: RunFolder | None) -> NoReturn:
 
 
 def _program() -> list[str]:
-    """How this program was called, as a shell can call it again."""
+    """Name of this program, as a shell can call it again."""
     called = sys.argv[0]
     if called.endswith(".py"):
         return [sys.executable, "-m", "ccdtools"]
@@ -323,7 +322,7 @@ def _output(path: str) -> RunFolder:
 
 
 def _single_thread() -> None:
-    """As many threads of torch as OMP_NUM_THREADS says, else one."""
+    """Use as many threads of torch as OMP_NUM_THREADS says, else one."""
     import torch
 
     asked = os.environ.get("OMP_NUM_THREADS", "")

@@ -1,4 +1,4 @@
-"""What the command line prints: errors on one line, and characters that the terminal can show."""
+"""Output of the command line: errors on one line, and characters that the terminal can show."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPECTED = {
 
 
 def plain_where_needed() -> None:
-    """Have standard output and error replace what their encoding lacks, instead of failing on it."""
+    """Make standard output and error replace what their encoding lacks, instead of failing on it."""
     codecs.register_error("ccdtools.plain", _in_plain)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
@@ -37,7 +37,7 @@ def plain_where_needed() -> None:
 
 @contextmanager
 def warnings_on_one_line() -> Iterator[None]:
-    """Have warnings printed like errors: one line each, once, without the place in the source that issued them."""
+    """Print warnings like errors. One line each, once, without the place in the source that issued them."""
     printed: set[str] = set()
 
     def show(message: Warning | str, *place: Any) -> None:
@@ -52,7 +52,7 @@ def warnings_on_one_line() -> Iterator[None]:
 
 
 def one_line_of(error: Exception) -> str | None:
-    """What to print of an error that the user can mend; None of a defect of this program."""
+    """Text to print of an error that the user can mend. None for a defect of this program."""
     if callable(getattr(error, "format_message", None)):
         return _of_usage(error)
     if isinstance(error, CCDError):
@@ -65,7 +65,7 @@ def one_line_of(error: Exception) -> str | None:
 
 
 def _of_usage(error: Any) -> str:
-    """A complaint of the option parser in the grammar of the package."""
+    """Complaint of the option parser in the grammar of the package."""
     help_of = f" See `{error.ctx.command_path} --help`." if getattr(error, "ctx", None) is not None else ""
     kind = type(error).__name__
     if kind == "NoSuchOption":
@@ -96,7 +96,7 @@ def _quoted_word(error: Any) -> str:
 
 
 def _in_plain(error: UnicodeError) -> tuple[str, int]:
-    """A replacement in ASCII for the characters that an encoding lacks."""
+    """ASCII replacement for the characters that an encoding lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text = error.object
@@ -104,7 +104,7 @@ def _in_plain(error: UnicodeError) -> tuple[str, int]:
 
 
 def _plain(letter: str, before: str) -> str:
-    """One character in ASCII; a power begins with ^."""
+    """ASCII form of one character. A power begins with ^."""
     if letter in SUPERSCRIPTS:
         return ("" if before in SUPERSCRIPTS else "^") + SUPERSCRIPTS[letter]
     return PLAIN.get(letter, "?")

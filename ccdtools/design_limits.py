@@ -19,17 +19,17 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools.plants.tolerances import FEASIBLE
+from ccdtools.tolerances import ON_LIMIT
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
 
-ON_LIMIT = 1e-9  # of the half-width: a point this far beyond a bound is on it
 PAIR = "a function of p that returns two bounds (lower, upper)"
 EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignLimits(Immutable):
-    """A box whose bounds are functions of the design; `CoDesignProblem` and `Study` make it of a function of p.
+    """Box whose bounds are functions of the design. `CoDesignProblem` and `Study` make it of a function of p.
 
     Attributes
     ----------
@@ -50,8 +50,10 @@ class DesignLimits(Immutable):
     upper: Array
 
     @classmethod
-    def of(cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace) -> DesignLimits:
-        """The limits that a function of p gives of `size` numbers, looked at over the whole box of designs.
+    def from_function(
+        cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace
+    ) -> DesignLimits:
+        """Limits on `size` numbers from a function of p, checked over the whole box of designs.
 
         Also where constraints forbid a design: the expert's data cover the box.
 
@@ -82,16 +84,16 @@ class DesignLimits(Immutable):
         return f"DesignLimits({self.argument}, {self.dim} numbers)"
 
     def __str__(self) -> str:
-        """The lower bounds, then the upper ones, as expressions of p."""
+        """Lower bounds, then upper ones, as expressions of p."""
         return str(self.both)
 
     def __deepcopy__(self, memory: Any) -> DesignLimits:
-        """Itself, because it never changes."""
+        """This object itself, because it never changes."""
         return self
 
     @property
     def dim(self) -> int:
-        """How many numbers it limits."""
+        """Number of limited quantities."""
         return len(self.lower)
 
     @property
@@ -101,16 +103,16 @@ class DesignLimits(Immutable):
 
     @property
     def box(self) -> tuple[Array, Array]:
-        """The widest bounds, each (n,)."""
+        """Widest bounds, each (n,)."""
         return self.lower, self.upper
 
     @cached_property
     def widest(self) -> Polytope:
-        """The box of the widest bounds."""
+        """Box of the widest bounds."""
         return Polytope.from_bounds(self.lower, self.upper)
 
     def bounds(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper bounds (..., n) at designs (..., np), arrays or tensors; differentiable in tensors."""
+        """Lower and upper bounds (..., n) at designs (..., np), arrays or tensors. Differentiable in tensors."""
         both = self.both.vector(self.entries)(p)
         return both[..., : self.dim], both[..., self.dim :]
 
@@ -131,7 +133,7 @@ class DesignLimits(Immutable):
         return Polytope.from_bounds(lower, upper)
 
     def depths(self, x: Any, p: Any) -> Any:
-        """How far each bound is exceeded by (..., n) at designs (np,) or (..., np), (..., 2 n), in half-widths.
+        """Violations (..., 2 n) of the bounds by (..., n) at designs (np,) or (..., np), in half-widths.
 
         Of arrays or torch tensors; negative within.
         """
@@ -149,7 +151,7 @@ class DesignLimits(Immutable):
         return np.asarray((self.depths(x, p) <= ON_LIMIT).all(axis=-1))
 
     def followed_by(self, lower: Array, upper: Array) -> DesignLimits:
-        """The same with further numbers after its own, whose bounds (m,) do not depend on the design."""
+        """These limits with further numbers appended, whose bounds (m,) do not depend on the design."""
         p = ca.SX.sym("p", self.entries)
         own = self.both.function(self.entries)(p)
         both = ca.vertcat(own[: self.dim], ca.DM(lower), own[self.dim :], ca.DM(upper))
@@ -159,14 +161,14 @@ class DesignLimits(Immutable):
         return DesignLimits(self.argument, function, self.names, *wider)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values that `from_dict` makes it of again."""
+        """Plain values from which `from_dict` makes the limits again."""
         function = self.both.function(self.entries).serialize()
         plain = {"lower": self.lower.tolist(), "upper": self.upper.tolist(), "names": list(self.names)}
         return {"argument": self.argument, "function": function, **plain}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> DesignLimits:
-        """What `as_dict` gave."""
+        """Limits from what `as_dict` gave."""
         both = SymbolicFunction(values["argument"], ca.Function.deserialize(values["function"]), ("p",))
         both.function(len(values["names"]))
         lower, upper = (frozen(np.array(values[name], dtype=float)) for name in ("lower", "upper"))
@@ -177,41 +179,41 @@ Limits: TypeAlias = Polytope | DesignLimits
 
 
 def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """Limits on `size` numbers: a Polytope, bounds, or a function of p that gives bounds."""
+    """Limits on `size` numbers. A Polytope, bounds, or a function of p that gives bounds."""
     if isinstance(value, DesignLimits):
         if (value.dim, value.names) != (size, tuple(space.names)):
             got = f"limits of {value.dim} numbers over designs {', '.join(value.names)}"
             raise InputError(argument, got, f"{size}, {of}, over {', '.join(space.names)}")
         return value
     if callable(value) and not isinstance(value, type):
-        return DesignLimits.of(argument, value, size, of, space)
+        return DesignLimits.from_function(argument, value, size, of, space)
     return as_limits(argument, value, size, of)
 
 
 def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
-    """The limits at one design (np,)."""
+    """Limits at one design (np,)."""
     return limits.at(p) if isinstance(limits, DesignLimits) else limits
 
 
 def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
-    """Bounds (n,) of fixed limits; of those that depend on designs (..., np), (..., n)."""
+    """Bounds (n,) of fixed limits. Bounds (..., n) at designs (..., np) of those that depend on the design."""
     return limits.bounds(p) if isinstance(limits, DesignLimits) else limits.bounding_box()
 
 
 def widest(limits: Limits) -> Polytope:
-    """The limits, or of those that depend on the design the box of their widest bounds."""
+    """Fixed limits as they are. Limits that depend on the design as the box of their widest bounds."""
     return limits.widest if isinstance(limits, DesignLimits) else limits
 
 
 def _cure(space: DesignSpace, p: Array) -> str:
-    """What to do about bounds that are wrong at a design that constraints forbid."""
+    """Advice about bounds that are wrong at a design that constraints forbid."""
     if space.violation(p[None])[0] <= FEASIBLE:
         return ""
     return "No such design may be built, but data are drawn over the whole box: hold the bounds apart with ca.fmax."
 
 
 def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, designs: int) -> ca.Function:
-    """p → lower and upper bounds in one column."""
+    """Compiled function from p to lower and upper bounds in one column."""
     p = ca.SX.sym("p", designs)
     try:
         pair = given(p)

@@ -6,7 +6,7 @@ __all__ = ["CCDError", "InputError", "JumpWarning", "LimitWarning", "NotDetectab
 
 
 class NotDetectableError(CCDError, ValueError):
-    """No steady estimator can be relied on: a mode that does not decay is not seen, or no noise reaches it.
+    """No steady estimator exists: a mode that does not decay is not seen, or no noise reaches it.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class NotDetectableError(CCDError, ValueError):
 
 
 class SamplingWarning(UserWarning):
-    """A plant has a mode that its sampling time hardly resolves, or not at all, for some design of its box."""
+    """A plant has a mode that its sampling time hardly resolves, or not at all, at some design."""
 
 
 class JumpWarning(UserWarning):
-    """The dynamics of a plant jump, where integration is of first order and derivatives say nothing."""
+    """The dynamics of a plant jump. There integration is of first order, and derivatives say nothing."""
 
 
 class LimitWarning(UserWarning):

@@ -36,9 +36,6 @@ LINES: dict[str, dict[str, Any]] = {  # LQR broad and pale below, so that it is 
 BOUND: dict[str, Any] = {"color": "#444444", "lw": 0.9, "ls": (0, (5, 3))}
 NOT_WORSE_STRIP = "#DDEBDD"
 CHOSEN = "#D4A017"  # star of the iterate that was returned
-DPI = 130
-LABEL = 20  # characters beside axes of an inch and a half
-TITLE = 64  # above axes of five inches
 INSIDE = re.compile(r"(?<![,:]) ")  # spaces within a value
 SETTINGS: Any = {
     "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
@@ -46,23 +43,22 @@ SETTINGS: Any = {
     "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "legend.framealpha": 0.8,
     "axes.unicode_minus": True, "hatch.linewidth": 0.5,
 }  # fmt: skip
-BEST_LEVELS = 0.9  # share of the designs that the colours tell apart; the worst tenth has one colour
 
 
 def styled() -> AbstractContextManager[None]:
-    """The settings, for figures that are made or saved within."""
+    """Settings for figures that are made or saved within."""
     return rc_context(SETTINGS)
 
 
 class Picture(Figure):
-    """A figure that a notebook shows, also before pyplot has made its first one and told the notebook how."""
+    """Figure that a notebook shows. It shows also before pyplot has made its first one and told the notebook how."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
 
 
 def blank(width: float, height: float, *, quick: bool = False) -> Figure:
-    """An empty figure of that size [inch], marked in its corner if the run was quick."""
+    """Empty figure of that size [inch], marked in its corner if the run was quick."""
     figure = Picture(figsize=(width, height), layout="constrained")
     if quick:
         figure.text(0.003, 0.003, "QUICK", ha="left", va="bottom", fontsize=8, weight="bold", color="#B00020")
@@ -73,18 +69,18 @@ def png(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     buffer = io.BytesIO()
     with styled():
-        figure.savefig(buffer, format="png", dpi=DPI)
+        figure.savefig(buffer, format="png", dpi=130)  # dots per inch
     return buffer.getvalue()
 
 
 def label(text: str) -> str:
-    """The name of a vertical axis in as many lines as a low one needs."""
-    return textwrap.fill(text, LABEL, break_long_words=False)
+    """Name of a vertical axis in as many lines as a low one needs."""
+    return textwrap.fill(text, 20, break_long_words=False)  # characters beside a low axis
 
 
 def title(text: str) -> str:
-    """The title of a column in as many lines as half a page needs, broken between the values of a design."""
-    return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), TITLE, break_long_words=False)
+    """Title of a column, broken between the values of a design. It takes as many lines as half a page needs."""
+    return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), 64, break_long_words=False)  # characters
 
 
 def controller_colours(names: Sequence[str]) -> dict[str, str]:
@@ -94,7 +90,7 @@ def controller_colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def generation_colour(generation: int) -> str:
-    """One colour per generation, the same in every figure; 0 is the start."""
+    """Colour of every generation, the same in every figure. 0 is the start."""
     return GENERATIONS[generation % len(GENERATIONS)]
 
 
@@ -108,7 +104,7 @@ def without_grid(ax: Axes) -> Axes:
 def draw_map(
     ax: Axes, x: Array, y: Array, mean: Array, fine: NDArray[np.bool_], *, label: str, whole: bool = False
 ) -> list[Any]:
-    """Levels of a return, with a circle about the best of the grid; designs that are not fine stay blank.
+    """Draw levels of a return, with a circle about the best of the grid. Designs that are not fine stay blank.
 
     Parameters
     ----------
@@ -144,6 +140,6 @@ def draw_map(
 
 
 def _even_levels(values: Array) -> Array:
-    """About a dozen levels at equal steps from the worst of the better designs to the best."""
-    low, high = np.quantile(values, [1 - BEST_LEVELS, 1.0])
+    """Levels, about a dozen, at equal steps from the worst of the better designs to the best."""
+    low, high = np.quantile(values, [1 - 0.9, 1.0])  # the worst tenth has one colour
     return np.asarray(MaxNLocator(12).tick_values(float(low), float(high)))

@@ -1,4 +1,4 @@
-"""The same computation for many things, in one process or in several, and how Ctrl-C stops it."""
+"""One computation for many things, in one process or in several, and how Ctrl-C stops it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any, NoReturn
 from ccdtools.checks import as_count, shown
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from ccdtools.tolerances import REPEAT_INTERRUPT
 
-AGAIN = 1.0  # s after which an interruption that nobody has felt comes again
 _felt: list[int] = []  # signals since the last `insisting` began
 
 
 def as_jobs(value: Any, argument: str = "jobs") -> int:
-    """A number of processes: at least one, or −1 for as many as there are cores."""
+    """Number of processes: at least one, or −1 for as many as there are cores."""
     if isinstance(value, int) and not isinstance(value, bool) and value == -1:
         return -1
     try:
@@ -28,7 +28,7 @@ def as_jobs(value: Any, argument: str = "jobs") -> int:
 def in_processes(
     function: Callable[[Any], Any], items: Sequence[Any], *, jobs: int, label: str, progress: bool = False
 ) -> list[Any]:
-    """The values of a function at all items, in their order; arguments as of `as_they_end`."""
+    """Values of a function at all items, in their order. Arguments are as of `as_they_end`."""
     return list(as_they_end(function, items, jobs=jobs, label=label, progress=progress))
 
 
@@ -41,7 +41,7 @@ def as_they_end(
     names: Sequence[str] = (),
     progress: bool = False,
 ) -> Iterator[Any]:
-    """The values of a function at all items, in their order, each as soon as it is there.
+    """Values of a function at all items, in their order, each as soon as it is there.
 
     Parameters
     ----------
@@ -74,13 +74,13 @@ def as_they_end(
 
 
 def interrupted() -> bool:
-    """Whether Ctrl-C was pressed within the last `insisting`: an error that follows may be no error."""
+    """Whether Ctrl-C was pressed within the last `insisting`. An error that follows may be no error."""
     return bool(_felt)
 
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Hold Ctrl-C back: an import or a folder interrupted half-way could not be continued."""
+    """Hold Ctrl-C back. An import or a folder interrupted half-way could not be continued."""
     caught: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: caught.append(number))
     try:
@@ -93,7 +93,7 @@ def held_back() -> Iterator[None]:
 
 @contextmanager
 def insisting() -> Iterator[None]:
-    """Let Ctrl-C arrive: CasADi swallows every second exception that is raised while it reads its arguments.
+    """Let Ctrl-C arrive. CasADi swallows every second exception that is raised while it reads its arguments.
 
     What it does not swallow it may turn into an error of its own, which is then no error.
     """
@@ -103,7 +103,7 @@ def insisting() -> Iterator[None]:
         """Interrupt now, and again unless that was felt."""
         _felt.append(number)
         if hasattr(signal, "setitimer"):  # not on Windows
-            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_INTERRUPT)
         raise KeyboardInterrupt
 
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGALRM") if hasattr(signal, name)]

@@ -13,17 +13,13 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_array, as_floats, as_instance, as_names
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import mean_interval, paired_difference
+from ccdtools.tolerances import FLAT_ROW, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
 from invariant_sets import Polytope
 from invariant_sets.system_checks import as_set
 
-FLAT = 1e-9  # of the range of a row over the box around X: below this, X has no width along the row
-TERMS = 3  # a row of X with more states than this is named by its number
-FURTHER = 0.01  # half-widths of the peak, or fraction of the states: smaller differences do not matter,
-FURTHER_PART = 0.05  # nor does a twentieth of what the other controller does
-
 
 def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
-    """The set of limits on `size` numbers, from a Polytope or from bounds as the functions of `invariant_sets` take."""
+    """Set of limits on `size` numbers, from a Polytope or from bounds as `invariant_sets` takes them."""
     if isinstance(value, Polytope) and value.dim != size:
         raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
     return as_set(value, argument, size)
@@ -31,7 +27,7 @@ def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateLimits(Immutable):
-    """The rows of X, each divided by the half-width of X along it, so that units do not matter: rows·x ≤ bounds.
+    """Rows of X, each divided by the half-width of X along it: rows·x ≤ bounds. Units do not matter.
 
     Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
     half-width.
@@ -71,7 +67,7 @@ class StateLimits(Immutable):
         return f"StateLimits({self.rows.shape[1]} states, {len(self.bounds)} rows)"
 
     def depths(self, x: Array) -> Array:
-        """How far each row is exceeded in states (..., nx), (..., m); negative within, 0 for points of X."""
+        """Violation of each row in states (..., nx), as (..., m). Negative within, 0 for points of X."""
         with np.errstate(over="ignore", invalid="ignore"):
             beyond = x @ self.rows.T - self.bounds
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
@@ -79,9 +75,9 @@ class StateLimits(Immutable):
         return np.where(inside[..., None], np.minimum(beyond, 0.0), beyond)
 
     def row_text(self, row: int, names: Sequence[str]) -> str:
-        """What exceeding a row means, in the names of the states: "velocity [m/s] > 0.5"."""
-        terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT * np.abs(self.rows[row]).max())
-        if len(terms) > TERMS:
+        """Meaning of exceeding a row, in the names of the states: "velocity [m/s] > 0.5"."""
+        terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT_ROW * np.abs(self.rows[row]).max())
+        if len(terms) > 3:  # a longer row is named by its number
             return f"row {row + 1} of X"
         first = self.rows[row, terms[0]]
         bound = self.bounds[row] / first
@@ -92,7 +88,7 @@ class StateLimits(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excursions(Immutable):
-    """How often and how far runs are outside X; depths in half-widths of X along the row that is exceeded most.
+    """Frequency and depth of violations of X. Depths are in half-widths of X along the row that is exceeded most.
 
     Attributes
     ----------
@@ -115,7 +111,7 @@ class Excursions(Immutable):
     limits: str = "X"
 
     def of(self, kept: Any) -> Excursions:
-        """Those of some of the runs, by index or mask."""
+        """Violations of some of the runs, by index or mask."""
         return Excursions(self.fraction[kept], self.mean[kept], self.peak[kept], self.exceeded, self.limits)
 
     def __post_init__(self) -> None:
@@ -133,7 +129,7 @@ class Excursions(Immutable):
 
 
 def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
-    """How far states (..., nx) lie outside X, (...,): the largest violation of a row, in half-widths of X along it.
+    """Largest violation of a row by states (..., nx), as (...,). In half-widths of X along the row.
 
     0 inside, to the tolerance of `X.contains`; 1 is one half-width beyond the limit.
 
@@ -151,7 +147,7 @@ def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
 
 
 def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[str] | None = None) -> Excursions:
-    """How often and how far runs of states (n, T, nx), or one run (T, nx), are outside X.
+    """Frequency and depth of violations of X by runs. States are (n, T, nx), or (T, nx) of one run.
 
     Parameters
     ----------
@@ -174,7 +170,7 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
 
 
 def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "X") -> Excursions:
-    """Those of runs that exceed each limit by so much, (n, T, m); `row_text` says what exceeding one means."""
+    """Violations of runs that exceed each limit by so much, (n, T, m). `row_text` says what exceeding one means."""
     if not len(by_row):
         return Excursions(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
     depth = np.maximum(by_row.max(axis=-1), 0.0)
@@ -184,7 +180,7 @@ def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "
 
 
 def further_outside(own: Excursions, other: Excursions, *, stretches: bool = False) -> bool:
-    """Whether runs leave X deeper, or more often, than those of another controller under the same disturbances.
+    """Whether runs leave X deeper, or more often, than another controller's. Both meet the same disturbances.
 
     With `stretches` they are consecutive stretches of one run, and their differences a correlated series.
 
@@ -195,14 +191,14 @@ def further_outside(own: Excursions, other: Excursions, *, stretches: bool = Fal
         reference = getattr(other, measure)
         values = getattr(own, measure)
         difference = mean_interval(values - reference) if stretches else paired_difference(values, reference)
-        needed = max(FURTHER, FURTHER_PART * float(reference.mean())) if len(reference) else np.inf
+        needed = max(FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART * float(reference.mean())) if len(reference) else np.inf
         if difference.ci95[0] > 0 and difference.mean > needed:
             return True
     return False
 
 
 def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
-    """The half-width of X along each row; never zero."""
+    """Half-width of X along each row. Never zero."""
     low = -np.asarray(X.support(-rows))
     high = np.asarray(X.support(rows))
     lower, upper = X.bounding_box()
@@ -210,11 +206,11 @@ def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
     reach = np.abs(rows) @ np.where(np.isfinite(box), box, 0.0)
     width = 0.5 * (high - low)
     width = np.where(np.isfinite(width), width, np.abs(bounds))
-    width = np.where(width > FLAT * reach, width, reach)
+    width = np.where(width > FLAT_ROW * reach, width, reach)
     return np.where(width > 0, width, np.linalg.norm(rows, axis=1))
 
 
 def _term(factor: float, name: str) -> str:
-    """A further term of a row."""
+    """Text of a further term of a row."""
     size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
     return f" {'+' if factor > 0 else '−'} {size}{name}"

@@ -13,14 +13,13 @@ from ccdtools.checks import as_floats, as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbolic_functions import as_symbolic
+from ccdtools.tolerances import ON_LIMIT
 from invariant_sets import Polytope
-
-ON_THE_LIMIT = 1e-9  # half-widths: a start this far outside is on its limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OutputLimits(Immutable):
-    """lower ≤ h(x, u, p) ≤ upper at every sample, x and u the state and input of that sample.
+    """Limits lower ≤ h(x, u, p) ≤ upper at every sample. x and u are the state and input of that sample.
 
     How far a limit is exceeded is told in half-widths of its range; of a limit on one side, in its distance from 0; and
     of h ≤ 0 in the units of h, which is best stated relative, as ``stress / strength - 1``.
@@ -62,7 +61,7 @@ class OutputLimits(Immutable):
 
     @classmethod
     def of(cls, plant: Plant) -> OutputLimits | None:
-        """Those that a plant states for its outputs; None where it states none."""
+        """Limits that a plant states for its outputs. None where it states none."""
         low, high = plant.output_limits
         if plant.ny == 0 or not (np.isfinite(low) | np.isfinite(high)).any():
             return None
@@ -82,7 +81,7 @@ class OutputLimits(Immutable):
             as_names("output_limits, names", self.names, ny)
 
     def depths(self, x: Any, u: Any, p: Any) -> Any:
-        """How far each limit is exceeded, (..., m): negative within, infinite where an output is no number.
+        """Violation of each limit, (..., m). Negative within, infinite where an output is no number.
 
         Of arrays or torch tensors.
 
@@ -100,7 +99,7 @@ class OutputLimits(Immutable):
         return beyond.masked_fill(beyond.isnan(), np.inf)
 
     def broken_at(self, x: Array, nu: int, designs: Array) -> list[str]:
-        """The limits that a state (nx,) exceeds at each of some designs (n, np), whatever the input does: "" for none.
+        """Limits that a state (nx,) exceeds at designs (n, np), whatever the input does. "" for none.
 
         Only limits of outputs that do not depend on the input say so.
         """
@@ -111,17 +110,17 @@ class OutputLimits(Immutable):
         states = np.tile(x, (len(designs), 1))
         depths = np.where(acted_on, -np.inf, self.depths(states, np.zeros((len(designs), nu)), designs))
         worst = depths.argmax(axis=1)
-        return [self.row_text(row) if depth[row] > ON_THE_LIMIT else "" for row, depth in zip(worst, depths)]
+        return [self.row_text(row) if depth[row] > ON_LIMIT else "" for row, depth in zip(worst, depths)]
 
     def row_text(self, row: int) -> str:
-        """What exceeding a limit means: "tyre load [N] > 500"; of the limits that `depths` gives."""
+        """Meaning of exceeding one of the limits that `depths` gives: "tyre load [N] > 500"."""
         index, sign, bound, _ = self._sides(self.outputs.values)
         i = int(index[row])
         name = self.names[i] if len(self.names) else f"y{i + 1}"
         return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
 
     def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
-        """The limits on outputs of the state alone, linearised at rest, F x ≤ g at a design; those that hold there."""
+        """Half-spaces F x ≤ g of outputs of the state alone, at a design. Those that hold there, linearised at rest."""
         value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
         index, sign, bound, unit = self._sides(len(value))
         F = sign[:, None] * J[index] / unit[:, None]
@@ -131,7 +130,7 @@ class OutputLimits(Immutable):
         return F[alone, :nx], g[alone]
 
     def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
-        """The states of X that keep these limits, as far as they are linear in the state alone."""
+        """States of X that keep these limits. As far as they are linear in the state alone."""
         F, g = self.half_spaces(X.dim, nu, p)
         return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
 

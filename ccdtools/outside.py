@@ -1,4 +1,4 @@
-"""How often and how far the runs of one controller leave X, or the limits of outputs, beside those of another."""
+"""Frequency and depth with which runs of one controller leave X, or the limits of outputs, beside those of another."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ from numpy.typing import NDArray
 
 from ccdtools.limits import Excursions, StateLimits, excursions_of, further_outside
 from ccdtools.output_limits import OutputLimits
+from ccdtools.tolerances import STRETCHES
 from ccdtools.trajectory import Trajectory
-
-BLOCK = 100  # samples of a stretch of a single long run at most,
-STRETCHES = 40  # of which there are at least so many
 
 
 def limits_in_words(outputs: OutputLimits | None) -> str:
-    """What a controller leaves: X, or the limits, where those of outputs count beside it."""
+    """Name of what a controller leaves: X, or the limits, where those of outputs count beside it."""
     return "X" if outputs is None else "the limits"
 
 
 @dataclass(frozen=True, eq=False)
-class Outside:
-    """How often and how far the runs of one controller leave X.
+class RunViolations:
+    """Frequency and depth with which the runs of one controller leave X.
 
     Attributes
     ----------
@@ -44,8 +42,10 @@ class Outside:
     lost: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None) -> Outside:
-        """Those of a trajectory: of states, and of outputs that have limits."""
+    def from_trajectory(
+        cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None
+    ) -> RunViolations:
+        """Violations of a trajectory: of states, and of outputs that have limits."""
         n, steps, nx = run.states[:, 1:].shape
         names = getattr(plant, "state_names", None) or tuple(f"x{i + 1}" for i in range(nx))
         by_row = limits.depths(run.states[:, 1:])
@@ -54,22 +54,22 @@ class Outside:
             by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
 
         def text(row: int) -> str:
-            """What exceeding a limit means."""
+            """Meaning of exceeding a limit."""
             return limits.row_text(row, names) if row < rows or outputs is None else outputs.row_text(row - rows)
 
         left = limits_in_words(outputs)
         whole = excursions_of(by_row[~run.diverged], text, left)
         if n > 1 or steps < STRETCHES:
             return cls(whole, excursions_of(by_row, text, left), False, run.diverged)
-        length = min(BLOCK, steps // STRETCHES)
+        length = min(100, steps // STRETCHES)  # samples of a stretch
         pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
         return cls(whole, excursions_of(pieces, text, left), True, np.repeat(run.diverged, len(pieces)))
 
-    def further_than(self, others: Mapping[str, Outside]) -> tuple[str, ...]:
-        """The names of those that leave X less."""
+    def further_than(self, others: Mapping[str, RunViolations]) -> tuple[str, ...]:
+        """Names of the controllers that leave X less."""
         return tuple(name for name, other in others.items() if self._further(other))
 
-    def _further(self, other: Outside) -> bool:
+    def _further(self, other: RunViolations) -> bool:
         """Whether these leave X further than another controller's, where neither diverged."""
         n = min(len(self.lost), len(other.lost))
         kept = ~(self.lost[:n] | other.lost[:n])

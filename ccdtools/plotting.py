@@ -8,11 +8,9 @@ import numpy as np
 
 from ccdtools.checks import has_method
 
-DRAWN = 50  # runs at most: more are a blot
-
 
 def plot_trajectory(run: Any, figure: Any = None) -> Any:
-    """States and inputs over time, one row each, and of many runs the first 50.
+    """Plot states and inputs over time, one row each, and of many runs the first 50.
 
     Parameters
     ----------
@@ -37,7 +35,7 @@ def plot_trajectory(run: Any, figure: Any = None) -> Any:
     has_method("figure", figure, "subplots", "a matplotlib Figure, or None for a new one")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     held = np.concatenate([run.inputs, run.inputs[:, -1:]], axis=1)  # the last input ends with its sample
-    signals = np.concatenate([run.states, held], axis=2)[:DRAWN]
+    signals = np.concatenate([run.states, held], axis=2)[:50]  # more runs are a blot
     for i, (ax, name) in enumerate(zip(axes, names)):
         style = "steps-post" if name.startswith("u") else "default"
         ax.plot(run.time, signals[:, :, i].T, lw=0.8, alpha=1.0 if len(signals) == 1 else 0.5, drawstyle=style)

@@ -11,17 +11,18 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from ccdtools.tolerances import SECONDS_BETWEEN_LINES
+
 Echo = Callable[[str], None]
 Item = TypeVar("Item")
-EVERY = 10.0  # seconds between two lines of text
 _where: list[Any] = ["", 0.0, 0.0, 0.0]  # what the computation is at, and how far; when it was first told, and how far
 
 
 class Lines(tqdm):  # type: ignore[type-arg]
-    """A bar for a file or a notebook: a line at the start and every ten seconds, without control characters."""
+    """Progress bar for a file or a notebook. A line at the start and every ten seconds, without control characters."""
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
-        """Write a line; nothing where a bar would be cleared."""
+        """Write a line. Nothing where a bar would be cleared."""
         if msg is None:
             elapsed = self._time() - self.start_t if hasattr(self, "start_t") else 0.0  # of the first line
             done = f"{self.n} of {self.total} after {elapsed:.0f} s"
@@ -31,10 +32,10 @@ class Lines(tqdm):  # type: ignore[type-arg]
 
 
 def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  # type: ignore[type-arg]
-    """A bar over items, or one to be updated: on a terminal, or as lines elsewhere; of no effect without `progress`."""
+    """Progress bar over items, or one to be updated. On a terminal, lines elsewhere; nothing without `progress`."""
     if not progress or sys.stderr.isatty():
         return tqdm(items, desc=label, total=total, disable=not progress, leave=False)
-    return Lines(items, desc=label, total=total, leave=False, mininterval=EVERY, miniters=1)
+    return Lines(items, desc=label, total=total, leave=False, mininterval=SECONDS_BETWEEN_LINES, miniters=1)
 
 
 def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = False) -> Iterator[Item]:
@@ -45,21 +46,21 @@ def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = F
 
 
 def at(text: str, part: float = 0.0) -> None:
-    """Say what the computation is at: "iteration 40 of 200", which part 0.2 of it is done."""
+    """Say what the computation is at: "iteration 40 of 200". Part 0.2 of it is done."""
     if part <= _where[1]:
         _where[2:] = time.perf_counter(), part
     _where[:2] = text, part
 
 
 def _left(seconds: float, done: float, rest: float) -> str:
-    """How long the rest takes at the pace of what is done, in words; nothing before there is a pace."""
-    known = seconds >= EVERY / 2 and done > 0 and rest > 0
+    """Time that the rest takes at the pace so far, in words. Empty before there is a pace."""
+    known = seconds >= SECONDS_BETWEEN_LINES / 2 and done > 0 and rest > 0
     return f", about {seconds * rest / done:.0f} s left at this pace" if known else ""
 
 
 @contextmanager
 def telling(echo: Echo | None, what: str = "") -> Iterator[None]:
-    """Have a line say every ten seconds what the computation within is `at`, first `what`; nothing without `echo`."""
+    """Say every ten seconds what the computation within is `at`, first `what`. Nothing without `echo`."""
     if echo is None:
         yield
         return
@@ -68,8 +69,8 @@ def telling(echo: Echo | None, what: str = "") -> Iterator[None]:
     begun = time.perf_counter()
 
     def tell() -> None:
-        """Say so until it has ended."""
-        while not ended.wait(EVERY):
+        """Repeat the line until the computation has ended."""
+        while not ended.wait(SECONDS_BETWEEN_LINES):
             now = time.perf_counter()
             text, part, since, first = _where
             left = _left(now - since, part - first, 1 - part)

@@ -1,4 +1,4 @@
-"""What every controller of a comparison meets alike."""
+"""Scenarios: what every controller of a comparison meets alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ccdtools.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scenario(Immutable):
-    """A plant with initial states and disturbances: what every controller meets alike.
+    """Plant with initial states and disturbances: what every controller meets alike.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Scenario(Immutable):
             set_(self, name, value)
 
     def _measured(self, output: Measurement | None, runs: int, steps: int) -> Measurement | None:
-        """The measurement with its noise drawn for all runs."""
+        """Measurement with its noise drawn for all runs."""
         seed = None if self.seed is None else as_count("seed", self.seed, least=0)
         if output is None:
             return output
@@ -81,13 +81,13 @@ class Scenario(Immutable):
         return self.disturbance.shape[1]
 
     def sensor(self, p: ArrayLike = ()) -> Sensor | None:
-        """What is measured in the first run, at a design (np,)."""
+        """Sensor of the first run, at a design (np,)."""
         if self.output is None:
             return None
         return Sensor(self.output.first(1, self.steps), self.plant, np.asarray(p, dtype=float), 1, self.steps, None)
 
     def first(self, runs: int, steps: int | None = None) -> Scenario:
-        """The first so many runs of it, and of these the first so many steps."""
+        """Scenario of the first so many runs, and of these the first so many steps."""
         length = self.steps if steps is None else as_count("steps", steps)
         w = self.disturbance[: as_count("runs", runs), :length]
         output = None if self.output is None else self.output.first(runs, length)
@@ -97,7 +97,7 @@ class Scenario(Immutable):
         self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,
         progress: bool = False,
     ) -> Trajectory:  # fmt: skip
-        """Its closed-loop trajectories under a controller; see `simulate`."""
+        """Closed-loop trajectories under a controller. See `simulate`."""
         return simulate(
             self.plant, controller, x0=self.x0, steps=self.steps, disturbance=self.disturbance, design=design,
             limit=limit, reference=self.reference, output=self.output, progress=progress,

@@ -18,15 +18,15 @@ from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
+from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
 
 Step = Callable[[Array, Array, Array], Array]
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
-LIMIT = 1e6  # on |x|, where no divergence limit is given
 
 
 class Simulable(Protocol):
-    """What `simulate` asks of a plant."""
+    """Protocol of a plant that `simulate` can step."""
 
     @property
     def nx(self) -> int:
@@ -54,7 +54,7 @@ class Simulable(Protocol):
         ...
 
     def stepper(self, p: Array, *, batch: int) -> Step:
-        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at one design, for n = `batch`."""
+        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at one design, for n = `batch`."""
         ...
 
 
@@ -127,7 +127,7 @@ def simulate(
 
 
 def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: Array, progress: bool) -> Trajectory:
-    """The trajectories from x (n, nx) under w (n, T, nw)."""
+    """Trajectories from x (n, nx) under w (n, T, nw)."""
     n, steps = w.shape[:2]
     edge = np.minimum(bound, np.finfo(float).max)
     step = plant.stepper(p, batch=n)
@@ -150,7 +150,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
-    """What the controller returns for the states x (n, nx), or at the first sample why it cannot take them."""
+    """Answer of the controller to the states x (n, nx), or at the first sample why it cannot take them."""
     try:
         return driver(k, x)
     except CCDError:
@@ -164,7 +164,7 @@ def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
 
 
 def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
-    """What a controller returned, as inputs (n, nu), finite for the runs that are not lost."""
+    """Inputs that a controller returned, finite for the runs that are not lost."""
     try:
         u = np.asarray(u, dtype=float)
     except (TypeError, ValueError, RuntimeError):
@@ -177,7 +177,7 @@ def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Arra
 
 
 def as_simulable(plant: Any) -> Simulable:
-    """`plant`, if `simulate` can step it; a discrete `control.StateSpace` as a `LinearModel`."""
+    """Plant that `simulate` can step. A discrete `control.StateSpace` becomes a `LinearModel`."""
     if isinstance(plant, type):
         raise InputError("plant", shown(plant), "an object of it")
     if hasattr(plant, "stepper"):
@@ -189,7 +189,7 @@ def as_simulable(plant: Any) -> Simulable:
 
 
 def _design(plant: Simulable, design: ArrayLike | None) -> Array:
-    """The design (np,) to simulate at; empty for a plant without one."""
+    """Design (np,) to simulate at. Empty for a plant without one."""
     if plant.design is None or plant.design.dim == 0:
         if design is not None and np.size(design) > 0:
             raise InputError("design", shown(design), "nothing, because the plant has no design parameters")
@@ -213,14 +213,14 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
 
 def _bound(limit: ArrayLike | None, nx: int) -> Array:
     """The divergence limit (nx,)."""
-    bound = as_floats("limit", LIMIT if limit is None else limit)
+    bound = as_floats("limit", DIVERGENCE_LIMIT if limit is None else limit)
     if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
         raise InputError("limit", f"{bound.tolist()} of shape {bound.shape}", f"({nx},) positive numbers")
     return np.broadcast_to(bound, (nx,))
 
 
 def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Reference | None:
-    """The reference, if its sizes are those of the plant."""
+    """Reference, if its sizes are those of the plant."""
     if reference is None:
         return None
     reference = reference if isinstance(reference, Reference) else Reference(reference)
@@ -229,7 +229,7 @@ def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> R
 
 
 def as_output(plant: Simulable, output: Any) -> Measurement | None:
-    """What is measured, if its sizes are those of the plant."""
+    """Measured output, if its sizes are those of the plant."""
     if output is None:
         return None
     measurement = as_measurement(output)
@@ -238,7 +238,7 @@ def as_output(plant: Simulable, output: Any) -> Measurement | None:
 
 
 def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: Any) -> Any:
-    """The disturbance as an array; sampled if it is a `Disturbance`, zero if there is none."""
+    """Disturbance as an array. Sampled if it is a `Disturbance`, zero if there is none."""
     if disturbance is None:
         return np.zeros((1, steps, plant.nw))
     if not hasattr(disturbance, "sample"):
@@ -249,7 +249,7 @@ def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: A
 
 
 def _record(given: ArrayLike, w: Array) -> Array:
-    """The disturbances (n, T', nw) that a preview may look into: those met (n, T, nw), and what follows on record."""
+    """Disturbances (n, T', nw) that a preview may look into. Those met (n, T, nw), and what follows on record."""
     whole = np.asarray(given)
     if whole.shape[1 if whole.ndim == 3 else 0] == w.shape[1]:
         return w

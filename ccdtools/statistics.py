@@ -13,19 +13,14 @@ from scipy.fft import dct
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, finite
 from ccdtools.exceptions import InputError
+from ccdtools.tolerances import BATCHES, COSINES, FEWEST_RUNS, INDEPENDENCE_LEVEL, SAME_RETURN, TRANSIENT
 
-BATCHES = 20  # parts of a series whose correlation says whether it supports an interval; it needs as many samples
-COSINES = 4  # frequencies that the variance at frequency zero is estimated from, the degrees of Student's t
-INDEPENDENT = 0.99  # one-sided level of the test that the parts of a series are independent
-START = 0.05  # part of a series that counts in the mean but not in its variance: a transient is no noise
-FEWEST = 10  # runs that decide a statistic other than the mean: fewer give no interval
 TOO_SHORT = "the run is too short for its own correlation: no interval"
-SAME_RETURN = 1e-6  # part of a return: smaller differences are rounding and the tolerances of solvers
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean, standard deviation, median, number and 95 % interval of the mean; NaN where there are too few values.
+    """Mean, standard deviation, median, number and 95 % interval of the mean. NaN where there are too few values.
 
     `warning` says why there is no interval although there are values; empty where nothing is to be said.
     """
@@ -95,7 +90,7 @@ class MeanInterval:
 
 
 def mean_interval(series: ArrayLike) -> MeanInterval:
-    """The mean of a stationary, correlated series with the 95 % interval of its expectation.
+    """Mean of a stationary, correlated series with the 95 % interval of its expectation.
 
     The variance of the mean is the spectrum at frequency zero, here the mean square of the first four cosine
     transforms, with Student's t of four degrees of freedom. The interval is skewed as the mean is. The first 5 % of
@@ -130,7 +125,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     """
     values = finite("series", as_array("series", series, ("n",)))
     mean = float(values.mean()) if len(values) else float("nan")
-    settled = values[int(START * len(values)) :]
+    settled = values[int(TRANSIENT * len(values)) :]
     if len(values) < BATCHES:
         return MeanInterval(mean, (np.nan, np.nan), np.nan, np.nan)
     if np.ptp(settled) == 0:
@@ -139,13 +134,13 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     correlation = _lag_one(means)
     cosines = dct(settled, norm="ortho")[1 : COSINES + 1]
     error = float(np.sqrt((cosines**2).mean() / len(values)))
-    if correlation > float(stats.norm.ppf(INDEPENDENT)) / np.sqrt(BATCHES) - 1 / BATCHES:
+    if correlation > float(stats.norm.ppf(INDEPENDENCE_LEVEL)) / np.sqrt(BATCHES) - 1 / BATCHES:
         return MeanInterval(mean, (np.nan, np.nan), error, correlation)
     return MeanInterval(mean, _skewed(mean, error, _skewness(means), COSINES), error, correlation)
 
 
 def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, float]:
-    """The interval of a statistic by the parts (n,) that independent runs have in it, whose mean it is.
+    """Interval of a statistic from the parts (n,) of independent runs. The statistic is the mean of the parts.
 
     Such parts are far from normal (of the mean of the worst tenth nine in ten are alike), so the interval is skewed as
     they are, and Student's t has as many degrees of freedom as their fourth moment leaves, ten at least.
@@ -163,12 +158,12 @@ def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, flo
     spread = float(away.std())
     if spread == 0:
         return (mean, mean)
-    degrees = min(n - 1.0, max(2 * n / max(float(((away / spread) ** 4).mean()) - 1, 1e-9), FEWEST))
+    degrees = min(n - 1.0, max(2 * n / max(float(((away / spread) ** 4).mean()) - 1, 1e-9), FEWEST_RUNS))
     return _skewed(mean, spread / np.sqrt(n - 1), _skewness(values), degrees, level)
 
 
 def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary:
-    """Statistics of the returns of runs with rewards (n, T); one run has the interval of `mean_interval`.
+    """Statistics of the returns of runs with rewards (n, T). One run has the interval of `mean_interval`.
 
     Of a single run `mean` and `median` are its return, `n` is 1 and `std` is the standard deviation of the return
     from run to run, as far as one run shows it.
@@ -190,7 +185,7 @@ def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary
 
 
 def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> PairedDifference:
-    """Mean difference of the returns of runs with rewards (n, T) on common disturbances; see `summarise_returns`."""
+    """Mean difference of the returns of runs with rewards (n, T) on common disturbances. See `summarise_returns`."""
     first = _rewards("a", a)
     second = _rewards("b", b)
     if first.shape != second.shape:
@@ -203,7 +198,7 @@ def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> Pa
 
 
 def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = None) -> PairedDifference:
-    """Mean return of a change, with the interval of its ratio to the return of `base`, both with rewards (n, T).
+    """Mean return of a change, with the interval of its ratio to that of `base`. Both have rewards (n, T).
 
     How rough a road is moves all returns alike and their ratio hardly. The interval is given in units of return, at the
     level that `base` has on these runs: divided by its return it is that of the ratio (to first order in the rest,
@@ -244,7 +239,7 @@ def _lag_one(means: Array) -> float:
 
 
 def _skewness(values: Array) -> float:
-    """Skewness of the mean of values (n,); 0 where they are all alike."""
+    """Skewness of the mean of values (n,). 0 where they are all alike."""
     away = values - values.mean()
     spread = away.std()
     return float(((away / spread) ** 3).mean() / np.sqrt(len(values))) if spread > 0 else 0.0
@@ -262,7 +257,7 @@ def _skewed(
 
 
 def _interval(mean: float, std: float, n: int) -> tuple[float, float]:
-    """The 95 % interval of a mean of n values by Student's t; NaN below two."""
+    """Interval (95 %) of a mean of n values by Student's t. NaN below two."""
     if n < 2:
         return (float("nan"), float("nan"))
     half = float(stats.t.ppf(0.975, n - 1)) * std / float(np.sqrt(n))

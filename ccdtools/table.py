@@ -14,7 +14,7 @@ Line = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Table:
-    """Lines of cells below a head; a line may end before the head does, and its last cell then runs on."""
+    """Lines of cells below a head. A line may end before the head does, and its last cell then runs on."""
 
     head: Line
     lines: Sequence[Line]

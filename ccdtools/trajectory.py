@@ -1,4 +1,4 @@
-"""What a simulation or a deployment leaves behind."""
+"""Trajectories: what a simulation or a deployment leaves behind."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.exceptions import InputError
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Immutable):
-    """Closed-loop runs; all arrays are read-only.
+    """Closed-loop runs. All arrays are read-only.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Trajectory(Immutable):
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """Runs that left the divergence limit, (n,)."""
+        """Diverged runs (n,): those that left the divergence limit."""
         return self.diverged_at >= 0
 
     @property
@@ -72,13 +72,13 @@ class Trajectory(Immutable):
         return self.dt * np.arange(self.states.shape[1], dtype=float)
 
     def plot(self, figure: Any = None) -> Any:
-        """States and inputs over time in a matplotlib Figure, which is returned; of many runs the first 50."""
+        """Plot of states and inputs over time as a matplotlib Figure. Of many runs the first 50 are drawn."""
         from ccdtools.plotting import plot_trajectory
 
         return plot_trajectory(self, figure)
 
     def to_frame(self) -> Any:
-        """A `pandas.DataFrame`, one row a run and sample: run, time, x1, …, u1, …, w1, …; NaN where a run has ended.
+        """Table of one row a run and sample, a `pandas.DataFrame`. run, time, x1, …, u1, …, w1, …; NaN after the end.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class Trajectory(Immutable):
         return pd.DataFrame(columns)
 
     def rewards(self, objective: Objective) -> Array:
-        """Rewards (n, T); zero after a run was stopped.
+        """Rewards (n, T). Zero after a run was stopped.
 
         The last one has what the end of the run adds, if it came to its end, and each its part of the cost of the
         design.
@@ -115,9 +115,9 @@ class Trajectory(Immutable):
         return np.where(over, 0.0, rewards) - objective.cost_of_design(self.design, len(steps)) / len(steps)
 
     def returns(self, objective: Objective) -> Array:
-        """Undiscounted returns (n,), less the cost of the design; read them together with `diverged`."""
+        """Undiscounted returns (n,), less the cost of the design. Read them together with `diverged`."""
         return self.rewards(objective).sum(axis=1)
 
     def size_of(self, value: float, objective: Objective) -> float:
-        """How large a return of such runs is without the cost of their design."""
+        """Size of a return of such runs without the cost of their design."""
         return float(objective.made_by_control(value, self.design, self.inputs.shape[1]))

@@ -12,13 +12,13 @@ from typing import Any
 
 
 def front_door(package: str, file: str) -> tuple[list[str], Callable[[str], Any]]:
-    """The public names of a package, sorted as in its stub, and its `__getattr__`."""
+    """Public names of a package, sorted as in its stub, and its `__getattr__`."""
     tree = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     imports = (node for node in tree.body if isinstance(node, ast.ImportFrom))
     homes = {alias.name: node.module or "" for node in imports for alias in node.names}
 
     def load(name: str) -> Any:
-        """The object of a public name, or a module of the package."""
+        """Object of a public name, or a module of the package."""
         if name not in homes and not name.startswith("_") and find_spec(f"{package}.{name}") is not None:
             return import_module(f"{package}.{name}")
         if name not in homes:

@@ -4,9 +4,9 @@ from enum import Enum
 
 
 class Outcome(Enum):
-    """A status whose value says what to do about it."""
+    """Status whose value says what to do about it."""
 
     @property
     def advice(self) -> str:
-        """What to do about it."""
+        """Advice on what to do about it."""
         return str(self.value)

@@ -9,7 +9,7 @@ NAMES = ("ccdtools", "ccdtools_ground", "invariant_sets", "learning", "mpc")
 
 
 def what_hides_ours() -> str:
-    """What to do about the first file or folder that Python would import in the place of a package; empty if none."""
+    """Advice on what hides a package: the first file or folder that Python would import in its place. Empty if none."""
     home = Path(__file__).resolve().parents[1]
     for name in NAMES:
         try:

@@ -29,14 +29,14 @@ KNOWN = (
 
 
 def stopped(argument: str, given: Any, error: Exception, expected: str, cure: str = "") -> InputError:
-    """The error to raise in the place of the one that a user's function stopped with."""
+    """Error to raise in the place of the one that a user's function stopped with."""
     reason, own = in_words(error)
     cure = f"{own} {cure}".strip()
     return InputError(argument, f"a function that stops with {reason}{_line(given, error)}", expected, cure)
 
 
 def in_words(error: Exception) -> tuple[str, str]:
-    """What an error of CasADi says without the names of its files, and what to do about it where that is known."""
+    """Message of a CasADi error without the names of its files. It says what to do about it where that is known."""
     text = " ".join(CASADI.sub("", str(error), count=1).split())
     for pattern, words, cure in KNOWN:
         found = re.search(pattern, text)
@@ -49,7 +49,7 @@ def in_words(error: Exception) -> tuple[str, str]:
 
 
 def _line(given: Any, error: Exception) -> str:
-    """Where in the file of a function an error arose."""
+    """Line in the file of a function where an error arose."""
     code = getattr(inspect.unwrap(given), "__code__", None)
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]

@@ -9,7 +9,7 @@ import numpy as np
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import SAME_BOUNDS
-from ccdtools.controllers.learned import EDGE
+from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
@@ -32,7 +32,7 @@ def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
         raise InputError("agent", f"{observed} inputs", f"{nx} states and {space.dim} design parameters")
     offset = agent.observation_offset[nx:].double().numpy()
     scale = agent.observation_scale[nx:].double().numpy()
-    if (np.abs(np.stack([space.lower, space.upper]) - offset) > EDGE * scale).any():
+    if (np.abs(np.stack([space.lower, space.upper]) - offset) > DESIGN_RANGE * scale).any():
         raise InputError(
             "agent", f"one made for designs in {(offset - scale).tolist()} to {(offset + scale).tolist()}",
             "the whole box of designs", "Pass input_bounds=problem.observation_bounds to fit_actor_critic.",

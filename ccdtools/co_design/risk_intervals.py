@@ -12,7 +12,8 @@ import numpy as np
 
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, Risk, WorstCase
-from ccdtools.statistics import FEWEST, PairedDifference, Summary, interval_of_parts, summarise
+from ccdtools.statistics import PairedDifference, Summary, interval_of_parts, summarise
+from ccdtools.tolerances import FEWEST_RUNS
 
 NONE = (float("nan"), float("nan"))
 
@@ -72,9 +73,9 @@ def in_tail(risk: Risk, runs: Indices) -> int:
 def too_few(risk: Risk, runs: Indices) -> str:
     """Why a risk of these runs has no interval; empty where it has."""
     count = in_tail(risk, runs)
-    if isinstance(risk, Mean) or count >= FEWEST:
+    if isinstance(risk, Mean) or count >= FEWEST_RUNS:
         return ""
-    return f"{count} runs decide it, fewer than {FEWEST}: no interval"
+    return f"{count} runs decide it, fewer than {FEWEST_RUNS}: no interval"
 
 
 def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:

@@ -26,15 +26,15 @@ from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits, as_limits
 from ccdtools.output_limits import OutputLimits
-from ccdtools.outside import Outside, limits_in_words
+from ccdtools.outside import RunViolations, limits_in_words
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import SAME_RETURN, PairedDifference, Summary, paired_returns, summarise_returns
+from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.table import Table
+from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 
-MPC_RUNS = 100
-TIMED_CALLS = 50
+MPC_RUNS = 100  # Online MPC sees so many runs by default.
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """The scores of all controllers on one scenario: a table with one row per controller.
+    """Scores of all controllers on one scenario: a table with one row per controller.
 
     It is iterated like a list of scores, and indexed by number or by the name of a controller. `limits` says what
     violations are of: "X", or "the limits" where those of outputs count, too; `baseline` is the controller that the
@@ -110,7 +110,7 @@ class Comparison:
 
     @property
     def notes(self) -> list[str]:
-        """What the rows alone do not say, a line each: means of other runs, what is lost, risks without an interval."""
+        """Remarks on the rows, a line each. They name means of other runs, what is lost, risks without an interval."""
         most = max(score.runs for score in self.scores)
         lines = [
             f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
@@ -154,7 +154,7 @@ class Comparison:
         ]  # fmt: skip
 
     def to_frame(self) -> Any:
-        """The rows as a `pandas.DataFrame`; without pandas, as a dictionary of columns."""
+        """Rows as a `pandas.DataFrame`. Without pandas, a dictionary of columns."""
         rows = self.rows()
         columns = {name: [row[name] for row in rows] for name in rows[0]}
         try:
@@ -164,7 +164,7 @@ class Comparison:
         return pd.DataFrame(columns)
 
     def plot(self, ax: Any = None) -> Any:
-        """Mean returns with their 95 % intervals, one row per controller; returns the matplotlib axes."""
+        """Plot of the mean returns with their 95 % intervals, one row per controller. Returns the matplotlib axes."""
         from ccdtools.comparison.plotting import plot_scores
 
         return plot_scores(self, ax=ax)
@@ -179,7 +179,7 @@ class Comparison:
         return "\n".join([*lines, *self.notes])
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        """The cells of every printed row: no mean where it would be of other runs than those of the rest."""
+        """Cells of every printed row. No mean is shown where it would be of other runs than those of the rest."""
         most = max(score.runs for score in self.scores)
         return (_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores)
 
@@ -269,7 +269,7 @@ def compare(
         at(name)
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == baseline else seen.run(controller, design=design, limit=limit)
-        outside[name] = Outside.of(run, limits, scenario.plant, output_limits)
+        outside[name] = RunViolations.from_trajectory(run, limits, scenario.plant, output_limits)
         score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
@@ -285,7 +285,7 @@ def _score(
     name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: Objective,
     outside: Excursions, scenario: Scenario,
 ) -> Score:  # fmt: skip
-    """One controller's row, paired to the run of the reference."""
+    """Score of one controller, paired to the run of the reference."""
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
     own = run.rewards(objective)
@@ -311,18 +311,18 @@ def _score(
 
 
 def _mean(values: Array) -> float:
-    """The mean; NaN of nothing."""
+    """Mean of the values. NaN if there are none."""
     return float(values.mean()) if len(values) else float("nan")
 
 
 def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike = ()) -> float:
-    """Median time of one call for one state (nx,) at a design (np,) [s], with the signals that the controller needs."""
+    """Median time [s] of one call for one state (nx,) at a design (np,). It gets the signals that it needs."""
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))
     call = one_call(controller, x, around, scenario.plant.nu)
     times = []
-    for _ in range(TIMED_CALLS):
+    for _ in range(50):
         start = time.perf_counter()
         call()
         times.append(time.perf_counter() - start)
@@ -330,7 +330,7 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
 
 
 def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
-    """The cells of a row of the printed table, padded to their columns; `whole` if it is of all runs."""
+    """Cells of a row of the printed table, padded to their columns. `whole` if the row is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
     compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
@@ -346,7 +346,7 @@ def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
 
 
 def _shown(value: float, form: str, floor: float = 0.0) -> str:
-    """A number for people: 0 within rounding, a dash where there is none."""
+    """Number for people: 0 within rounding, a dash where there is none."""
     if not np.isfinite(value):
         return "-"
     return "0" if abs(value) <= floor else format(value, form)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_mapping, shown
+from ccdtools.comparison.tolerances import METRIC_CHANGE
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -18,10 +19,6 @@ from ccdtools.trajectory import Trajectory
 Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]
 
 EXPECTED = "a function that takes a Trajectory and returns a mapping of names to numbers"
-TRIED = 3  # steps of a run at rest that metrics are tried on
-MATTERS = 0.005  # Part of a metric's size below which a change of it does not matter [-].
-BATCHES = 20  # Stretches that one long run is cut into, each of which counts as a run [-].
-MOST_RUNS = 200  # Runs that the interval of a change is built from [-].
 
 
 def as_metrics(metrics: Any, *, argument: str = "metrics") -> Metrics | None:
@@ -32,14 +29,14 @@ def as_metrics(metrics: Any, *, argument: str = "metrics") -> Metrics | None:
 
 
 def try_metrics(metrics: Metrics, plant: Any) -> None:
-    """Raise unless the metrics of a short run of a plant at rest are named numbers: a study asks for them at its end.
+    """Raise unless a plant at rest has metrics that are named numbers. A study asks for them at its end.
 
     Raises
     ------
     InputError
         If they are none, or the function stops with an error.
     """
-    rest = np.zeros((1, TRIED + 1, plant.nx)), np.zeros((1, TRIED, plant.nu)), np.zeros((1, TRIED, plant.nw))
+    rest = np.zeros((1, 4, plant.nx)), np.zeros((1, 3, plant.nu)), np.zeros((1, 3, plant.nw))  # three steps
     run = Trajectory(*rest, np.array([-1]), np.zeros(plant.design.dim), plant.dt)
     try:
         metrics_of(metrics, run)
@@ -53,7 +50,7 @@ def try_metrics(metrics: Metrics, plant: Any) -> None:
 
 
 def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
-    """The metrics of the runs that did not diverge; NaN where all did.
+    """Metrics of the runs that did not diverge. NaN where all did.
 
     Raises
     ------
@@ -104,7 +101,7 @@ class MetricChange:
 
 
 def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> tuple[MetricChange, ...]:
-    """The change of every metric between two sets of runs on the same disturbances.
+    """Change of every metric between two sets of runs on the same disturbances.
 
     Smaller is better, but for the names in ``metrics.larger_is_better``, where the function has such an attribute.
 
@@ -137,11 +134,11 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
 
 
 def _change(name: str, before: float, after: float, first: Array, second: Array, larger: bool) -> MetricChange:
-    """The change of one metric, from its value on all runs and on each."""
+    """Change of one metric, from its value on all runs and on each."""
     spread = paired_difference(second, first)
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)
-    floor = MATTERS * abs(before)
+    floor = METRIC_CHANGE * abs(before)
     word = "open"
     if -floor <= low and high <= floor:
         word = "same"
@@ -154,10 +151,10 @@ def _units(run: Trajectory) -> Iterator[Trajectory]:
     """Single runs, or consecutive stretches of the only one."""
     runs, steps = run.inputs.shape[:2]
     if runs > 1:
-        for i in range(min(runs, MOST_RUNS)):
+        for i in range(min(runs, 200)):  # enough for an interval
             yield _part(run, slice(i, i + 1), slice(None))
         return
-    edges = np.linspace(0, steps, min(BATCHES, steps) + 1).astype(int)
+    edges = np.linspace(0, steps, min(20, steps) + 1).astype(int)  # each of 20 stretches counts as a run
     for start, end in pairwise(edges):
         yield _part(run, slice(None), slice(start, end))
 

@@ -12,15 +12,13 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.comparison.tolerances import RECOVERED, UNSTABLE_COST
 from ccdtools.controllers.controllers import PID, Controller, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.simulation import Simulable, Step, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
-FEW = 32  # scenarios on which a model that is not linear decides
-RECOVERED = 0.05  # of what LQR gains over the passive plant: a PID with less is no baseline
-UNSTABLE = 1e12  # cost of a loop that is not stable
 REFERENCE = "LQR"
 
 
@@ -35,7 +33,7 @@ def tuned_pid(
     starts: int = 3,
     refinements: int = 160,
 ) -> PID:
-    """The PID with the best mean return on the problem's model at one design, errors replayed from a log included.
+    """PID with the best mean return on the problem's model at one design. Errors replayed from a log are included.
 
     Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
     Nelder–Mead, all on the same scenarios; of a model that is not linear, both on its linearisation, and the model
@@ -62,7 +60,7 @@ def tuned_pid(
     as_generator("rng", rng)
     for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
         as_count(name, number)
-    trial = _Trial.of(problem, problem.design.check_one(design), runs, rng)
+    trial = _Trial.from_problem(problem, problem.design.check_one(design), runs, rng)
     steep = isinstance(problem.model, SampledModel)  # a step of it costs a hundred of its linearisation's
     own = trial
     if steep:
@@ -81,7 +79,7 @@ def tuned_pid(
         )  # fmt: skip
         refined.append((result.fun, C, result.x) if result.fun <= value else (value, C, z))
     if steep:
-        own = own.few(FEW)
+        own = own.first(32)  # scenarios decide where the model is nonlinear
         best = sorted(refined + screening[:starts], key=lambda found: found[0])
         refined = [(own.cost(C, z), C, z) for _, C, z in best]
     _, C, z = min(refined, key=lambda found: found[0])
@@ -91,7 +89,7 @@ def tuned_pid(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """What every candidate is tried on: the model at one design, and scenarios of which half have an offset."""
+    """Model and scenarios on which every candidate is tried. The design is fixed, half the scenarios have an offset."""
 
     problem: CoDesignProblem
     plant: Simulable
@@ -102,8 +100,8 @@ class _Trial:
     w: Array
 
     @classmethod
-    def of(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
-        """The trial of so many scenarios."""
+    def from_problem(cls, problem: CoDesignProblem, design: Array, runs: int, rng: np.random.Generator) -> _Trial:
+        """Trial of so many scenarios."""
         plant = _tried(problem)
         A, B, _ = problem.model.matrices(design)
         x0, drawn = problem.scenarios.sample(runs, problem.steps, rng)
@@ -112,12 +110,12 @@ class _Trial:
         w[::2] += changing * w.std(axis=(0, 1)) * rng.standard_normal((len(w[::2]), 1, w.shape[2]))
         return cls(problem, plant, design, A, B, x0, w)
 
-    def few(self, runs: int) -> _Trial:
-        """The same on its first scenarios alone."""
+    def first(self, runs: int) -> _Trial:
+        """This trial on its first scenarios alone."""
         return replace(self, x0=self.x0[:runs], w=self.w[:runs])
 
     def controller(self, C: Array, z: Array) -> PID:
-        """The PID with gains `z` (3, nu), flat or not: parts of full input at the edge of X, with time in samples."""
+        """Controller with gains `z` (3, nu), flat or not. Units are full input at the edge of X, time in samples."""
         lower, upper = self.problem.input_bounds_at(self.design)
         reach = np.abs(C) @ self.problem.state_scale
         unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
@@ -126,9 +124,9 @@ class _Trial:
         return PID(C, kp, ki / dt, kd * dt, dt=dt, lower=lower, upper=upper)
 
     def cost(self, C: Array, z: Array) -> float:
-        """Mean cost of a candidate; a large one where the loop is not stable."""
+        """Mean cost of a candidate. A large one where the loop is not stable."""
         pid = self.controller(C, z)
-        return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE
+        return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE_COST
 
     def loss(self, controller: Controller) -> float:
         """Mean cost of a controller."""
@@ -140,7 +138,7 @@ class _Trial:
         return float(-run.returns(problem.objective).mean())
 
     def remark(self, pid: PID) -> str:
-        """What a table says of gains that recover little of what LQR gains over the passive plant, without offsets."""
+        """Remark on gains that recover little without offsets. Little of what LQR gains over the passive plant."""
         laws = (Passive(self.problem.model.nu), saturated_lqr(self.problem, self.design), pid)
         plain = replace(self, x0=self.x0[1::2], w=self.w[1::2])
         passive, lqr, own = (plain.loss(law) for law in laws)
@@ -150,7 +148,7 @@ class _Trial:
 
 
 class _Linearisation:
-    """The model at rest at one design, for `simulate`; driven by its disturbance, or by errors of the next state."""
+    """Linearised model at one design, for `simulate`. Its disturbance, or errors of the next state, drive it."""
 
     def __init__(self, problem: CoDesignProblem, p: Array) -> None:
         model = problem.model
@@ -160,12 +158,12 @@ class _Linearisation:
         self.nw = self._E.shape[1]
 
     def stepper(self, p: Array, *, batch: int) -> Step:
-        """x⁺ = A x + B u + E w."""
+        """Step function x⁺ = A x + B u + E w."""
         return lambda x, u, w: x @ self._A.T + u @ self._B.T + w @ self._E.T
 
 
 def _tried(problem: CoDesignProblem) -> Simulable:
-    """The nominal model, or the updated one that is driven by replayed errors."""
+    """Nominal model, or the updated one that is driven by replayed errors."""
     if problem.discrepancy is None:
         return problem.model
     if problem.discrepancy.noise != "replayed":
@@ -176,7 +174,7 @@ def _tried(problem: CoDesignProblem) -> Simulable:
 
 
 def is_stable(A: Array, B: Array, pid: PID) -> bool:
-    """Whether x⁺ = A x + B u with the unsaturated PID is asymptotically stable, integral and last output included."""
+    """Whether x⁺ = A x + B u with the unsaturated PID is asymptotically stable. Integral and last output are states."""
     ny, nx = pid.C.shape
     proportional, integral, last = (
         np.diag(g) for g in (pid.kp + pid.ki * pid.dt + pid.kd / pid.dt, pid.ki, -pid.kd / pid.dt)
@@ -192,7 +190,7 @@ def is_stable(A: Array, B: Array, pid: PID) -> bool:
 
 
 def _default_outputs(B: Array) -> Array:
-    """Candidate outputs (k, nu, nx): each state alone, for one input, and the states that the inputs push."""
+    """Candidate outputs (k, nu, nx). Each state alone, for one input, and the states that the inputs push."""
     pushed = B.T / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)[:, None]
     if B.shape[1] > 1:
         return pushed[None]

@@ -11,7 +11,7 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 
 
 def plot_scores(comparison: Any, ax: Any = None) -> Any:
-    """Mean returns with their 95 % intervals, one row per controller; those that always diverged stay empty.
+    """Plot the mean returns with their 95 % intervals, one row per controller. Those that always diverged stay empty.
 
     One that was tried on fewer runs stands at the mean of LQR on all runs and its paired difference to it.
 

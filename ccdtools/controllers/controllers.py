@@ -39,7 +39,7 @@ SIGNALS = ("time", "reference", "preview", "last_input", "output")
 
 
 class Controller(Protocol):
-    """States (n, nx) to inputs (n, nu); a single state (nx,) to (nu,). See the module for what else it may ask for."""
+    """Map from states (n, nx) to inputs (n, nu), or (nx,) to (nu,). See the module for what else it may ask for."""
 
     def __call__(self, x: Array) -> Array:
         """The inputs."""
@@ -51,7 +51,7 @@ NO_GAINS = "no gains were found that are better than none: this is the passive p
 
 @dataclass(frozen=True, eq=False)
 class Passive:
-    """u = 0: what the plant does alone."""
+    """Controller u = 0: what the plant does alone."""
 
     nu: int = 1
 
@@ -65,7 +65,7 @@ class Passive:
 
 @dataclass(frozen=True, eq=False)
 class LinearFeedback(Immutable):
-    """u = clip(−K x, lower, upper): an LQR, or any static gain, with saturation.
+    """Controller u = clip(−K x, lower, upper): an LQR, or any static gain, with saturation.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class LinearFeedback(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class PID(Immutable):
-    """u = clip(−(kp y + ki ∫y dt + kd dy/dt)) with y = C x, clamping anti-windup; one gain row per input.
+    """Controller u = clip(−(kp y + ki ∫y dt + kd dy/dt)), y = C x. Clamping anti-windup, one gain row per input.
 
     The gains never change. The integral and the last output are memory, which `reset` clears; copies start afresh.
 
@@ -143,7 +143,7 @@ class PID(Immutable):
         self._memory.clear(as_count("n", n), len(self.C))
 
     def __call__(self, x: ArrayLike) -> Array:
-        """Inputs (n, nu) or (nu,); advances the memory by one sample."""
+        """Inputs (n, nu) or (nu,). Advances the memory by one sample."""
         states = as_states(x, self.C.shape[1])
         if states.ndim > 2:
             raise InputError("x", f"shape {states.shape}", f"({self.C.shape[1]},) or (n, {self.C.shape[1]})")
@@ -161,7 +161,7 @@ class PID(Immutable):
 
 
 class _Memory:
-    """The integral (n, ny) and the last output (n, ny) of a PID; None before the first sample."""
+    """Integral (n, ny) and last output (n, ny) of a PID. None before the first sample."""
 
     integral: Any = None
     last: Any = None
@@ -173,7 +173,7 @@ class _Memory:
 
 
 def as_states(x: ArrayLike, nx: int) -> Array:
-    """States (..., nx) as a float array; NaN passes, as of a run that is lost."""
+    """States (..., nx) as a float array. NaN passes, as of a run that is lost."""
     states = np.asarray(x, dtype=float) if isinstance(x, np.ndarray) and x.dtype.kind in "iuf" else as_floats("x", x)
     if states.shape[-1:] != (nx,):
         raise InputError("x", f"shape {states.shape}", f"({nx},) or (n, {nx})")
@@ -181,7 +181,7 @@ def as_states(x: ArrayLike, nx: int) -> Array:
 
 
 def _bounds(name: str, value: ArrayLike, size: int) -> Array:
-    """Bounds of so many inputs, or one for all; infinite where there is none."""
+    """Bounds of so many inputs, or one for all. Infinite where there is none."""
     bound = as_floats(name, value)
     if bound.shape not in ((), (1,), (size,)) or np.isnan(bound).any():
         raise InputError(name, f"shape {bound.shape}" if not np.isnan(bound).any() else "NaN", f"({size},) bounds")

@@ -13,16 +13,16 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_instance
 from ccdtools.controllers.controllers import Controller, as_states
 from ccdtools.controllers.signals import as_controller, needs_of
+from ccdtools.controllers.tolerances import CHANGED_INPUT
 from ccdtools.exceptions import InputError
 from invariant_sets import AdmissibleInputs
 
-CHANGED = 1e-9  # of the range of an input over U: what differs by less was let through as it was
 PASSED_ON = ("needs", "horizon", "design", "reset", "agent")
 
 
 @dataclass(frozen=True)
 class FilterCounts:
-    """What a filter has done.
+    """Counts of what a filter has done.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class _Counter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Filtered(Immutable):
-    """u = the admissible input nearest to what another controller proposes, and how often the two differ.
+    """Controller u = the admissible input nearest to another controller's. Counts how often the two differ.
 
     It asks for what the other asks for (reference, preview, last input, output) and has its memory and its design, so
     it stands wherever the other does: in `simulate`, `compare` and `deploy`. The last input that the other is told is
@@ -105,7 +105,7 @@ class Filtered(Immutable):
         return f"Filtered({self.controller!r}, {self.admissible!r})"
 
     def __getattr__(self, name: str) -> Any:
-        """What the other controller has and a closed loop asks for."""
+        """Attribute of the other controller that a closed loop asks for."""
         if name == "loop" and callable(getattr(self.controller, "loop", None)):
             return lambda n: Filtered(self.controller.loop(n), self.admissible, _counter=self._counter)  # type: ignore[attr-defined]
         if name in PASSED_ON and "controller" in self.__dict__:
@@ -114,7 +114,7 @@ class Filtered(Immutable):
 
     @property
     def counts(self) -> FilterCounts:
-        """What the filter has done since it was made, in all simulations together."""
+        """Counts since the filter was made, in all simulations together."""
         return self._counter.counts
 
     def uncounted(self) -> Filtered:
@@ -122,7 +122,7 @@ class Filtered(Immutable):
         return Filtered(copy.deepcopy(self.controller), self.admissible)
 
     def __call__(self, x: ArrayLike, **signals: Any) -> Array:
-        """Admissible inputs (n, nu) or (nu,); NaN where the state is."""
+        """Admissible inputs (n, nu) or (nu,). NaN where the state is."""
         nx = self.admissible.S.dim
         states = as_states(x, nx)
         proposed = np.asarray(self.controller(states, **signals), dtype=float)
@@ -135,7 +135,7 @@ class Filtered(Immutable):
         u = wanted.copy()
         if known.any():
             u[known], admissible = self.admissible.project(rows[known], wanted[known])
-            changed = (np.abs(u[known] - wanted[known]) > CHANGED * self._range).any(axis=1)
+            changed = (np.abs(u[known] - wanted[known]) > CHANGED_INPUT * self._range).any(axis=1)
             self._counter.add(changed, admissible)
         return u.reshape(shape)
 

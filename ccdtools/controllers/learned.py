@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_floats, as_generator, as_instance, as_vector, finite, writable_path
+from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning import checkpoint
@@ -20,12 +21,10 @@ from learning.exceptions import CheckpointError
 from learning.networks import ActorCritic, Layers
 from learning.tolerances import LOG_STD
 
-EDGE = 1.05  # designs may lie this far out, in half-widths of the range that the agent was made for
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LearnedPolicy(Immutable):
-    """u = π(x, p) at one design: the mean action, or a sample of the policy if `rng` is given.
+    """Controller u = π(x, p) at one design. The mean action, or a sample of the policy if `rng` is given.
 
     Of an agent made for input limits U(p), the inputs lie within those of the design.
 
@@ -57,7 +56,7 @@ class LearnedPolicy(Immutable):
         set_(self, "design", as_vector("design", self.design))
         set_(self, "agent", copy.deepcopy(self.agent))
         self._check_design()
-        set_(self, "_forward", _Forward.of(self.agent, self.design))
+        set_(self, "_forward", _Forward.from_agent(self.agent, self.design))
 
     def _check_design(self) -> None:
         """Raise an `InputError` if the design is not one that the agent was made for."""
@@ -70,7 +69,7 @@ class LearnedPolicy(Immutable):
         first = most + 1 - size  # the observation is (x, p)
         offset = _array(self.agent.observation_offset)[first:]
         scale = _array(self.agent.observation_scale)[first:]
-        outside = np.abs(self.design - offset) > EDGE * scale
+        outside = np.abs(self.design - offset) > DESIGN_RANGE * scale
         if outside.any():
             i = int(np.argmax(outside))
             box = f"one in [{offset[i] - scale[i]:g}, {offset[i] + scale[i]:g}], which the agent was made for"
@@ -93,7 +92,7 @@ class LearnedPolicy(Immutable):
         return LearnedPolicy(self.agent, self.design, as_generator("rng", rng))
 
     def to_casadi(self) -> ca.Function:
-        """The mean action at the design as a `casadi.Function` "policy" from x (nx,) to u (nu,), within the bounds.
+        """Mean action at the design as a `casadi.Function`. It is "policy": x (nx,) to u (nu,), within the bounds.
 
         CasADi differentiates it, calls it in expressions, and writes it in C: ``to_casadi().generate("policy.c")``. For
         torch, `agent` is a module with the same mean action at observations (..., nx + np) of state and design, in
@@ -106,7 +105,7 @@ class LearnedPolicy(Immutable):
         return ca.Function("policy", [x], [u], ["x"], ["u"])
 
     def save(self, path: str | Path, **notes: str) -> None:
-        """Write the networks, the design and any notes to one safetensors file; read back with `load_policy`.
+        """Save networks, design and any notes as one safetensors file. `load_policy` reads it back.
 
         Raises
         ------
@@ -147,7 +146,7 @@ def load_policy(path: str | Path) -> LearnedPolicy:
 
 @dataclass(frozen=True, eq=False)
 class _Forward:
-    """An actor at a design in float64 arrays: its mean, its exploration, and the range of its actions."""
+    """Actor at a design in float64 arrays. It has a mean, an exploration, and a range of actions."""
 
     mean: Layers
     std: Layers | None
@@ -156,15 +155,15 @@ class _Forward:
     half: Array
 
     @classmethod
-    def of(cls, agent: ActorCritic, design: Array) -> _Forward:
-        """The actor of an agent, copied."""
+    def from_agent(cls, agent: ActorCritic, design: Array) -> _Forward:
+        """Forward pass of the actor of an agent, copied."""
         at = (torch.tensor(design), agent.observation_offset, agent.observation_scale)
         std = None if agent.std_network is None else agent.std_network.at(*at).of(_array)
         middle, half = agent.action_range(at[0])
         return cls(agent.mean_network.at(*at).of(_array), std, _array(agent.log_std), _array(middle), _array(half))
 
     def action(self, x: Array, rng: np.random.Generator | None) -> Array:
-        """Actions (..., nu) in the units of the plant: the mean ones, or samples from `rng`."""
+        """Actions (..., nu) in the units of the plant. The mean ones, or samples from `rng`."""
         latent = self.mean(x, np.tanh)
         if rng is not None:
             log_std = self.log_std if self.std is None else np.clip(self.std(x, np.tanh), *LOG_STD)
@@ -178,5 +177,5 @@ def _array(tensor: torch.Tensor) -> Array:
 
 
 def _as_rows(array: Array) -> ca.DM:
-    """A matrix of CasADi; of a vector its row."""
+    """Matrix of CasADi as it is, a vector as a row."""
     return ca.DM(np.atleast_2d(array))

@@ -1,4 +1,4 @@
-"""What a simulation hands to a controller beside the state."""
+"""Signals that a simulation hands to a controller beside the state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ccdtools.exceptions import InputError
 
 @dataclass(frozen=True, eq=False)
 class Reference(Immutable):
-    """What a tracking controller is to follow.
+    """Reference that a tracking controller is to follow.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Reference(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """All that a simulation knows beside the states: T samples of n runs."""
+    """Signals that a simulation knows beside the states: T samples of n runs."""
 
     disturbances: Array  # (n, T, nw)
     reference: Reference | None
@@ -100,7 +100,7 @@ class Driver:
         self.last = u
 
     def first_call(self, x: Array) -> Any:
-        """A function without arguments that calls the controller for one state (nx,) at the first sample."""
+        """Function without arguments that calls the controller for one state (nx,) at the first sample."""
         signals = self._signals(0, self._measured(0, x[None]), 0)
         return lambda: self.copies[0](x, **signals)
 
@@ -133,7 +133,7 @@ class Driver:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """A model as a controller: ``predict(x)`` → u of rows, or ``predict(x, deterministic=True)`` → (u, memory)."""
+    """Controller made of a model: ``predict(x)`` → u, or ``predict(x, deterministic=True)`` → (u, memory)."""
 
     model: Any
     deterministic: bool
@@ -147,7 +147,7 @@ class Predicted:
 
 
 def as_controller(controller: Any) -> Any:
-    """The controller; a model of Stable-Baselines3, scikit-learn or the like with its ``predict`` as one of its own."""
+    """Controller from a controller, or from a model of Stable-Baselines3, scikit-learn or the like with ``predict``."""
     predict = getattr(controller, "predict", None)
     if callable(controller) or not callable(predict):
         return controller
@@ -160,7 +160,7 @@ def as_controller(controller: Any) -> Any:
 
 
 def needs_of(controller: Any) -> frozenset[str]:
-    """What a controller needs beside the state.
+    """Names of what a controller needs beside the state.
 
     Raises
     ------
@@ -200,17 +200,17 @@ def _check_takes_state(controller: Any) -> None:
 
 
 def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:
-    """A function without arguments that calls the controller for one state (nx,), for timing."""
+    """Function without arguments that calls the controller for one state (nx,), for timing."""
     return Driver(controller, surroundings, 1, nu).first_call(x)
 
 
 def needs_in_loop(controller: Any) -> frozenset[str]:
-    """What a controller needs in a closed loop, where it may be another that it makes."""
+    """Names of what a controller needs in a closed loop. It may be another controller that it makes."""
     return needs_of(_in_loop(controller, 1))
 
 
 def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]:
-    """What a controller needs, the controllers to call for so many runs, and whether one takes all runs at once.
+    """Needs of a controller, and the controllers to call for so many runs. Also whether one takes all runs at once.
 
     Those with memory are copies, which are reset.
     """
@@ -222,12 +222,12 @@ def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]
 
 
 def _in_loop(controller: Any, runs: int) -> Any:
-    """The controller itself, or the one with memory that it makes for so many runs."""
+    """Controller itself, or the one with memory that it makes for so many runs."""
     return controller.loop(runs) if callable(getattr(controller, "loop", None)) else as_controller(controller)
 
 
 def _copies(controller: Any, runs: int, *, one_by_one: bool) -> tuple[list[Any], bool]:
-    """The controllers to call, and whether the only one of them takes all runs at once."""
+    """Controllers to call, and whether the only one of them takes all runs at once."""
     reset = getattr(controller, "reset", None)
     if reset is None:
         return [controller] * (runs if one_by_one else 1), not one_by_one
@@ -247,7 +247,7 @@ def _takes_count(reset: Any) -> bool:
 
 
 def _window(rows: ArrayLike, k: int, length: int | None) -> Array:
-    """Row k, or `length` rows from k on; the last row is held beyond the end."""
+    """Row k, or `length` rows from k on. The last row is held beyond the end."""
     rows = np.asarray(rows)
     if length is None:
         return rows[min(k, len(rows) - 1)]

@@ -1,1 +1,1 @@
-"""What acts on a plant: random, generated or recorded disturbances."""
+"""Disturbances that act on a plant: random, generated or recorded disturbances."""

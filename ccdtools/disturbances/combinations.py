@@ -18,14 +18,14 @@ A_DISTURBANCE = "disturbances, with a method sample(runs, steps, rng)"
 
 
 class Combination(Immutable):
-    """A disturbance that is made of others, its `terms`."""
+    """Disturbance that is made of others, its `terms`."""
 
     terms: tuple[Disturbance, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Sum(Combination):
-    """The sum of independent disturbances with the same channels."""
+    """Sum of independent disturbances with the same channels."""
 
     terms: tuple[Disturbance, ...]
 
@@ -48,7 +48,7 @@ class Sum(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Combination):
-    """Independent disturbances side by side: the channels of the first, then those of the second, and so on.
+    """Independent disturbances side by side. The channels of the first, then those of the second, and so on.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Stacked(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Constant(Combination):
-    """What is uncertain but does not change: drawn once per run, and held over it.
+    """Disturbance that is uncertain but does not change: drawn once per run, and held over it.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Constant(Combination):
 
     @property
     def terms(self) -> tuple[Disturbance, ...]:  # type: ignore[override]
-        """The distribution."""
+        """The distribution, as the only term."""
         return (self.distribution,)
 
     @property
@@ -110,7 +110,7 @@ class Constant(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Mixture(Combination):
-    """One of several disturbances with the same channels, drawn for each run: roads, speeds or drivers.
+    """One of several disturbances with the same channels, drawn for each run. For example roads, speeds or drivers.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class Mixture(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Cases(Combination):
-    """One of several disturbances with the same channels, the runs taking them in turn: run i of m has term i mod m.
+    """Several disturbances with the same channels that the runs take in turn. Run i of m has term i mod m.
 
     Every case is met by as many runs, and which run met which is known: what `WorstCase` asks for. Cases in several
     places, side by side or in the starts, go in step: of numbers without a common divisor all pairs are met, of two and
@@ -164,7 +164,7 @@ class Cases(Combination):
 
     @classmethod
     def of(cls, values: ArrayLike) -> Cases:
-        """The cases of an uncertain parameter: each of the values (m,) or (m, nw), held over its runs."""
+        """Cases of an uncertain parameter. Each of the values (m,) or (m, nw) is held over its runs."""
         given = as_floats("values", values)
         rows = given[:, None] if given.ndim == 1 else given
         if rows.ndim != 2 or rows.size == 0:
@@ -183,7 +183,7 @@ class Cases(Combination):
 
 
 def cases_in(disturbance: Any) -> int:
-    """After how many runs the cases of a disturbance, or of a term of one, come again; 1 where there are none."""
+    """Number of runs after which the cases of a disturbance or of its terms repeat. 1 where there are none."""
     if not isinstance(disturbance, Combination) or isinstance(disturbance, Mixture):  # which draws, and counts no runs
         return 1
     own = len(disturbance.terms) if isinstance(disturbance, Cases) else 1
@@ -203,14 +203,14 @@ def _shared_out(terms: tuple[Disturbance, ...], chosen: Indices, steps: int, rng
 
 
 def is_recorded(disturbance: Any) -> bool:
-    """Whether a disturbance, or a term of one, is a recording: a single run of it is the same every time."""
+    """Whether a disturbance or one of its terms is a recording. A single run of it is the same every time."""
     if isinstance(disturbance, Combination):
         return any(map(is_recorded, disturbance.terms))
     return isinstance(disturbance, Recorded)
 
 
 def as_chances(argument: str, weights: ArrayLike | None, size: int, *, of: str) -> Array:
-    """Probabilities (size,) from weights ≥ 0 of which one is not zero; equal ones where there are none."""
+    """Probabilities (size,) from weights ≥ 0 of which one is not zero. Equal ones where there are none."""
     if weights is None:
         return frozen(np.full(size, 1.0 / size))
     given = as_vector(argument, weights, size, of=of)

@@ -13,7 +13,7 @@ from ccdtools.exceptions import InputError
 
 
 class Disturbance(Protocol):
-    """Anything that draws disturbance sequences; one that knows its number of channels has it as `nw`."""
+    """Anything that draws disturbance sequences. One that knows its number of channels has it as `nw`."""
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -22,7 +22,7 @@ class Disturbance(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Gaussian(Immutable):
-    """Independent normal noise with standard deviations `std` (nw,) and `mean` (nw,), zero by default."""
+    """Independent normal noise with standard deviations `std` and `mean` (nw,), zero by default."""
 
     std: ArrayField
     mean: ArrayField = 0.0
@@ -74,7 +74,7 @@ class Uniform(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recorded(Immutable):
-    """A recorded signal (T, nw) or (T,): one run replays it from its start, several take seeded windows of it."""
+    """Recorded signal (T, nw) or (T,). One run replays it from its start, several take seeded windows of it."""
 
     signal: ArrayField
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.checks import as_positive, shown
+from ccdtools.disturbances.tolerances import SAMPLING
 from ccdtools.exceptions import InputError
 
 __all__ = ["read_disturbance", "read_road", "read_speed"]
@@ -23,8 +24,6 @@ Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 
 TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or without a unit behind
-SAMPLING_TOLERANCE = 1e-3  # relative to dt
-KMH = 1 / 3.6  # one km/h in m/s
 
 
 def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "path") -> Array:
@@ -68,7 +67,7 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
 
 
 def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
-    """The recorded road: distance [m], strictly increasing, and elevation [m].
+    """Recorded road: distance [m], strictly increasing, and elevation [m].
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
 
 
 def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
-    """The recorded speed: time [s], strictly increasing, and speed, converted from km/h to m/s.
+    """Recorded speed: time [s], strictly increasing, and speed, converted from km/h to m/s.
 
     Parameters
     ----------
@@ -121,7 +120,7 @@ def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]
     if (speed < 0).any():
         row = int(np.argmax(speed < 0))
         table.fail(f"negative speed {speed[row]:g} km/h in line {table.lines[row]}", "speeds ≥ 0")
-    return time, speed * KMH
+    return time, speed * (1 / 3.6)  # km/h in m/s
 
 
 @dataclass(frozen=True)
@@ -135,11 +134,11 @@ class _Table:
     lines: tuple[int, ...]
 
     def fail(self, got: str, expected: str, cure: str = "") -> NoReturn:
-        """Raise an `InputError` that names the argument and the file, and what is unusual about how it is written."""
+        """Raise an `InputError` that names the argument and the file. It says how unusually the file is written."""
         raise InputError(self.argument, f"{self.path}: {got}", expected, self._unusual() or cure)
 
     def _unusual(self) -> str:
-        """What to do about a file that is no plain CSV; empty where it is one."""
+        """Advice about a file that is no plain CSV. Empty where it is one."""
         written = "\n".join(",".join(row) for row in (self.header, *self.rows[:20]))
         if written.startswith("#") or "\n#" in written:
             return "Remove # and what follows it: a first line with the names of the columns is read, comments are not."
@@ -166,7 +165,7 @@ class _Table:
         return names[0]
 
     def check_no_gap(self) -> None:
-        """Raise if a blank line stands for a sample: dropped, it would shift the rest of the recording by one.
+        """Raise if a blank line stands for a sample. Dropped, it would shift the rest of the recording by one.
 
         A time column shows by itself whether a sample is missing; blank lines after every row are double spacing.
         """
@@ -177,7 +176,7 @@ class _Table:
         self.fail(f"a blank line {line}", "one row per sample", "Fill in the sample, or remove the line.")
 
     def column(self, name: str) -> Array:
-        """The numbers of one column, every one finite."""
+        """Numbers of one column, every one finite."""
         if self.header.count(name) != 1:
             found = "several columns" if name in self.header else "no column"
             self.fail(f"{found} '{name}' among {_listed(self.header)}", f"one header '{name}' in the first line")
@@ -229,7 +228,7 @@ def _read_table(path: FilePath, argument: str) -> _Table:
 
 
 def _read_rows(path: Path, argument: str) -> list[tuple[int, list[str]]]:
-    """Every row of the file with its line number, or one clear line why there is none."""
+    """Rows of the file with their line numbers, or one clear line why there are none."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
@@ -248,14 +247,14 @@ def _check_sampling(table: _Table, time: Array, dt: float) -> None:
     """Raise unless `time` advances by equal steps, and these are `dt`."""
     step = np.diff(time)
     typical = float(np.median(step))
-    unequal = np.abs(step - typical) > SAMPLING_TOLERANCE * abs(typical)
+    unequal = np.abs(step - typical) > SAMPLING * abs(typical)
     if unequal.any() or typical <= 0:
         row = int(np.argmax(unequal | (step <= 0))) + 1
         table.fail(
             f"unequal sampling: a step of {step[row - 1]:g} s in line {table.lines[row]}",
             f"{dt:g} s throughout", "Resample the file at equal steps.",
         )  # fmt: skip
-    if abs(typical - dt) > SAMPLING_TOLERANCE * dt:
+    if abs(typical - dt) > SAMPLING * dt:
         table.fail(f"samples every {typical:g} s", f"dt = {dt:g} s", f"Resample the file at {dt:g} s.")
 
 
@@ -274,6 +273,6 @@ def _is_number(cell: str) -> bool:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """The first dozen names, as a message lists them."""
+    """First dozen names, as a message lists them."""
     listed = ", ".join(repr(name[:40]) for name in names[:12])
     return listed if len(names) <= 12 else f"{listed}, … ({len(names)} columns)"

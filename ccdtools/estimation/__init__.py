@@ -1,1 +1,1 @@
-"""What is measured of a plant, and what its state is judged to be from that."""
+"""Measurements of a plant, and the estimates of its state."""

@@ -1,4 +1,4 @@
-"""What is believed of a state, a mean with a covariance, its checks, and how predictions and measurements change it."""
+"""Belief about a state: mean and covariance, their checks, and how predictions and measurements change them."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, frozen
 from ccdtools.checks import as_array, as_floats, as_vector, finite
+from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
 from mpc.checks import as_weight
 from mpc.exceptions import NotConvexError
 
-SINGULAR = 1e-12  # eigenvalue of a covariance with unit diagonal, below which a combination has no variance
-
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Estimates of n runs.
+    """Beliefs of n runs: estimates and their covariance.
 
     Attributes
     ----------
@@ -53,7 +52,7 @@ class Estimates:
 
 
 class Estimator(Protocol):
-    """What `Observed` asks of an estimator, which has no memory itself: a belief goes in, the next comes out."""
+    """Protocol of an estimator for `Observed`. It has no memory itself: a belief goes in, the next comes out."""
 
     @property
     def nx(self) -> int:
@@ -71,15 +70,15 @@ class Estimator(Protocol):
         ...
 
     def start(self, n: int) -> Belief:
-        """Of n runs, before the first measurement."""
+        """Belief of n runs before the first measurement."""
         ...
 
     def predict(self, belief: Belief, u: Array) -> Belief:
-        """One sample later, after inputs (n, nu)."""
+        """Belief one sample later, after inputs (n, nu)."""
         ...
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """With outputs (n, ny) measured after inputs (n, nu)."""
+        """Belief after outputs (n, ny) were measured, after inputs (n, nu)."""
         ...
 
 
@@ -89,22 +88,22 @@ def transposed(M: Array) -> Array:
 
 
 def symmetric(M: Array) -> Array:
-    """The symmetric part of matrices (..., n, n), which rounding leaves."""
+    """Symmetric part of matrices (..., n, n). Rounding leaves the other."""
     return np.asarray((M + transposed(M)) / 2)
 
 
 def predicted_covariance(P: Array, F: Array, W: Array) -> Array:
-    """F P Fᵀ + W."""
+    """Predicted covariance F P Fᵀ + W."""
     return symmetric(F @ P @ transposed(F) + W)
 
 
 def innovation_covariance(P: Array, H: Array, V: Array) -> Array:
-    """H P Hᵀ + V."""
+    """Innovation covariance H P Hᵀ + V."""
     return symmetric(H @ P @ transposed(H) + V)
 
 
 def gain_of(P: Array, H: Array, V: Array) -> Array:
-    """P Hᵀ (H P Hᵀ + V)⁻¹, (..., nx, ny), for outputs in any units."""
+    """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹, (..., nx, ny). Outputs may be in any units."""
     S = innovation_covariance(P, H, V)
     unit = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
     scaled = S / unit[..., :, None] / unit[..., None, :]
@@ -113,13 +112,13 @@ def gain_of(P: Array, H: Array, V: Array) -> Array:
 
 
 def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
-    """(I − K H) P (I − K H)ᵀ + K V Kᵀ, which stays positive semidefinite whatever is rounded (Joseph's form)."""
+    """Updated covariance (I − K H) P (I − K H)ᵀ + K V Kᵀ. It stays positive semidefinite under rounding (Joseph)."""
     rest = np.eye(P.shape[-1]) - K @ H
     return symmetric(rest @ P @ transposed(rest) + K @ V @ transposed(K))
 
 
 def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-    """The estimates along a record: y (T, ny) or (n, T, ny), and u (T, nu) or (n, T, nu), u_k held from k to k + 1."""
+    """Estimates along a record of y (T, ny) and u (T, nu). Or (n, T, ny) and (n, T, nu); u_k held from k to k + 1."""
     y = _runs("outputs", outputs, estimator.ny)
     n, steps = y.shape[:2]
     u = _runs("inputs", inputs, estimator.nu)
@@ -142,14 +141,14 @@ def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
 
 
 def _runs(argument: str, value: ArrayLike, size: int) -> Array:
-    """A record (n, T, size), of which one run may be given as (T, size), or (T,) where the size is one."""
+    """Record (n, T, size). One run may be given as (T, size), or (T,) where the size is one."""
     array = as_floats(argument, value)
     array = array[:, None] if array.ndim == size == 1 else array
     return as_array(argument, array[None] if array.ndim == 2 else array, ("n", "T", size))
 
 
 def as_covariance(argument: str, value: Any, size: int, *, definite: bool = False, cure: str = "") -> Array:
-    """A read-only covariance (size, size), in any units; a vector is its diagonal, the variances."""
+    """Read-only covariance (size, size), in any units. A vector is its diagonal, the variances."""
     given = np.atleast_1d(finite(argument, as_floats(argument, value)))
     if given.shape not in ((size,), (size, size)):
         raise InputError(argument, f"shape {given.shape}", f"a covariance ({size}, {size}), or variances ({size},)")
@@ -171,13 +170,13 @@ def as_covariance(argument: str, value: Any, size: int, *, definite: bool = Fals
 
 
 def as_noise_covariances(W: ArrayLike, V: ArrayLike, nx: int, ny: int) -> tuple[Array, Array]:
-    """Those of the process noise and of the measurement noise."""
+    """Covariances of the process noise and of the measurement noise."""
     cure = "Give an output without noise a small variance."
     return as_covariance("W", W, nx), as_covariance("V", V, ny, definite=True, cure=cure)
 
 
 def as_start(x0: ArrayLike | None, P0: ArrayLike | None, nx: int) -> tuple[Array, Array]:
-    """The estimate (nx,) and its covariance before the first measurement; 0 where no estimate is given."""
+    """Estimate (nx,) and its covariance before the first measurement. 0 where no estimate is given."""
     if P0 is None:
         cure = "How far the first state may lie from x0; steady=True of a KalmanFilter needs none."
         raise InputError("P0", "nothing", f"the covariance ({nx}, {nx}) of the first state", cure)

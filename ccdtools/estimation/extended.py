@@ -38,7 +38,7 @@ Transition = Callable[[Array, Array], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedKalmanFilter(Immutable):
-    """A Kalman filter of x⁺ = f(x, u, p) + w and y_k = h(x_k, u_{k-1}, p) + v_k, linearised about its estimate.
+    """Kalman filter of x⁺ = f(x, u, p) + w, y_k = h(x_k, u_{k-1}, p) + v_k, linearised about its estimate.
 
     In current form: x̂_{k|k} has y_k in it. f is differentiated exactly; so are the outputs of a plant, while those of
     a function are by central differences in parts of the estimate's standard deviation. On a linear model it is the
@@ -109,14 +109,14 @@ class ExtendedKalmanFilter(Immutable):
         set_(self, "detectability", detectability(self._slopes, self.x0, self.P0))
 
     def _slopes(self, x: Array) -> tuple[Array, Array]:
-        """∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx) at states (n, nx) without an input."""
+        """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx). Taken at states (n, nx) without an input."""
         u = np.zeros((len(x), self.nu))
         spread = np.tile(np.sqrt(np.maximum(np.diag(self.P0), 0.0)), (len(x), 1))
         F, H = self._f(x, u)[1], self._h.slope(x, u, np.where(spread > 0, spread, 1.0))
         return tuple(np.broadcast_to(part, (len(x), *part.shape[-2:])) for part in (F, H))  # type: ignore[return-value]
 
     def _checked_design(self) -> Array:
-        """The design (np,), empty where the model has none."""
+        """Design (np,), empty where the model has none."""
         space = self.model.design
         if space is None or space.dim == 0:
             if self.design is not None and np.size(self.design) > 0:
@@ -127,7 +127,7 @@ class ExtendedKalmanFilter(Immutable):
         return space.check_one(self.design)
 
     def __deepcopy__(self, memory: Any) -> ExtendedKalmanFilter:
-        """Itself, because it never changes: a copy for each run would differentiate the model again."""
+        """This object itself, because it never changes. A copy for each run would differentiate the model again."""
         return self
 
     def __repr__(self) -> str:
@@ -151,12 +151,12 @@ class ExtendedKalmanFilter(Immutable):
 
     @cached_property
     def _h(self) -> Output:
-        """What is measured, at the design."""
+        """Measured output at the design."""
         return self.output.at(self.nx, self.nu, self.design)
 
     @cached_property
     def _f(self) -> Transition:
-        """(x (n, nx), u (n, nu)) → x⁺ (n, nx) and ∂x⁺/∂x, (nx, nx) or (n, nx, nx)."""
+        """Function from x (n, nx) and u (n, nu) to x⁺ (n, nx) and ∂x⁺/∂x, (nx, nx) or (n, nx, nx)."""
         if isinstance(self.model, LinearModel):
             A, B, _ = self.model.matrices(self.design)
             c = self.model.constant(self.design)
@@ -164,20 +164,20 @@ class ExtendedKalmanFilter(Immutable):
         return _differentiated(self.model, self.design)
 
     def start(self, n: int) -> Belief:
-        """The belief of n runs before the first measurement."""
+        """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
 
     def predict(self, belief: Belief, u: Array) -> Belief:
-        """A sample later, after inputs (n, nu)."""
+        """Belief one sample later, after inputs (n, nu)."""
         mean, F = self._f(belief.mean, u)
         return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """y (n, ny) less what is expected after inputs (n, nu), and its covariance (n, ny, ny) to first order."""
+        """Innovation and its covariance (n, ny, ny) to first order. y (n, ny) less what inputs (n, nu) let expect."""
         return y - self._h(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """With outputs (n, ny) measured, after inputs (n, nu)."""
+        """Belief after outputs (n, ny) were measured, after inputs (n, nu)."""
         H = self._slope(belief, u)
         K = gain_of(belief.covariance, H, self.V)
         innovation = y - self._h(belief.mean, u)
@@ -185,20 +185,20 @@ class ExtendedKalmanFilter(Immutable):
         return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along a record of outputs (T, ny) or (n, T, ny) and inputs (T, nu) or (n, T, nu).
+        """Estimates along a record of outputs and inputs. Shapes are (T, ny) or (n, T, ny), and (T, nu) or (n, T, nu).
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """
         return along(self, outputs, inputs)
 
     def _slope(self, belief: Belief, u: Array) -> Array:
-        """∂h/∂x at the estimates."""
+        """Slope ∂h/∂x at the estimates."""
         variances = np.diagonal(belief.covariance, axis1=-2, axis2=-1)
         return self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:
-    """(x, u) → x⁺ (n, nx) and ∂x⁺/∂x (n, nx, nx) at w = 0 and one design."""
+    """Function from (x, u) to x⁺ (n, nx) and ∂x⁺/∂x (n, nx, nx), at w = 0 and one design."""
     nx = model.nx
     x, u, design = (ca.MX.sym(name, size) for name, size in zip("xup", (nx, model.nu, model.design.dim)))
     after = model.step(x, u, ca.DM.zeros(model.nw, 1), design)
@@ -208,7 +208,7 @@ def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:
         function = function.expand()
 
     def transition(states: Array, inputs: Array) -> tuple[Array, Array]:
-        """Of states (n, nx) and inputs (n, nu)."""
+        """Next states and slopes ∂x⁺/∂x of states (n, nx) and inputs (n, nu)."""
         columns = np.asarray(function(states.T, inputs.T, p), dtype=float).T
         F = columns[:, nx:].reshape(-1, nx, nx).swapaxes(1, 2)
         return frozen(columns[:, :nx]), F

@@ -24,12 +24,11 @@ from ccdtools.estimation.belief import (
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
 from ccdtools.estimation.steady_state import steady_covariance
+from ccdtools.estimation.tolerances import MOVED_AT_REST
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
-
-NO_REST = 1e-6  # of a predicted standard deviation: what a sample may add at rest, and be rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,7 +117,7 @@ class KalmanFilter(Immutable):
         set_(self, "P0", None if self.steady else P0)
 
     def __deepcopy__(self, memory: Any) -> KalmanFilter:
-        """Itself, because it never changes: a copy for each run would solve the Riccati equation again."""
+        """This object itself, because it never changes. A copy for each run would solve the Riccati equation again."""
         return self
 
     @classmethod
@@ -126,7 +125,7 @@ class KalmanFilter(Immutable):
         cls, plant: Plant, *, W: ArrayLike, V: ArrayLike, design: ArrayLike = (), steady: bool = True,
         x0: ArrayLike | None = None, P0: ArrayLike | None = None,
     ) -> KalmanFilter:  # fmt: skip
-        """The filter of a linear plant's own outputs at a design (np,), for example of `linearise(plant, equilibrium)`.
+        """Filter of a linear plant's own outputs at a design (np,), for example of `linearise(plant, equilibrium)`.
 
         Raises
         ------
@@ -143,7 +142,7 @@ class KalmanFilter(Immutable):
         C, D, y0 = output_matrices(plant, model.design.check_one(design) if model.design is not None else np.zeros(0))
         found = cls(A, B, C, W, V, D=D, y0=y0, steady=steady, x0=x0, P0=P0)
         P = found.predicted if found.steady else predicted_covariance(found.P0, A, found.W)
-        if (np.abs(c) > NO_REST * np.sqrt(np.maximum(np.diag(P), 0.0))).any():
+        if (np.abs(c) > MOVED_AT_REST * np.sqrt(np.maximum(np.diag(P), 0.0))).any():
             got = f"a constant term in the dynamics, up to {np.abs(c).max():.3g} a sample"
             raise InputError("plant", got, "a linear plant that rests at 0", LINEARISED)
         return found
@@ -174,7 +173,7 @@ class KalmanFilter(Immutable):
 
     @cached_property
     def gain(self) -> Array:
-        """M (nx, ny) of the steady filter."""
+        """Gain M (nx, ny) of the steady filter."""
         return frozen(np.ascontiguousarray(gain_of(self.predicted, self.C, self.V)))
 
     @cached_property
@@ -188,31 +187,31 @@ class KalmanFilter(Immutable):
         return np.linalg.eigvals(self.A - self.A @ self.gain @ self.C)
 
     def start(self, n: int) -> Belief:
-        """The belief of n runs before the first measurement."""
+        """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), self.predicted if self.steady else self.P0)
 
     def predict(self, belief: Belief, u: Array) -> Belief:
-        """A sample later, after inputs (n, nu)."""
+        """Belief one sample later, after inputs (n, nu)."""
         mean = belief.mean @ self.A.T + u @ self.B.T
         P = self.predicted if self.steady else predicted_covariance(belief.covariance, self.A, self.W)
         return Belief(mean, P)
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """y (n, ny) less what is expected after inputs (n, nu), and its covariance (ny, ny)."""
+        """Innovation and its covariance (ny, ny). y (n, ny) less what is expected after inputs (n, nu)."""
         return self._surprise(belief, y, u), innovation_covariance(belief.covariance, self.C, self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """With outputs (n, ny) measured, after inputs (n, nu)."""
+        """Belief after outputs (n, ny) were measured, after inputs (n, nu)."""
         K = self.gain if self.steady else gain_of(belief.covariance, self.C, self.V)
         P = self.covariance if self.steady else updated_covariance(belief.covariance, self.C, self.V, K)
         return Belief(belief.mean + self._surprise(belief, y, u) @ K.T, P)
 
     def _surprise(self, belief: Belief, y: Array, u: Array) -> Array:
-        """y (n, ny) less what is expected."""
+        """Innovation: y (n, ny) less what is expected."""
         return np.asarray(y - belief.mean @ self.C.T - u @ self.D.T - self.y0)
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along a record of outputs (T, ny) or (n, T, ny) and inputs (T, nu) or (n, T, nu).
+        """Estimates along a record of outputs and inputs. Shapes are (T, ny) or (n, T, ny), and (T, nu) or (n, T, nu).
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """

@@ -1,4 +1,4 @@
-"""What sensors say: outputs with noise, the same in every loop that is closed with the same random numbers."""
+"""Measurements by sensors: outputs with noise, the same in every loop that is closed with the same random numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement(Immutable):
-    """y_k = h(x_k, u_{k-1}, p) + v_k: what is measured, before the input u_k is decided on.
+    """Measurement y_k = h(x_k, u_{k-1}, p) + v_k, made before the input u_k is decided on.
 
     Outputs that depend on the input see the one that was applied until then, u_{k-1}, which is 0 before the first.
 
@@ -54,7 +54,7 @@ class Measurement(Immutable):
         return f"Measurement({what}, {'no noise' if self.noise is None else f'noise: {type(self.noise).__name__}'})"
 
     def check(self, nx: int, nu: int) -> None:
-        """Raise an `InputError` unless it fits a plant of so many states and inputs; functions show when called."""
+        """Raise an `InputError` unless it fits a plant of so many states and inputs. Functions show when called."""
         check_sizes(self.output, nx, nu)
 
     @property
@@ -63,11 +63,11 @@ class Measurement(Immutable):
         return hasattr(self.noise, "sample")
 
     def at(self, nx: int, nu: int, p: Array) -> Output:
-        """h at one design, of a plant of so many states and inputs."""
+        """Output function h at one design, of a plant of so many states and inputs."""
         return output_at(self.output, nx, nu, p)
 
     def check_noise(self, runs: int, steps: int) -> None:
-        """Raise an `InputError` unless noise that is given or drawn is enough for so many runs, and of every output.
+        """Raise an `InputError` unless the noise is enough for so many runs, and of every output.
 
         How many outputs a function has shows when it is called.
         """
@@ -80,20 +80,20 @@ class Measurement(Immutable):
             _check_channels(self.noise, len(self.output))
 
     def drawn(self, runs: int, steps: int, rng: np.random.Generator | None) -> Measurement:
-        """The same measurement with its noise drawn, for so many runs of so many steps."""
+        """Same measurement with its noise drawn, for so many runs of so many steps."""
         if not self.random:
             return self
         return replace(self, noise=_drawn(self.noise, runs, steps, as_generator("rng", rng)))
 
     def first(self, runs: int, steps: int) -> Measurement:
-        """That of the first so many runs and steps, where its noise is drawn."""
+        """Measurement of the first so many runs and steps, where its noise is drawn."""
         if self.noise is None or self.random:
             return self
         return replace(self, noise=self.noise[:runs, :steps])
 
 
 class Sensor:
-    """A measurement in a closed loop of so many runs: (k, x, u) → y.
+    """Sensor of a closed loop of so many runs: (k, x, u) → y.
 
     Its noise comes from a generator of its own, split off from `rng`: what else is drawn from `rng` stays the same with
     and without it, and it is drawn only where a controller listens.
@@ -110,7 +110,7 @@ class Sensor:
 
     @cached_property
     def noise(self) -> Array | None:
-        """(n, T, ny), or (1, T, ny) for all runs; None where there is none."""
+        """Noise (n, T, ny), or (1, T, ny) for all runs. None where there is none."""
         noise: Array | None = self._measurement.drawn(*self._size, self._rng).noise
         return noise
 
@@ -125,12 +125,12 @@ class Sensor:
 
 
 def as_measurement(value: Any) -> Measurement:
-    """A `Measurement`, from itself or from what it may measure, without noise."""
+    """Measurement as it is, or one without noise from anything that may be measured."""
     return value if isinstance(value, Measurement) else Measurement(value)
 
 
 def _as_noise(value: Any) -> Any:
-    """Noise as something to sample, or as an array (n, T, ny)."""
+    """Noise as an object to sample, or as an array (n, T, ny)."""
     expected = "standard deviations (ny,), a Disturbance, or noise (T, ny) or (n, T, ny)"
     if value is None:
         return None
@@ -149,7 +149,7 @@ def _as_noise(value: Any) -> Any:
 
 
 def _drawn(noise: Any, runs: int, steps: int, rng: np.random.Generator) -> Array:
-    """A sample of noise (runs, steps, ny)."""
+    """Sample of noise (runs, steps, ny)."""
     drawn = as_floats("output.noise", noise.sample(runs, steps, rng))
     if drawn.ndim != 3:
         raise InputError("output.noise", f"a sample of shape {drawn.shape}", f"({runs}, {steps}, ny)")

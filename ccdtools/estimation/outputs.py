@@ -11,32 +11,31 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, shown
+from ccdtools.estimation.tolerances import DIFFERENCE_STEP, LEAST_DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 
-STEP = np.finfo(float).eps ** (1 / 3)  # of a difference, in standard deviations of the state
-LEAST_STEP = np.finfo(float).eps ** (2 / 3)  # the same, in parts of the state
 FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
 LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use an ExtendedKalmanFilter."
 EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which may also ask for u and p"
 
 
 class Output(Protocol):
-    """y = h(x, u) at one design."""
+    """Output y = h(x, u) at one design."""
 
     def __call__(self, x: Array, u: Array) -> Array:
         """Outputs (n, ny) of states (n, nx) and inputs (n, nu)."""
         ...
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """∂h/∂x, (ny, nx) or (n, ny, nx); `spread` (n, nx) are standard deviations of the states."""
+        """Slope ∂h/∂x, (ny, nx) or (n, ny, nx). `spread` (n, nx) are standard deviations of the states."""
         ...
 
 
 class MatrixOutput:
-    """y = C x."""
+    """Output y = C x."""
 
     def __init__(self, C: Array) -> None:
         self.C = C
@@ -46,12 +45,12 @@ class MatrixOutput:
         return x @ self.C.T
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """C."""
+        """Slope C."""
         return self.C
 
 
 class PlantOutput:
-    """The outputs of a plant at one design."""
+    """Outputs of a plant at one design."""
 
     def __init__(self, plant: Plant, p: Array) -> None:
         given = [plant.x, plant.u, plant.p]
@@ -66,13 +65,13 @@ class PlantOutput:
         return np.asarray(self._value(x, u, self._p))
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """(n, ny, nx), by differentiation."""
+        """Slope (n, ny, nx), by differentiation."""
         columns = self._slope(x, u, self._p).reshape(len(x), *self._shape)
         return np.asarray(columns.swapaxes(1, 2))
 
 
 class FunctionOutput:
-    """A function of arrays."""
+    """Output as a function of arrays."""
 
     def __init__(self, function: Callable[..., Any], asks: tuple[str, ...], p: Array) -> None:
         self._function = function
@@ -89,9 +88,9 @@ class FunctionOutput:
         return y
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """(n, ny, nx), by central differences; 0 along states that are known exactly, where it does not matter."""
+        """Slope (n, ny, nx), by central differences. 0 along states known exactly, where it does not matter."""
         n, nx = x.shape
-        steps = np.where(spread > 0, np.maximum(STEP * spread, LEAST_STEP * np.abs(x)), 0.0)
+        steps = np.where(spread > 0, np.maximum(DIFFERENCE_STEP * spread, LEAST_DIFFERENCE_STEP * np.abs(x)), 0.0)
         moved = steps[:, None, :] * np.eye(nx)
         up, down = x[:, None, :] + moved, x[:, None, :] - moved
         inputs = np.repeat(u, nx, axis=0)
@@ -102,7 +101,7 @@ class FunctionOutput:
 
 
 def as_stated_output(value: Any) -> Any:
-    """`value`, if it states outputs: a matrix as a read-only array, a Plant, or a function.
+    """Stated outputs: a matrix as a read-only array, a Plant, or a function. `value` states them.
 
     Raises
     ------
@@ -124,7 +123,7 @@ def as_stated_output(value: Any) -> Any:
 
 
 def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Which of u and p a function asks for by name, besides the state, which comes first."""
+    """Names, of u and p, that a function asks for besides the state, which comes first."""
     try:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):  # a callable in C need not have a signature
@@ -139,7 +138,7 @@ def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
-    """The outputs at one design (np,) of a plant of so many states and inputs.
+    """Outputs at one design (np,) of a plant of so many states and inputs.
 
     Raises
     ------

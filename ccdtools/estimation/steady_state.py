@@ -8,21 +8,18 @@ from enum import Enum
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.estimation.tolerances import FLAT_OUTPUT, MAIN_STATES
 from ccdtools.exceptions import NotDetectableError
 from mpc import NotStabilisableError, lqr
 from mpc.modes import Mode, least_reached
 from mpc.riccati import cost_units
 from mpc.tolerances import NEAR_CIRCLE, REACH, UNIT_CIRCLE, UNSEEN
 
-MAINLY = 0.5  # of the largest part of a mode: states with less are not named
-POINTS = 16  # about the first estimate, drawn from its covariance, where the linearisation is looked at
-FLAT = 1e-9  # of the largest slope of an output at these points: a slope that is none
-
 Slopes = Callable[[Array], tuple[Array, Array]]  # x (n, nx) → F (n, nx, nx) and H (n, ny, nx)
 
 
 def steady_covariance(A: Array, C: Array, W: Array, V: Array) -> Array:
-    """P = A (P − P Cᵀ (C P Cᵀ + V)⁻¹ C P) Aᵀ + W, the stabilising solution: covariance of x_k given y up to k − 1.
+    """Stabilising P = A (P − P Cᵀ (C P Cᵀ + V)⁻¹ C P) Aᵀ + W, the covariance of x_k given y up to k − 1.
 
     `mpc.lqr` verifies that the equation holds and the error of the filter decays, in units of the solution alone.
 
@@ -39,7 +36,7 @@ def steady_covariance(A: Array, C: Array, W: Array, V: Array) -> Array:
 
 
 def _named(A: Array, C: Array, W: Array, V: Array, error: NotStabilisableError) -> NotDetectableError:
-    """The error that names the mode of an error of the dual pair; where it has none, the one that is seen least."""
+    """Error that names the mode of an error of the dual pair. Without one, it names the mode that is seen least."""
     unit, _ = cost_units(A.T, C.T, W, V)
     none = np.ones(len(A))
     own = None if error.eigenvalue is None else [error.eigenvalue]
@@ -65,18 +62,18 @@ def lasting(A: Array) -> list[complex]:
 
 
 def mode_text(mode: Mode) -> str:
-    """A mode in words."""
+    """Description of a mode in words."""
     names = ", ".join(f"x{i + 1}" for i in states_of(mode))
     return f"the mode at eigenvalue {mode.value} (modulus {abs(mode.eigenvalue):.4g}), mostly of {names},"
 
 
 def states_of(mode: Mode) -> tuple[int, ...]:
-    """The states that a mode is mostly made of."""
-    return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAINLY * mode.parts.max()))
+    """Names of the states that a mode is mostly made of."""
+    return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAIN_STATES * mode.parts.max()))
 
 
 class Detectability(Enum):
-    """What the outputs see of the modes that do not decay, by the linearisation of a filter."""
+    """Outputs' view of the modes that do not decay, by the linearisation of a filter."""
 
     SEEN = "seen"
     SEEN_AWAY = "not seen at the first estimate, but about it"
@@ -85,7 +82,7 @@ class Detectability(Enum):
 
     @property
     def advice(self) -> str:
-        """What to do next, in one sentence."""
+        """Advice on what to do next, in one sentence."""
         return _ADVICE[self]
 
 
@@ -98,7 +95,7 @@ _ADVICE = {
 
 
 def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
-    """What a linearisation says at the first estimate, and at points drawn about it.
+    """Detectability of a linearisation at the first estimate, and at points drawn about it.
 
     Raises
     ------
@@ -107,7 +104,7 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
     """
     deviation = np.sqrt(np.maximum(np.diag(P0), 0.0))
     unit = np.where(deviation > 0, deviation, 1.0)
-    drawn = np.random.default_rng(0).standard_normal((POINTS, len(x0)))
+    drawn = np.random.default_rng(0).standard_normal((16, len(x0)))  # points about the estimate
     with np.errstate(all="ignore"):
         F, H = slopes(np.vstack([x0, x0 + deviation * drawn]))
     finite = np.isfinite(F).all(axis=(1, 2)) & np.isfinite(H).all(axis=(1, 2))
@@ -130,13 +127,13 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
         )  # fmt: skip
     if all(mode is not None for mode in unseen):
         return Detectability.DRIFTING
-    flat = bool((np.abs(H[0]) <= FLAT * np.abs(H).max()).all())
+    flat = bool((np.abs(H[0]) <= FLAT_OUTPUT * np.abs(H).max()).all())
     at_first = bool(np.ravel(finite)[0]) and unseen[0] is None and not flat
     return Detectability.SEEN if at_first else Detectability.SEEN_AWAY
 
 
 def _unseen(A: Array, C: Array, unit: Array) -> Mode | None:
-    """The mode that does not decay and is not seen; of several the one that grows most. None where all are seen."""
+    """Unseen mode that does not decay; of several the one that grows most. None where all are seen."""
     for eigenvalue in sorted(lasting(A), key=abs, reverse=True):
         mode = least_reached(A.T, C.T, [eigenvalue], unit, np.ones(len(A)))
         if mode.strength < REACH:

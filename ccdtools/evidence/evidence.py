@@ -1,4 +1,4 @@
-"""What is known of two named candidates on one distribution: their returns in pairs, lost runs and limits."""
+"""Evidence on two named candidates on one distribution: their returns in pairs, lost runs and limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOTHING = PairedDifference(float("nan"), (float("nan"), float("nan")))
 
 
 class Asked(Enum):
-    """What a candidate must show on a distribution."""
+    """Demand on a candidate: what it must show on a distribution."""
 
     GAIN = "a gain beyond chance, above its price"
     TOLERANCE = "no loss beyond the tolerance"
@@ -31,7 +31,7 @@ class Asked(Enum):
 
 @dataclass(frozen=True)
 class Violation:
-    """Limits that a candidate leaves further than the tolerance, and further than what it is compared with.
+    """Limits that a candidate violates beyond the tolerance, and further than what it is compared with.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Evidence:
 
     @property
     def percent(self) -> str:
-        """The gain and its interval in per cent: "+0.1 % [−0.2, +0.4]"."""
+        """Gain and its interval in per cent: "+0.1 % [−0.2, +0.4]"."""
         return percent_interval(self.gain.mean, self.gain.ci95, self.size) + in_measure(self.measure)
 
     def as_dict(self) -> dict[str, Any]:
@@ -119,7 +119,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """How returns are compared in pairs.
+    """Rule by which returns are compared in pairs.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Pairing:
         self, after: Trajectory, before: Trajectory, *, names: tuple[str, str], distribution: str, asked: Asked,
         groups: Indices | None = None, series: bool = False, counted: int | None = None,
     ) -> Evidence:  # fmt: skip
-        """The evidence of two candidates that met the same starts and disturbances.
+        """Evidence of two candidates that met the same starts and disturbances.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class Pairing:
 
 
 def _grouped(labels: Indices, series: bool) -> str:
-    """How runs are grouped, in words."""
+    """Description of how runs are grouped, in words."""
     if series:
         return "one run, as a series"
     groups = len(np.unique(labels))

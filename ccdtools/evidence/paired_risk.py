@@ -1,4 +1,4 @@
-"""What a change brings in the risk that was asked for, with an interval: each group of runs left out once."""
+"""Gain of a change in the risk that was asked for, with an interval: each group of runs left out once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Labels = NDArray[np.int64]
 def paired_in_risk(
     risk: Risk, after: Array, before: Array, labels: Labels, *, runs: int, stretch: int
 ) -> PairedDifference:
-    """Difference of the risk of two controllers on the same runs, with the 95 % interval over groups of runs.
+    """Difference of the risk of two controllers on the same runs. With the 95 % interval over groups of runs.
 
     Of a deployment of one run the returns of its stretches take the place of those of runs, scaled to its whole length.
     There is no interval where fewer than ten groups decide a risk that is not the mean.
@@ -57,7 +57,7 @@ def stretches(rewards: Array, stretch: int) -> Array:
 
 
 def paired_over_groups(after: Array, before: Array, labels: Labels, *, runs: int) -> PairedDifference:
-    """Mean difference of the returns of runs with rewards (n, T), over the groups that their labels (n,) tell.
+    """Mean difference of the returns of runs with rewards (n, T). Taken over the groups of their labels (n,).
 
     Only groups are independent evidence. Of one group the interval is that of its series, if no more runs were begun.
     """

@@ -12,14 +12,13 @@ import numpy as np
 from ccdtools.checks import shown
 from ccdtools.evidence.evidence import Asked, Evidence
 from ccdtools.evidence.percent import signed_percent
+from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
-from ccdtools.statistics import SAME_RETURN
-
-TOLERANCE = 0.005  # of the size of a return: the loss below which a candidate is called not worse
+from ccdtools.tolerances import SAME_RETURN
 
 
 class Status(Enum):
-    """What becomes of a candidate."""
+    """Status of a candidate: what becomes of it."""
 
     FIRST = "the first deployed"
     BETTER = "better"
@@ -43,7 +42,7 @@ class Status(Enum):
 
     @property
     def advice(self) -> str:
-        """What the user may do about it."""
+        """Advice to the user about this status."""
         return ADVICE.get(self, "")
 
 
@@ -64,7 +63,7 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a candidate takes the place of the current one.
+    """Verdict whether a candidate takes the place of the current one.
 
     Attributes
     ----------
@@ -80,7 +79,7 @@ class Verdict:
     status: Status
     evidence: tuple[Evidence, ...] = ()
     reason: str = ""
-    tolerance: float = TOLERANCE
+    tolerance: float = NOT_WORSE
 
     @property
     def replaces(self) -> bool:
@@ -88,7 +87,7 @@ class Verdict:
         return self.status.replaces
 
     def on(self, distribution: str) -> Evidence | None:
-        """The evidence on one distribution, if there is any."""
+        """Evidence on one distribution, if there is any."""
         return next((one for one in self.evidence if one.distribution == distribution), None)
 
     def __str__(self) -> str:
@@ -102,8 +101,8 @@ class Verdict:
         }  # fmt: skip
 
 
-def decide(evidence: Sequence[Evidence], *, tolerance: float = TOLERANCE) -> Verdict:
-    """Whether the candidate of all evidence may take the place of the current one.
+def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Verdict:
+    """Verdict whether the candidate of all evidence may take the place of the current one.
 
     It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may
     lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare. It is
@@ -161,7 +160,7 @@ def _left_limits(one: Evidence) -> Status | None:
 
 
 def _short(one: Evidence, tolerance: float) -> Status | None:
-    """How the candidate falls short of what is asked; None if it does not."""
+    """Way in which the candidate falls short of what is asked. None if it does not."""
     low, high = one.gain.ci95
     floor = SAME_RETURN * one.size
     if one.asked is Asked.GAIN:
@@ -180,7 +179,7 @@ def _short(one: Evidence, tolerance: float) -> Status | None:
 
 
 def _reason(status: Status, one: Evidence, tolerance: float) -> str:
-    """The sentence of a status, from the numbers of the evidence that decided."""
+    """Sentence of a status, from the numbers of the evidence that decided."""
     if status is Status.MORE_LOST:
         return f"{one.lost[0]} of {one.runs} runs on {one.distribution}, where {one.current} loses {one.lost[1]}"
     if status is Status.LIMITS:

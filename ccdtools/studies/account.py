@@ -34,18 +34,18 @@ def account(generation: int, deployed: Values, redesign: Values | None, place: s
         return "; ".join([f"{name} designed {place} on the nominal model", *_returns(delivery),
                           _updates(accepted, updates, "the policy is as designed")])  # fmt: skip
     if redesign["accepted"]:
-        return "; ".join([*_redesigned(name, redesign, delivery, place), *_missed(delivery),
+        return "; ".join([*_redesigned(name, redesign, delivery, place), *_less_than_predicted(delivery),
                           _updates(accepted, updates, "none of it is due to updates")])  # fmt: skip
     changed = "changed nothing" if not accepted else "changed the policy only, by updates while deployed"
     if not delivery["replaces"]:
         changed = f"was {_verdict(delivery)}{_rolled_back(delivery, accepted)}"
     measured = [f"measured {_change(delivery)}"] if accepted and delivery["replaces"] else []
     kept = _updates(accepted, updates, _kept(delivery, accepted))
-    return "; ".join([f"{name} {changed}: {refusal(redesign)}", *measured, *_missed(delivery), kept])
+    return "; ".join([f"{name} {changed}: {refusal(redesign)}", *measured, *_less_than_predicted(delivery), kept])
 
 
 def _verdict(delivery: Values) -> str:
-    """Why what was deployed does not stay."""
+    """Reason why what was deployed does not stay."""
     if delivery["status"] == Status.LIMITS.value:
         return f"{delivery['status']} ({delivery['breach']})"
     if delivery["status"] == Status.MORE_LOST.value:
@@ -54,7 +54,7 @@ def _verdict(delivery: Values) -> str:
 
 
 def _rolled_back(delivery: Values, accepted: int) -> str:
-    """What was rolled back: updates of this deployment, or those of the former one, measured by a whole one."""
+    """Updates that were rolled back. Those of this deployment, or of the former one, measured by a whole one."""
     if delivery.get("carried"):
         return f", so that the updates of generation {delivery['former']}, measured by a whole deployment, were " \
                "rolled back"  # fmt: skip
@@ -62,21 +62,21 @@ def _rolled_back(delivery: Values, accepted: int) -> str:
 
 
 def refusal(redesign: Values) -> str:
-    """Why no redesign was deployed."""
+    """Reason why no redesign was deployed."""
     decision = redesign["decisions"]["redesign"]
     best = "the best redesign found" if decision["moved"] else "the best policy found"
     return f"{best} was predicted {decision['predicted']} and refused, {decision['reason']}"
 
 
 def region_line(region: Values) -> str:
-    """How far a redesign may go, and why."""
+    """Sentence on how far a redesign may go, and why."""
     if region["radius"] is None:
         return f"redesign over the whole box: {region['text']}"
     return f"redesign limited to ±{share(region['radius'])} of the box around what is deployed: {region['text']}"
 
 
 def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> list[str]:
-    """What a redesign changed, what was predicted and measured, and whether it stays."""
+    """Sentence on what a redesign changed. Also what was predicted and measured, and whether it stays."""
     decision = redesign["decisions"][redesign["chosen"]]
     what = f"moved the design to {place}" if decision["moved"] else "changed the policy at the same design"
     if redesign["chosen"].startswith(FORMER):
@@ -91,28 +91,28 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> li
     return said
 
 
-def _missed(delivery: Values) -> list[str]:
-    """That less was measured than predicted, with the predicted return, where it was beyond both intervals."""
+def _less_than_predicted(delivery: Values) -> list[str]:
+    """Clause that less was measured than predicted. It has the predicted return, if beyond both intervals."""
     if Agreement(delivery["agreement"]) is not Agreement.LESS:
         return []
     return [f"{delivery['agreement']}, a deployed return of {with_minus(number(delivery['predicted']['mean']))}"]
 
 
 def _returns(delivery: Values) -> list[str]:
-    """Predicted and measured return of the first generation, on the stretch that the policy as designed drove."""
+    """Predicted and measured return of the first generation. Of the stretch that the policy as designed drove."""
     expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("predicted", "returns"))
     missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
     return [f"predicted a deployed return of {expected}, measured {found}{missed}"]
 
 
 def _change(delivery: Values) -> str:
-    """The change that was measured, in per cent of the deployed return."""
+    """Measured change, in per cent of the deployed return."""
     change = delivery["change"]
     return percent_interval(change["mean"], change["ci95"], delivery["size"]) + in_measure(delivery["measure"])
 
 
 def _kept(delivery: Values, accepted: int) -> str:
-    """What became of the deployed policy."""
+    """Clause on what became of the deployed policy."""
     before = delivery["former"]
     if accepted and delivery["replaces"]:
         return f"design of generation {before}, policy updated"
@@ -122,7 +122,7 @@ def _kept(delivery: Values, accepted: int) -> str:
 
 
 def _updates(accepted: int, updates: Sequence[Any], consequence: str) -> str:
-    """How many updates were accepted; the consequence where none was."""
+    """Clause on how many updates were accepted, with the consequence where none was."""
     if not updates:
         return f"no update was tried; {consequence}"
     said = f"{accepted} of {len(updates)} updates accepted"

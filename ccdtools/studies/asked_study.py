@@ -16,7 +16,7 @@ from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
 
 def asked_study(options: Options, recording: Recorded | None = None) -> LoadedStudy:
-    """The study that the options ask for, from their starts and with their disturbance, or a recording that was kept.
+    """Study that the options ask for. Starts and disturbance are theirs, or those of a recording that was kept.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def asked_study(options: Options, recording: Recorded | None = None) -> LoadedSt
 
 
 def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
-    """Have an `InputError` about the disturbance name the option that it came from."""
+    """Make an `InputError` about the disturbance name the option that it came from."""
     given = options.sources()
     return blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {})
 
@@ -59,7 +59,7 @@ def _check_effect(options: Options, study: Study) -> None:
 
 
 def _source(options: Options, study: Study) -> Disturbance | None:
-    """The disturbance of the real plant that the options ask for; None for the study's own."""
+    """Disturbance of the real plant that the options ask for. None for the study's own."""
     dt = study.plant.dt
     if options.disturbance is not None:
         signal = read_disturbance(options.disturbance, dt=dt, column=options.column, argument="--disturbance")

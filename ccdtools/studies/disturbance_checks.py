@@ -33,7 +33,7 @@ def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | Sa
 
 
 def checked_held_out(held_out: Mapping[str, Disturbance], plant: Plant | SampledModel) -> dict[str, Disturbance]:
-    """The held-out disturbances, if each has a name of one line and draws samples for the plant."""
+    """Held-out disturbances, checked. Each has a name of one line and draws samples for the plant."""
     named = as_mapping("real.held_out", held_out, "a mapping of names to disturbances")
     for name, disturbance in named.items():
         if not isinstance(name, str) or not name.strip() or len(name.splitlines()) > 1:

@@ -1,4 +1,4 @@
-"""What every generation is measured on: the same scenarios for every controller and every generation."""
+"""Evaluation of every generation: the same scenarios for every controller and every generation."""
 
 from __future__ import annotations
 
@@ -28,23 +28,17 @@ from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
+from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.distributions import Served, logged
+from ccdtools.twin.distributions import ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
-
-MOSTLY = 0.5  # of the samples outside X: then the recording is not one of this plant
-BAND_RUNS = 500  # of the trajectories kept for figures
-BAND_STEPS = 1000
-NOMINAL_SAMPLES = 250_000  # of the nominal model, which say what it expects of a deployment,
-FEWEST_NOMINAL = 16  # in at least so many runs
-LONGEST_EPISODE = 1000  # steps of a run that a redesign is trained on as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +50,7 @@ class Evaluation:
     seed: int  # every draw has a generator of its own, spawned from the seed and a name
 
     def rng(self, name: str) -> np.random.Generator:
-        """The generator of a name: the same whether or not a run was interrupted before."""
+        """Generator of a name, the same whether or not a run was interrupted before."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))
 
     @cached_property
@@ -66,7 +60,7 @@ class Evaluation:
 
     @cached_property
     def deployment_steps(self) -> int:
-        """Length of a deployment: the study's, capped by the configuration and by a recording's length."""
+        """Length of a deployment. The study's, capped by the configuration and by a recording's length."""
         real = self.study.real
         steps = real.steps
         if self.config.real_steps is not None and real.runs == 1:
@@ -76,7 +70,7 @@ class Evaluation:
         return steps
 
     def check_recording(self) -> None:
-        """Raise if LQR at the start design cannot keep the plant near X under a recorded disturbance: wrong units?
+        """Raise if LQR at the start design cannot keep the plant near X. A recorded disturbance may have wrong units.
 
         Raises
         ------
@@ -92,7 +86,7 @@ class Evaluation:
         lqr = saturated_lqr(self.problem, self.study.p0)
         run = scenario.run(lqr, design=self.study.p0, limit=self.problem.limit)
         outside = float(1 - self.problem.state_limits(self.study.p0).contains(run.states[0, 1:]).mean())
-        if run.diverged.any() or outside > MOSTLY:
+        if run.diverged.any() or outside > MOSTLY_OUTSIDE:
             lost = f"is outside X in {outside:.0%} of the samples"
             if run.diverged.any():
                 lost = f"diverges after {run.diverged_at[0]} samples"
@@ -100,7 +94,7 @@ class Evaluation:
             raise InputError("real.disturbance", got, "a recording that the plant can bear", "Check its units.")
 
     def recorded(self, runs: int, name: str) -> Array:
-        """The real plant's disturbance, (runs, T, nw)."""
+        """Disturbance of the real plant, (runs, T, nw)."""
         return self.study.real.disturbance.sample(runs, self.deployment_steps, self.rng(name))
 
     @property
@@ -111,16 +105,16 @@ class Evaluation:
         )
 
     def training_episode(self, logs: Sequence[Residuals], space: DesignSpace) -> tuple[int, int]:
-        """Steps that count in an episode of a redesign within a box, and steps before them that do not.
+        """Steps that count in an episode of a redesign within a box. Also the steps before them that do not.
 
         Of several runs that are not very long, an episode is a whole run from its own start.
         """
-        if self.study.real.runs > 1 and self.deployment_steps <= LONGEST_EPISODE:
+        if self.study.real.runs > 1 and self.deployment_steps <= 1000:  # longer ones are cut
             return self.deployment_steps, 0
         return self.window, warm_up(self.problem, logs, self.window, space)
 
     def on_model(self, logs: Sequence[Residuals]) -> Scenario:
-        """What a generation is judged on: the nominal model, with its assumed disturbance or with logged errors.
+        """Scenario on which a generation is judged. The nominal model, with its assumed disturbance or logged errors.
 
         Before the first log every run starts where the study says. Afterwards it starts where the runs of the newest
         log did, and meets the errors that they met, to their end.
@@ -133,7 +127,7 @@ class Evaluation:
 
     @cached_property
     def split(self) -> ErrorSplit:
-        """Of logged errors into what enters through E(p), and the rest."""
+        """Split of logged errors into what enters through E(p), and the rest."""
         return ErrorSplit(self.study.model, self.problem.state_scale)
 
     @property
@@ -142,28 +136,28 @@ class Evaluation:
         return self.study.real.runs == 1
 
     @cached_property
-    def served(self) -> Served:
-        """Where what is deployed will serve; its disturbances are other draws than those that are reported."""
+    def served(self) -> ServedDistributions:
+        """Distributions that the deployed will serve. Their disturbances are other draws than the reported ones."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
         drawn = {name: one.sample(runs, steps, self.rng(f"judged: {name}")) for name, one in real.fresh.items()}
-        return Served(self.problem, real.x0, drawn, self.config.online.judged)
+        return ServedDistributions(self.problem, real.x0, drawn, self.config.online.judged)
 
     @cached_property
     def judge(self) -> Judge:
-        """What compares two deployables."""
+        """Judge that compares two deployables."""
         return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
-        """What the nominal model expects of a deployment, of many runs: a prediction should not be wrong by chance."""
+        """Scenario of many runs for what the nominal model expects of a deployment. Little is left to chance."""
         real = self.study.real
-        runs = min(self.config.model_runs, max(FEWEST_NOMINAL, NOMINAL_SAMPLES // self.deployment_steps))
+        runs = min(self.config.model_runs, max(16, 250_000 // self.deployment_steps))  # samples
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
         return Scenario(self.study.model, np.tile(real.x0, (runs, 1)), w)
 
     def deployment(self, generation: int) -> Array:
-        """The disturbances of a deployment, (runs, T, nw).
+        """Disturbances of a deployment, (runs, T, nw).
 
         A single run is the same in every generation. Of several, every second one is: there two generations are
         compared run by run; the others are fresh, for what there is to be learned.
@@ -176,7 +170,7 @@ class Evaluation:
         return np.where(is_common(np.arange(runs))[:, None, None], common, w)
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
-        """On the model updated by a discrepancy, from where the study says."""
+        """Scenario on the model updated by a discrepancy, from where the study says."""
         n = self.config.model_runs
         steps = self.study.steps
         rng = self.rng("updated scenario")
@@ -184,7 +178,7 @@ class Evaluation:
         return Scenario(plant, self.study.model_starts(n, rng), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
-        """The deployment itself if it is one long run; else many runs like it."""
+        """Scenario of the deployment itself if it is one long run. Else of many runs like it."""
         real = self.study.real
         runs = 1 if real.runs == 1 else self.config.real_runs
         w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
@@ -192,7 +186,7 @@ class Evaluation:
 
     @cached_property
     def held_out(self) -> dict[str, Scenario]:
-        """Fresh runs of the real plant by the name of their disturbance, which no generation has met."""
+        """Fresh runs of the real plant, by the name of their disturbance. No generation has met them."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
@@ -202,11 +196,11 @@ class Evaluation:
 
     @cached_property
     def _baselines(self) -> dict[bytes, dict[str, Controller]]:
-        """The baselines of the designs that were asked for, never used themselves."""
+        """Baselines of the designs that were asked for, never used themselves."""
         return {}
 
     def baselines(self, design: Array) -> dict[str, Controller]:
-        """The baselines at a design; tuned once, and as new every time."""
+        """Baselines at a design. Tuned once, and as new every time."""
         key = np.asarray(design, dtype=float).tobytes()
         if key not in self._baselines:
             self._baselines[key] = baselines(self.problem, design, rng=self.rng("baselines"))
@@ -222,7 +216,7 @@ class Evaluation:
         judged_on: Sequence[Residuals],
         rng: np.random.Generator,
     ) -> Stage:
-        """Every controller at one design: on the model that it was judged on, and on the real plant.
+        """Comparison of every controller at one design. On the model that judged it and on the real plant.
 
         On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
@@ -253,7 +247,7 @@ class Evaluation:
         return Stage({"rows": rows}, arrays)
 
     def _shown_risk(self, plant: str, judged_on: Sequence[Residuals]) -> Risk | None:
-        """The worst case, where a study asks for it and the runs of a comparison have cases; else None."""
+        """Worst case, where a study asks for it. The runs of a comparison need cases; else None."""
         asked = self.study.risk
         if not isinstance(asked, WorstCase) or (plant == "model" and judged_on):
             return None
@@ -261,7 +255,7 @@ class Evaluation:
         return asked.over(scenarios) if has_cases(scenarios) else None
 
     def admissible(self, design: Array) -> AdmissibleInputs | None:
-        """The filter behind the deployed policy at a design; None where the study asks for none."""
+        """Filter behind the deployed policy at a design. None where the study asks for none."""
         if self.study.filter == "none":
             return None
         key = np.asarray(design, dtype=float).tobytes()
@@ -270,7 +264,7 @@ class Evaluation:
         return self._filters[key]
 
     def can_serve(self, design: Array) -> bool:
-        """Whether the study's filter, if there is one, has a set to keep the state in at a design."""
+        """Whether the filter has a set to keep the state in at a design. True where the study has no filter."""
         try:
             self.admissible(design)
         except InputError:
@@ -279,17 +273,17 @@ class Evaluation:
 
     @cached_property
     def _filters(self) -> dict[bytes, AdmissibleInputs]:
-        """The filters of the designs that were asked for."""
+        """Filters of the designs that were asked for."""
         return {}
 
     def deployed(self, one: Deployable) -> Controller:
-        """A policy as it would be deployed on the real plant, behind the study's filter if there is one."""
+        """Policy as it would be deployed on the real plant. It is behind the study's filter if there is one."""
         return one.controller(self.admissible(one.design))
 
     def returns(
         self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
     ) -> Stage:
-        """Returns of a policy as designed: where it was judged, on the nominal and on the since updated model."""
+        """Returns of a policy as designed. Where it was judged, on the nominal and on the since updated model."""
         policy = LearnedPolicy(agent, design)
         return Stage({
             "model": model_name(judged_on),
@@ -302,7 +296,7 @@ class Evaluation:
         })  # fmt: skip
 
     def row(self, design: Array, score: Score) -> dict[str, Any]:
-        """One controller's row of the tables."""
+        """Row of one controller in the tables."""
         space = self.problem.design
         return {
             "controller": score.controller,
@@ -316,14 +310,14 @@ class Evaluation:
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
-        """Statistics of the returns of the runs that did not diverge, and the fraction that did."""
+        """Statistics of the returns of the runs that did not diverge. Also the fraction that did."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
         rewards = run.rewards(self.study.objective)[~run.diverged]
         return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
-        """Lower edge, mean and upper edge of the 95 % band of states and inputs, (3, T, ·), for the figures."""
-        shown = scenario.first(min(BAND_RUNS, len(scenario.x0)), min(BAND_STEPS, scenario.steps))
+        """Edges and mean of the 95 % band of states and inputs. (3, T, ·), for the figures."""
+        shown = scenario.first(min(500, len(scenario.x0)), min(1000, scenario.steps))
         bands = {}
         for name, controller in controllers.items():
             run = shown.run(controller, design=design, limit=self.problem.limit)
@@ -335,5 +329,5 @@ class Evaluation:
 
 
 def model_name(logs: Sequence[Residuals]) -> str:
-    """Of the model that a generation is judged on."""
+    """Name of the model that a generation is judged on."""
     return "replayed errors" if logs else "nominal"

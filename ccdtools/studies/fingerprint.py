@@ -19,20 +19,18 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import jsonable
 from invariant_sets import Polytope
 
-LONGEST = 80  # characters of a value that is kept as it is; a longer one is kept as its hash
-MOST_NAMED = 3  # differences in a message
 PLANT_NUMBERS = ("design", "dt", "continuous", "substeps", "state_names", "input_names")
 
 
 def fingerprint(loaded: LoadedStudy, config: StudyConfig) -> dict[str, Any]:
-    """Study, sources and configuration as flat JSON values: {"study.p0": [1.0], …}; what is long becomes a hash."""
+    """Study, sources and configuration as flat JSON values. {"study.p0": [1.0], …}; what is long becomes a hash."""
     declared = {field.name: getattr(loaded.study, field.name) for field in dataclasses.fields(loaded.study)}
     parts = {"study": declared, "source": loaded.sources, "configuration": config.as_dict()}
     return dict(_flat(jsonable_of(parts))) | {"ccdtools": version("ccdtools")}
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Every entry that differs, as "name: before → now", or its name alone where the values are hashes."""
+    """Entries that differ, as "name: before → now". As names alone where the values are hashes."""
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     names.sort(key=lambda name: name.startswith("source."))  # what is declared says more than that a file was edited
     return [_difference(name, before.get(name), now.get(name)) for name in names]
@@ -40,12 +38,12 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 def summary(found: list[str]) -> str:
     """The first differences as one phrase."""
-    rest = len(found) - MOST_NAMED
-    return "; ".join(found[:MOST_NAMED]) + (f"; and {rest} more" if rest > 0 else "")
+    rest = len(found[3:])  # not named
+    return "; ".join(found[:3]) + (f"; and {rest} more" if rest else "")
 
 
 def jsonable_of(value: Any) -> Any:
-    """`value` as JSON values: objects by their fields, plants by their dynamics, arrays as lists."""
+    """JSON form of `value`. Objects by their fields, plants by their dynamics, arrays as lists."""
     if isinstance(value, Plant):
         arguments = [value.x, value.u, value.w, value.p]
         dynamics = ca.Function("dynamics", arguments, [value.dynamics]).serialize()
@@ -76,11 +74,11 @@ def jsonable_of(value: Any) -> Any:
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
-    """(name, value) of every leaf of nested dictionaries; what is long is replaced by its hash."""
+    """Name and value of every leaf of nested dictionaries. What is long is replaced by its hash."""
     if isinstance(value, dict):
         return [leaf for key, item in value.items() for leaf in _flat(item, f"{name}.{key}" if name else key)]
     text = json.dumps(value, ensure_ascii=False)
-    return [(name, value if len(text) <= LONGEST else "sha256:" + hashlib.sha256(text.encode()).hexdigest())]
+    return [(name, value if len(text) <= 80 else "sha256:" + hashlib.sha256(text.encode()).hexdigest())]
 
 
 def _difference(name: str, before: Any, now: Any) -> str:

@@ -31,9 +31,9 @@ Echo = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the loop stands between two generations: what is deployed, the twin, the results so far.
+    """State of the loop between two generations. What is deployed, the twin, the results so far.
 
-    `served` is the deployment that speaks for what is deployed.
+    `served` is the reference deployment of what is deployed.
     """
 
     service: Deployable
@@ -88,7 +88,7 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
 
     def run(self) -> dict[str, Any]:
-        """All stages; the contents of results.json, which is written too."""
+        """Run all stages. Returns the contents of results.json, which is written too."""
         state = self._begin()
         for generation in range(1, self.generations + 1):
             state = self._next(generation, state)
@@ -106,7 +106,7 @@ class Generations:
         return contents
 
     def _begin(self) -> _State:
-        """The first policy, compared at the start design."""
+        """State of the loop with the first policy, compared at the start design."""
         study = self.evaluation.study
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
         service = Deployable(initial.networks["agent"], np.asarray(study.p0), "the start")
@@ -119,7 +119,7 @@ class Generations:
         return _State(service, twin, (initial, start), rows=rows, history=(record,))
 
     def _next(self, generation: int, state: _State) -> _State:
-        """One more generation: design, deploy, learn, compare, evaluate."""
+        """State of the loop after one more generation: design, deploy, learn, compare, evaluate."""
         title = f"Generation {generation}"
         known = state.twin.logs
         found = self._stage(
@@ -157,18 +157,18 @@ class Generations:
         )  # fmt: skip
 
     def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
-        """The state after a deployment: what was deployed stays, or what was before it is deployed again."""
+        """State after a deployment. What was deployed stays, or what was before it is deployed again."""
         delivery = deployed.values["delivery"]
         now = deployed_of(
             generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["updates"]
         )
-        service, speaks = after_deployment(
+        service, reference = after_deployment(
             now, state.service, state.served, replaces=delivery["replaces"], carried=delivery["carried"]
         )
-        return replace(state, service=service, served=speaks, trust=Trust(**deployed.values["trust"]))
+        return replace(state, service=service, served=reference, trust=Trust(**deployed.values["trust"]))
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
-        """The stage of a name: read back, or computed from its inputs with a generator of its own."""
+        """Stage of a name, read back or computed. It has a generator of its own beside its inputs."""
         if self.folder.has(name):
             self.echo(f"{label} … already finished")
             return self.folder.read_stage(name)

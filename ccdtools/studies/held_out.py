@@ -17,10 +17,9 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.gains import SOURCES, Step, gains_by_source
 from ccdtools.studies.redesign import same_design
 from ccdtools.studies.stage_storage import Stage
+from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.twin.deployable import Deployable
 
-MPC_RUNS = 2  # of the held-out runs, those that online MPC sees
-REAL_RUNS = 500  # of a real plant of short runs, those that the gains are measured on
 OWN_START = "the study's start"
 
 
@@ -38,7 +37,7 @@ class GenerationRecord:
 
 
 def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
-    """The comparison on held-out runs at the first and the last design, and the gains by source in every place."""
+    """Comparison on held-out runs at the first and the last design. Also the gains by source in every place."""
     first = history[0].after
     last = history[-1].after
     rows = held_out_rows(evaluation, 0, first) + held_out_rows(evaluation, len(history) - 1, last)
@@ -49,7 +48,7 @@ def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) 
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
-    """Where gains are measured, on the real plant: where it was deployed or on runs like it, on every held-out
+    """Places on the real plant where gains are measured. Where it was deployed or on runs like it, on every held-out
     disturbance, and from where the study starts if the deployment starts elsewhere.
     """
     deployed = evaluation.on_real()
@@ -64,7 +63,7 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
 
 
 def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:
-    """The start, and what was deployed after every generation, by name: each once, and not what is deployed now.
+    """Deployables by name: the start, and what was deployed after every generation. Each once, without today's.
 
     What a deployment has shown to fall short is left out.
     """
@@ -78,13 +77,13 @@ def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) 
 
 
 def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) -> list[dict[str, Any]]:
-    """A row per held-out disturbance and controller at one design, as in the comparison."""
+    """Rows of one design, one per held-out disturbance and controller, as in the comparison."""
     everyone = evaluation.baselines(service.design) | {"learned": evaluation.deployed(service)}
     rows = []
     for name, scenario in list(places_of(evaluation).items())[1:]:
         scores = compare(
             everyone, scenario, design=service.design, objective=evaluation.study.objective,
-            X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": MPC_RUNS},
+            X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": 2},
             metrics=evaluation.study.metrics, output_limits=evaluation.problem.output_limits,
         )  # fmt: skip
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}
@@ -93,7 +92,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
 
 
 def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[Step]:
-    """From LQR at the first design to what is deployed at the end: each step with the source that it is due to.
+    """Steps from LQR at the first design to what is deployed at the end. Each has the source that it is due to.
 
     The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
     one that stayed brings its redesign; updates while deployed come last. One that was rolled back brings nothing.
@@ -115,7 +114,7 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
 
 
 def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) -> dict[str, Any]:
-    """The gains by source on the runs of a scenario; see `gains_by_source`."""
+    """Gains by source on the runs of a scenario. See `gains_by_source`."""
     known: dict[bytes, Any] = {}
     for step in steps:
         if step.key not in known:
@@ -132,12 +131,12 @@ def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) 
 
 
 def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
-    """The step to LQR at a design."""
+    """Step to LQR at a design."""
     return Step(source, saturated_lqr(evaluation.problem, design), design, b"LQR" + design.tobytes())
 
 
 def _learned(evaluation: Evaluation, source: str, service: Deployable) -> Step:
-    """The step to a policy at its design."""
+    """Step to a policy at its design."""
     return Step(source, evaluation.deployed(service), service.design, _key(service))
 
 

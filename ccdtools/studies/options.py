@@ -29,7 +29,7 @@ NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Options:
-    """The options of ``ccdtools run``; kept in run.json, so that `resume` needs the folder alone.
+    """Options of ``ccdtools run``. Kept in run.json, so that `resume` needs the folder alone.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ class Options:
         return [name for name in ("disturbance", "road", "driver") if getattr(self, name) is not None]
 
     def limit_tolerance(self) -> str | tuple[float, float] | None:
-        """The tolerance of the state limits that `limits` asks for; None for the study's own."""
+        """Tolerance of the state limits that `limits` asks for. None for the study's own."""
         if self.limits is None or self.limits in TOLERANCES:
             return self.limits
         expected = "mpc, off, or two numbers: fraction of the states outside X, peak depth in half-widths"
@@ -134,7 +134,7 @@ class Options:
         return as_limit_tolerance("--limits", tuple(float(part) for part in parts))
 
     def check_files(self) -> None:
-        """Raise unless the files of a recording are there; a resumed run has its own copy and needs them no more."""
+        """Raise unless the files of a recording are there. A resumed run has its own copy and needs them no more."""
         for name in FILES:
             value = getattr(self, name)
             if value is not None and not _is_file(value):
@@ -160,19 +160,19 @@ class Options:
 
 
 def study_names() -> list[str]:
-    """Names of the studies that come with the package: the modules of `ccdtools.studies.cases`."""
+    """Names of the studies that come with the package, the modules of `ccdtools.studies.cases`."""
     cases = Path(__file__).parent / "cases"
     return sorted(file.stem for file in cases.glob("*.py") if not file.stem.startswith("_"))
 
 
 def known_studies() -> str:
-    """What may be asked for in the place of a study, in words."""
+    """Description of what may be asked for in the place of a study."""
     return f"one of {', '.join(study_names())}, or a Python file"
 
 
 @contextmanager
 def blamed_on_options(names: dict[str, str]) -> Iterator[None]:
-    """Have an `InputError` name the option that an argument came from; other arguments keep their names."""
+    """Make an `InputError` name the option that an argument came from. Other arguments keep their names."""
     try:
         yield
     except InputError as error:
@@ -182,14 +182,14 @@ def blamed_on_options(names: dict[str, str]) -> Iterator[None]:
 
 
 def described_studies() -> dict[str, str]:
-    """What every study of the package is about, by name: the first line of its source, which is not run for it."""
+    """First line of every study of the package, by name. The study itself is not run for it."""
     cases = Path(__file__).parent / "cases"
     sources = {name: (cases / f"{name}.py").read_text(encoding="utf-8") for name in study_names()}
     return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in sources.items()}
 
 
 def located(study: str) -> str:
-    """The study's name, or the absolute path of its file: a run may be resumed from elsewhere."""
+    """Name of the study, or the absolute path of its file. A run may be resumed from elsewhere."""
     return str(Path(study).resolve()) if study.endswith(".py") and "\0" not in study else study
 
 
@@ -201,14 +201,14 @@ def whole_number(argument: str, text: str) -> int:
 
 
 def seconds(argument: str, text: str | None) -> float | None:
-    """The number that a text holds; None of None."""
+    """Number that a text holds. None of None."""
     if text is not None and not NUMBER.fullmatch(text.strip()):
         raise InputError(argument, repr(text[:40]), "one number, in seconds, such as 3600 for an hour")
     return None if text is None else float(text)
 
 
 def numbers(argument: str, text: str | None) -> list[float] | None:
-    """The numbers of a text like "-3,0.5"; None of None."""
+    """Numbers of a text like "-3,0.5". None of None."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]

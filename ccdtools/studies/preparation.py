@@ -19,12 +19,12 @@ from ccdtools.studies.presets import StudyConfig, configuration
 from ccdtools.studies.run_folder import DISTURBANCE, RunFolder
 from ccdtools.studies.study import Study
 
-FORMAT = 4  # of run.json
+FORMAT = 4  # This is the version of run.json.
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """What a run needs besides its folder."""
+    """Things that a run needs besides its folder."""
 
     options: Options
     study: Study
@@ -32,7 +32,7 @@ class PreparedRun:
     begun_with: dict[str, Any]
 
     def begin(self, folder: RunFolder) -> None:
-        """Write run.json, and a recorded disturbance: its file may be gone when the run is resumed."""
+        """Write run.json, and a recorded disturbance. Its file may be gone when the run is resumed."""
         if isinstance(self.study.real.disturbance, Recorded):
             kept = io.BytesIO()
             np.save(kept, self.study.real.disturbance.signal)
@@ -42,7 +42,7 @@ class PreparedRun:
 
 
 def prepare(options: Options, asked: LoadedStudy | None = None) -> PreparedRun:
-    """The run that the options ask for; `asked` is its study where that is made already.
+    """Run that the options ask for. `asked` is its study where that is made already.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def prepare_again(folder: RunFolder) -> PreparedRun:
 
 
 def _kept_recording(folder: RunFolder, options: Options) -> Recorded | None:
-    """The recording that was kept with a run; None if there was none."""
+    """Recording that was kept with a run. None if there was none."""
     path = folder.path / DISTURBANCE
     asked = options.disturbance is not None or options.road is not None
     if not path.is_file():

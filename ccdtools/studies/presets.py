@@ -1,4 +1,4 @@
-"""How thoroughly a study runs."""
+"""Presets: how thoroughly a study runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAPER_EPOCHS = 10_000
 
 @dataclass(frozen=True)
 class StudyConfig:
-    """Everything of a run that is not the study itself.
+    """Configuration of a run: everything that is not the study itself.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a redesign costs: the gain that must be predicted."""
+"""Price of a redesign: the gain that must be predicted."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class RedesignPrice:
 
     @classmethod
     def parse(cls, text: Any, argument: str = "redesign_price") -> RedesignPrice:
-        """The price that a text such as "0.5 %" or "12 return" states.
+        """Price that a text such as "0.5 %" or "12 return" states.
 
         Raises
         ------
@@ -52,13 +52,13 @@ class RedesignPrice:
     def __str__(self) -> str:
         return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
 
-    def of(self, size: float, part: float) -> float:
-        """The gain needed where the deployed return has that size, over that part of the length of an evaluation."""
+    def needed(self, size: float, part: float) -> float:
+        """Needed gain where the deployed return has that size. Over that part of the length of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
 
 
 def accepted_loss(text: Any, argument: str = "accept_loss") -> float:
-    """The part of a return that a text such as "0.5 %" accepts to lose.
+    """Part of a return that a text such as "0.5 %" accepts to lose.
 
     Raises
     ------

@@ -14,7 +14,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.disturbance_checks import check_disturbance, checked_held_out
 
-MINIMUM_LOG = 500  # samples that a deployment must log for its quantiles to mean anything
+MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +75,7 @@ class RealPlant(Immutable):
 
     @property
     def fresh(self) -> dict[str, Disturbance]:
-        """The held-out disturbances by name; none where nothing can be drawn afresh."""
+        """Held-out disturbances by name. None where nothing can be drawn afresh."""
         if self.held_out is not None:
             return dict(self.held_out)
         return {} if self.runs > 1 or is_recorded(self.disturbance) else {"fresh draws": self.disturbance}

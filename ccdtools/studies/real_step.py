@@ -13,19 +13,12 @@ from ccdtools.exceptions import InputError, SamplingWarning
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
+from ccdtools.studies.tolerances import NEAR_MIDDLE, THROWN_OUT, UNSTABLE_SAMPLE, WRONG_SAMPLE
 from invariant_sets import Polytope
-
-DOUBTFUL = 0.1  # of half the range of a state in X: what a sample may be wrong by without a word
-UNSTABLE = 3.0  # the same, three times a difference: no step that follows its plant is so wrong
-ABSURD = 1e3  # the same, of a disturbance that throws the plant out of X: no step is what is wrong with it
-NEAR = 0.1  # part of X, around its middle, that every step must hold in
-MOST_SUBSTEPS = 1000  # that are recommended
-DRAWN = 1000  # samples of a disturbance that say how large it is,
-DRAWN_RUNS = 200  # and runs, for what differs from run to run
 
 
 def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
-    """Warn if a sample of a real plant may be wrong by a tenth of X, and refuse the plant if it does not hold at all.
+    """Warn if a sample of a real plant may be wrong by a tenth of X. Refuse the plant if it does not hold at all.
 
     A sample in `plant.substeps` parts is compared with one of twice as many, within X, U and W and at all designs. A
     disturbance that no plant bears is left to the check of the disturbance.
@@ -39,27 +32,27 @@ def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Arra
         return
     region = Region.of(X.bounding_box(), U.bounding_box(), W, (plant.design.lower, plant.design.upper))
     found = _error(plant, region, plant.substeps)
-    if found.relative <= DOUBTFUL:
+    if found.relative <= WRONG_SAMPLE:
         return
     calm = Region.of(*region.boxes[:2], (0 * W[0], 0 * W[1]), region.boxes[3])
-    if not found.relative < ABSURD and _error(plant, calm, plant.substeps).relative <= DOUBTFUL:
+    if not found.relative < THROWN_OUT and _error(plant, calm, plant.substeps).relative <= WRONG_SAMPLE:
         return
     where = f"x = {found.x.round(6).tolist()}, {plant.design.describe(found.p)}"
     got = f"{plant.substeps} Runge–Kutta steps a sample, too long for it: the worst at {where}"
     advice = _advice(plant, region)
-    if not NEAR * _error(plant, _near(calm), plant.substeps).relative <= UNSTABLE:
+    if not NEAR_MIDDLE * _error(plant, _near(calm), plant.substeps).relative <= UNSTABLE_SAMPLE:
         raise InputError("real.plant", got, "steps that follow the plant", advice)
     if guard == "warn":
         wrong = f"a sample may be wrong by {found.relative:.2g} of half the range in X"
         warnings.warn(f"real.plant: {got}, where {wrong}. {advice}", SamplingWarning, stacklevel=5)
 
 
-def extent_of(disturbance: Disturbance, steps: int = DRAWN) -> tuple[Array, Array]:
-    """Bounds (nw,) of draws of a disturbance: of one run, as long as a recording is at most, and of many short ones.
+def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array]:
+    """Bounds (nw,) of draws of a disturbance. One run is at most as long as a recording, and many are short.
 
     They are symmetric but for what does not change in a run: an uncertain mass may be far heavier, and is not negative.
     """
-    several = disturbance.sample(DRAWN_RUNS, 2, np.random.default_rng(0))
+    several = disturbance.sample(200, 2, np.random.default_rng(0))  # what differs from run to run
     while True:
         try:
             single = disturbance.sample(1, steps, np.random.default_rng(0))
@@ -76,26 +69,26 @@ def extent_of(disturbance: Disturbance, steps: int = DRAWN) -> tuple[Array, Arra
 
 
 def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
-    """What a sample in so many parts may be wrong by."""
+    """Error that a sample in so many parts may have."""
     coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
     return measured_error(coarse, fine, region)
 
 
 def _near(region: Region) -> Region:
-    """The same with a tenth of the states, around their middle; the extent is a tenth, too."""
+    """Error of a sample with a tenth of the states, around their middle. The extent is a tenth, too."""
     nx = region.sizes[0]
     middle = 0.5 * (region.lower + region.upper)
     lower, upper = region.lower.copy(), region.upper.copy()
-    lower[:nx] = (middle + NEAR * (region.lower - middle))[:nx]
-    upper[:nx] = (middle + NEAR * (region.upper - middle))[:nx]
+    lower[:nx] = (middle + NEAR_MIDDLE * (region.lower - middle))[:nx]
+    upper[:nx] = (middle + NEAR_MIDDLE * (region.upper - middle))[:nx]
     return replace(region, lower=lower, upper=upper)
 
 
 def _advice(plant: Plant, region: Region) -> str:
-    """What to do about it."""
+    """Advice about steps that are too long."""
     substeps = 2 * plant.substeps
-    while substeps <= MOST_SUBSTEPS:
-        if _error(plant, region, substeps).relative <= DOUBTFUL:
+    while substeps <= 1000:  # no more are recommended
+        if _error(plant, region, substeps).relative <= WRONG_SAMPLE:
             return f"Give the plant substeps={substeps}."
         substeps *= 2
     return "Shorten dt, or give discretise(plant, X=…, U=…, W=…, method='collocation') as the real plant."

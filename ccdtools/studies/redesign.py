@@ -18,18 +18,17 @@ from ccdtools.plants.tolerances import SAME_DESIGN
 from ccdtools.statistics import Summary, summarise_returns
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
+from ccdtools.studies.tolerances import WORTH_A_POLICY
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution, logged, on_updated
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.updated_plant import UpdatedPlant
 
-WORTH_A_POLICY = 0.001  # a policy costs nothing to build: it is replaced for a gain of this fraction of the return
-
 
 @dataclass(frozen=True, eq=False)
 class RedesignJudge:
-    """Compares redesigns with what is deployed, all on the same runs: the logs, and all that a deployable serves.
+    """Judge that compares redesigns with what is deployed. All on the same runs: the logs, and all that is served.
 
     On the logs each goes from the start of a run to its end, through states of its own: in a window that begins within
     a run the cost of a start that neither has earned can outweigh everything else. A redesign must bring a gain there
@@ -50,17 +49,17 @@ class RedesignJudge:
         )
 
     def price(self, candidate: Deployable) -> Callable[[float, int], float]:
-        """(size of a return, its steps) → what the candidate must bring."""
+        """Needed gain of a candidate as a function of the size of a return and its steps."""
         study = self.evaluation.study
         asked = study.price
         policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
         moved = self.moved(candidate)
 
         def needed(size: float, steps: int) -> float:
-            """The gain that is needed."""
+            """Needed gain."""
             part = steps / study.steps
-            whole = asked.of(size, part)
-            return whole if moved else min(whole, policy.of(size, part))
+            whole = asked.needed(size, part)
+            return whole if moved else min(whole, policy.needed(size, part))
 
         return needed
 
@@ -69,14 +68,14 @@ class RedesignJudge:
         return not same_design(self.evaluation.problem.design, candidate.design, self.current.design)
 
     def as_dict(self, candidate: Deployable, verdict: Verdict) -> dict[str, Any]:
-        """A decision as plain values, for results.json."""
+        """Decision as plain values, for results.json."""
         study = self.evaluation.study
         made = verdict.evidence[0] if verdict.evidence else None
         nominal, updated = (verdict.on(name) for name in (NOMINAL, UPDATED))
         before, after = (np.nan, np.nan) if nominal is None else (nominal.values[1], nominal.values[0])
         moved = self.moved(candidate)
         policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
-        cheaper = not moved and made is not None and made.needed < study.price.of(made.size, 1.0)
+        cheaper = not moved and made is not None and made.needed < study.price.needed(made.size, 1.0)
         return verdict.as_dict() | {
             "gain": vars(NOTHING if made is None else made.gain), "accepted": verdict.replaces, "moved": moved,
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
@@ -88,7 +87,7 @@ class RedesignJudge:
 
     @cached_property
     def _made_for(self) -> Distribution:
-        """The nominal model met by all errors of whole logged runs."""
+        """Distribution of the nominal model met by all errors of whole logged runs."""
         evaluation = self.evaluation
         return logged(
             evaluation.split, self.twin.logs, series=evaluation.single, most=evaluation.config.model_runs,
@@ -97,22 +96,22 @@ class RedesignJudge:
 
     @cached_property
     def _nominal(self) -> Distribution:
-        """The nominal model."""
+        """Distribution of the nominal model."""
         return self.evaluation.served.nominal(self.evaluation.rng("judged: nominal"))
 
     @cached_property
     def _others(self) -> list[Distribution]:
-        """What else a deployable serves, on the model as updated by all logs."""
+        """Distributions that a deployable also serves, on the model as updated by all logs."""
         evaluation = self.evaluation
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
-        plant = UpdatedPlant.of(evaluation.split, logs, rng=rng, config=evaluation.config.quantile)
+        plant = UpdatedPlant.from_logs(evaluation.split, logs, rng=rng, config=evaluation.config.quantile)
         again = on_updated(plant, logs, series=evaluation.single, most=evaluation.config.model_runs, rng=rng)
         return [again, *evaluation.served.on(logs, plant, self.current.design, rng)]
 
 
 def described(proposed: str, decision: Mapping[str, Any]) -> str:
-    """A decision in one sentence; `proposed` says what was judged."""
+    """Description of a decision in one sentence. `proposed` says what was judged."""
     verdict = "deployed" if decision["accepted"] else f"not deployed, {decision['reason']}"
     if decision["predicted"] == "n/a":
         return f"{proposed} {verdict}"
@@ -124,7 +123,7 @@ def described(proposed: str, decision: Mapping[str, Any]) -> str:
 def predicted(
     evaluation: Evaluation, choice: Deployable, logs: Sequence[Residuals], steps: int | None = None
 ) -> Summary:
-    """Predicted return of a deployment: on the newest log's errors from end to end, or before any on the model.
+    """Predicted return of a deployment. On the newest log's errors from end to end, or before any on the model.
 
     `steps` are its first ones, by default all.
     """

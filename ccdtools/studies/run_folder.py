@@ -25,7 +25,7 @@ MEND = "What was finished is kept; mend this and continue with `ccdtools resume`
 
 
 class RunFolder:
-    """Stages are written whole or not at all, so that an interrupted run loses only the stage it was in.
+    """Folder of a run. Stages are written whole or not at all, so an interrupted run loses only its current stage.
 
     A finished stage carries the hashes of its files and of ``run.json``: one that was damaged, edited or taken from
     another run is refused, and never read as if it were this run's.
@@ -63,7 +63,7 @@ class RunFolder:
         return folder
 
     def check_new(self, *, overwrite: bool = False, argument: str = "path", mark: str = "run.json") -> None:
-        """Raise unless nothing is at the path yet, or what has the `mark` of its kind and is to be overwritten."""
+        """Raise unless the path is free. What has the `mark` of its kind and is to be overwritten may be there."""
         if not os.path.lexists(self.path) or self._was_never_begun():
             return
         if not overwrite:
@@ -84,7 +84,7 @@ class RunFolder:
 
     @contextmanager
     def locked(self, argument: str = "folder") -> Iterator[None]:
-        """Keep other processes out; the system lets go of the lock when this process ends, however it ends.
+        """Keep other processes out. The system lets go of the lock when this process ends, however it ends.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class RunFolder:
 
     @contextmanager
     def writing(self, argument: str = "folder") -> Iterator[None]:
-        """Turn a failure to write (no space, no permission, a file in the way) into one clear `InputError`."""
+        """Turn a failure to write into one clear `InputError`. Such as no space, no permission, a file in the way."""
         try:
             yield
         except BrokenPipeError:
@@ -114,7 +114,7 @@ class RunFolder:
             raise InputError(argument, got, WRITABLE, MEND) from None
 
     def check_layout(self) -> None:
-        """Raise unless the path holds a run, with folders where folders belong and files where files belong.
+        """Raise unless the path holds a run. Folders are where folders belong and files where files belong.
 
         Raises
         ------
@@ -137,11 +137,11 @@ class RunFolder:
             self.read_stage(name)
 
     def write_json(self, name: str, values: dict[str, Any]) -> None:
-        """Write `values` to a JSON file; NaN and infinity become null."""
+        """Write `values` to a JSON file. NaN and infinity become null."""
         self.write_text(name, json_text(values) + "\n")
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a file whole or not at all; its path."""
+        """Write a file whole or not at all. Returns its path."""
         self.write_bytes(name, text.encode("utf-8", errors="surrogateescape"))
         return self.path / name
 
@@ -170,7 +170,7 @@ class RunFolder:
         return values
 
     def keep_stage(self, name: str, stage: Stage) -> Stage:
-        """Write a stage; it is returned as it is read back, so that a resumed run goes on from the same values."""
+        """Write a stage and return it as it is read back. A resumed run then goes on from the same values."""
         with self.writing():
             write_stage(self._stages / name, stage, self._identity())
         return self.read_stage(name)
@@ -209,7 +209,7 @@ class RunFolder:
             raise InputError("folder", got, "it as written", "Delete it, and the run computes it again.") from None
 
     def _identity(self) -> str:
-        """Hash of what the run was begun with; empty for a folder without run.json."""
+        """Hash of what the run was begun with. Empty for a folder without run.json."""
         if not (self.path / "run.json").is_file():
             return ""
         canonical = json.dumps(self.read_json("run.json"), sort_keys=True)
@@ -217,12 +217,12 @@ class RunFolder:
 
     @property
     def _stages(self) -> Path:
-        """Where the stages are."""
+        """Folder of the stages."""
         return self.path / "stages"
 
 
 def _written_at(stage: Path) -> int:
-    """When the stage was moved into its place, or 0 if it is damaged [ns]."""
+    """Time [ns] at which the stage was moved into its place. 0 if it is damaged."""
     try:
         return (stage / "values.json").stat().st_mtime_ns
     except OSError:
@@ -230,7 +230,7 @@ def _written_at(stage: Path) -> int:
 
 
 def _locks(file: IO[str]) -> bool:
-    """Lock an open file for this process alone; False if another one holds it."""
+    """Lock an open file for this process alone. False if another one holds it."""
     try:
         import fcntl
 

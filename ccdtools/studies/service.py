@@ -12,20 +12,20 @@ from scipy import stats
 
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Pairing, Violation
 from ccdtools.evidence.verdict import Status, Verdict, decide
-from ccdtools.statistics import SAME_RETURN, Summary, summarise_returns
+from ccdtools.statistics import Summary, summarise_returns
+from ccdtools.studies.tolerances import FALSE_ALARM
+from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 
-FALSE_ALARM = 0.002  # chance that a prediction that is right is called wrong in one generation: one per cent in five
-FEWEST_DEGREES = 2  # of freedom in the interval of a single run
 DEPLOYMENT = "the deployment"
 
 Limits = Callable[[Trajectory, Trajectory], Violation | None]
 
 
 class Agreement(Enum):
-    """How a predicted and a measured return agree."""
+    """Agreement of a predicted and a measured return."""
 
     AGREED = "within chance"
     MORE = "more than predicted"
@@ -35,7 +35,7 @@ class Agreement(Enum):
 
     @property
     def kept(self) -> bool | None:
-        """What it says of the prediction: right, wrong, or nothing."""
+        """True if the prediction was right, False if it was wrong, None if undecided."""
         return {Agreement.AGREED: True, Agreement.LESS: False}.get(self)
 
 
@@ -61,11 +61,11 @@ class Deployed:
 
     @property
     def samples(self) -> int:
-        """Of all runs."""
+        """Number of samples of all runs."""
         return self.log.inputs.shape[0] * self.log.inputs.shape[1]
 
     def stretch(self, one: Deployable) -> tuple[int, int]:
-        """First sample, and the one after the last, of the stretch that a policy drove alone; none of another's."""
+        """First sample of the stretch that a policy drove alone, and the one after the last. None of another's."""
         if one.same_as(self.designed):
             return (0, self.changes[0] if self.changes else self.samples)
         if one.same_as(self.after):
@@ -73,7 +73,7 @@ class Deployed:
         return (0, 0)
 
     def part(self, first: int, last: int, *, common: bool = False) -> Trajectory:
-        """The log from one sample to another; of several runs whole ones, `common` those that are met every time."""
+        """Log from one sample to another. Of several runs whole ones, `common` those that are met every time."""
         log = self.log
         runs, steps = log.inputs.shape[:2]
         chosen: Any = slice(None)
@@ -92,7 +92,7 @@ class Deployed:
 
 @dataclass(frozen=True)
 class Delivery:
-    """What a deployment brought, beside what was predicted and what was deployed before.
+    """Outcome of a deployment, beside what was predicted and what was deployed before.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ def measured(
     pairing: Pairing, candidate: Deployable, deployed: Deployed, current: Deployable, former: Deployed, asked: Asked,
     limits: Limits | None = None,
 ) -> Evidence | None:  # fmt: skip
-    """Two policies on the samples that each drove alone under the same disturbance; None where there are none.
+    """Two policies on the samples that each drove alone under the same disturbance. None where there are none.
 
     Of several runs these are common runs, of a single one the same stretch of time.
     """
@@ -158,7 +158,7 @@ def judge_deployment(
     deployed: Deployed, former: Deployed | None, current: Deployable | None, pairing: Pairing,
     predicted: Callable[[int | None], Summary], *, redesigned: bool, limits: Limits | None = None,
 ) -> Delivery:  # fmt: skip
-    """Whether a deployment stays, compared with what was deployed before it, stretch by stretch of one policy each.
+    """Whether a deployment stays, compared with what was deployed before it. By stretches of one policy each.
 
     It stays if its return is not worse beyond chance; where a redesign was deployed, which must bring something, or
     where there is no interval, if it is no loss in the mean either. It must lose no more runs, and leave the limits no
@@ -203,7 +203,7 @@ def judge_deployment(
 
 
 def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:
-    """How they agree: apart where chance hardly ever parts them so far; open without intervals."""
+    """Agreement of both: apart where chance hardly ever parts them so far, open without intervals."""
     if np.isfinite(predicted.mean) and not np.isfinite(returns.mean):
         return Agreement.LESS
     if not np.isfinite([*predicted.ci95, *returns.ci95]).all():
@@ -222,7 +222,7 @@ def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
     The halves of the 95 % intervals that face each other are those of independent errors; together they are widened
     from that level to the rarer one, with as many degrees of freedom as the shorter sample has.
     """
-    degrees = min(s.n - 1 if s.n > 1 else FEWEST_DEGREES for s in (lower, upper))
+    degrees = min(s.n - 1 if s.n > 1 else 2 for s in (lower, upper))  # a single run has at least two
     wider = stats.t.ppf(1 - FALSE_ALARM, degrees) / stats.t.ppf(0.975, degrees)
     half = np.hypot(lower.ci95[1] - lower.mean, upper.mean - upper.ci95[0])
     return bool(upper.mean - lower.mean > wider * half + rounding)
@@ -231,7 +231,7 @@ def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
 def after_deployment(
     deployed: Deployed, current: Deployable, former: Deployed | None, *, replaces: bool, carried: bool
 ) -> tuple[Deployable, Deployed]:  # fmt: skip
-    """What is deployed next, and the deployment that speaks for it.
+    """Deployable that is deployed next, and its reference deployment.
 
     Where a deployment fell short, that is what was deployed before: of updates that a whole deployment has shown to be
     worse, the policy before them. A generation that changed nothing keeps the number of the one that it repeats.

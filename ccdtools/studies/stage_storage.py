@@ -22,7 +22,7 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What one stage leaves behind: JSON values, arrays and networks by name."""
+    """Results of one stage: JSON values, arrays and networks by name."""
 
     values: dict[str, Any] = field(default_factory=dict)
     arrays: dict[str, Array] = field(default_factory=dict)
@@ -30,7 +30,7 @@ class Stage:
 
 
 def write_stage(folder: Path, stage: Stage, run: str) -> None:
-    """Write a stage of the run with that identity beside its place, and move it there when it is whole."""
+    """Write a stage of the run with that identity. It is written beside its place and moved there when it is whole."""
     from learning import checkpoint  # loads torch, which a wrong option need not wait for
 
     partial = folder.with_name(f"{folder.name}.partial")
@@ -86,7 +86,7 @@ def _check_manifest(folder: Path, run: str) -> None:
 
 
 def saved(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a network to a path; a failure is an `OSError`, as of any other file."""
+    """Write a network to a path. A failure is an `OSError`, as of any other file."""
     from learning.exceptions import CheckpointError
 
     try:

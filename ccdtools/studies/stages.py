@@ -1,4 +1,4 @@
-"""What each stage of the loop computes."""
+"""Stages of the loop, and what each computes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ccdtools.studies.redesign import RedesignJudge, described, predicted, same_
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.service import Deployed, judge_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.trust_region import Trust, doubt_of, edges, in_whole_box, within
+from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.deployment import deploy_and_update
@@ -42,13 +42,13 @@ POLICY_ALONE = "its policy at the present design"
 
 @dataclass(frozen=True, eq=False)
 class LoopStages:
-    """The stages of one run; each takes its generator first and returns what is to be kept."""
+    """Stages of one run. Each takes its generator first and returns what is to be kept."""
 
     evaluation: Evaluation  # the study, its configuration, and what the stages are measured on
     progress: bool  # show progress bars
 
     def initialise(self, rng: np.random.Generator) -> Stage:
-        """The first policy: a network trained to imitate the expert."""
+        """First policy: a network trained to imitate the expert."""
         config = self.evaluation.config
         problem = self.evaluation.problem
         data = expert_dataset(
@@ -74,7 +74,7 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, current: Deployable, twin: DigitalTwin, trust: Trust,
         history: Sequence[GenerationRecord] = (),
     ) -> Stage:  # fmt: skip
-        """The first co-design on the nominal model; later ones on the updated model, deployed if they are worth it.
+        """First co-design on the nominal model. Later ones use the updated model, deployed if they are worth it.
 
         A redesign is trained on the median model, with what that leaves unexplained replayed, and ranked on replays of
         the logged errors themselves: a model fitted in closed loop can mistake the road for a consequence of the state.
@@ -90,7 +90,7 @@ class LoopStages:
                 config=config.codesign, progress=self.progress,
             )  # fmt: skip
             return self._co_designed(first, Deployable(first.agent, first.design, name), twin, None)
-        doubt = doubt_of(twin, problem.state_scale)
+        doubt = attribute_errors(twin, problem.state_scale)
         limited = trust.limits(doubt)
         region = within(problem, current.design, trust.radius) if limited else problem
         window, before = self.evaluation.training_episode(twin.logs, region.design)
@@ -125,14 +125,14 @@ class LoopStages:
     def _proposals(
         self, redesign: Deployable, current: Deployable, history: Sequence[GenerationRecord]
     ) -> dict[str, Deployable]:
-        """What is judged, by name: the redesign, its policy without its design, the start, and what was deployed."""
+        """Candidates by name. The redesign, its policy without its design, the start, and what was deployed."""
         proposals = {"redesign": redesign}
         if not same_design(self.evaluation.problem.design, redesign.design, current.design):
             proposals[POLICY_ALONE] = replace(redesign, design=current.design)
         return proposals | {FORMER + name: service for name, service in formerly_deployed(history, current).items()}
 
     def _verdicts(self, proposals: Mapping[str, Deployable], judge: RedesignJudge) -> dict[str, Verdict]:
-        """The verdicts by name; the policy of a redesign is looked at alone only if the redesign is refused."""
+        """Verdicts by name. The policy of a redesign is judged alone only if the redesign is refused."""
         verdicts: dict[str, Verdict] = {}
         for name, proposal in proposals.items():
             if name != POLICY_ALONE or not verdicts["redesign"].replaces:
@@ -142,7 +142,7 @@ class LoopStages:
     def _co_designed(
         self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
-        """A co-design, with the policy and design that are deployed, the decisions, and what they predict."""
+        """Co-design, with the policy and design that are deployed. Also the decisions, and what they predict."""
         history = result.history
         space = self.evaluation.problem.design
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
@@ -170,7 +170,7 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, found: Stage, current: Deployable, former: Deployed | None,
         trust: Trust, twin: DigitalTwin | None = None,
     ) -> Stage:  # fmt: skip
-        """The policy on the real plant, updated on the way; the log, and whether it stays deployed."""
+        """Log of the policy on the real plant, updated on the way. Also whether it stays deployed."""
         evaluation = self.evaluation
         study = evaluation.study
         real = study.real
@@ -215,7 +215,7 @@ class LoopStages:
                      {"agent": deployment.agent})  # fmt: skip
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
-        """How a deployment broke limits that the one before it had kept; MPC is asked on the errors that it met."""
+        """Limits that a deployment violated and the one before it kept. MPC is asked on the errors that it met."""
         evaluation = self.evaluation
         if log.diverged.all():
             return None
@@ -224,7 +224,7 @@ class LoopStages:
         return violation(evaluation.problem, scenario, log, former, evaluation.study.real.plant)
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
-        """The quantiles of the one-step errors of the nominal model along all logs, and how well draws hold."""
+        """Quantiles of the one-step errors of the nominal model along all logs. Also how well draws hold."""
         if log.diverged.all() and twin.discrepancy is not None and twin.scores is not None:
             report = ["every run diverged: nothing was learned from them"]
             values = {"scores": asdict(twin.scores), "free_running": None, "report": report}
@@ -246,7 +246,7 @@ class LoopStages:
         return Stage(values | {"report": report}, networks=_networks(updated.discrepancy))
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
-        """The twin that `learn` has left behind."""
+        """Twin that `learn` has left behind."""
         if log.diverged.all():
             return twin
         taught = twin.remembering(log)
@@ -260,13 +260,13 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
         logs: Sequence[Residuals],
     ) -> Stage:  # fmt: skip
-        """Every controller at the design: on the model that it was judged on, and on the real plant."""
+        """Comparison of every controller at the design. On the model that judged it and on the real plant."""
         return self.evaluation.comparison(
             generation, designed.design, designed=designed.agent, deployed=deployed.agent, judged_on=logs, rng=rng
         )
 
     def held_out(self, rng: np.random.Generator, history: Sequence[GenerationRecord]) -> Stage:
-        """Every controller under disturbances that no generation has met, and the gains there and where deployed."""
+        """Comparison of every controller under held-out disturbances. No generation met them; with all gains."""
         return held_out_stage(self.evaluation, history)
 
     def evaluate(
@@ -278,14 +278,14 @@ class LoopStages:
 
 
 def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:
-    """How a co-design kept its state limits, as plain values; None where they were switched off."""
+    """Record of how a co-design kept its state limits. None where they were switched off."""
     if result.limits is None:
         return None
     return asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}
 
 
 def _networks(discrepancy: Discrepancy) -> dict[str, Any]:
-    """What is kept of a discrepancy."""
+    """Networks that are kept of a discrepancy."""
     parts = {"quantiles": discrepancy.network, "copula": discrepancy.copula}
     return {name: part for name, part in parts.items() if part is not None}
 
@@ -296,21 +296,21 @@ def _shares(values: Sequence[float]) -> str:
 
 
 def deployable_of(found: Stage) -> Deployable:
-    """What a co-design leaves to be deployed."""
+    """Deployable that a co-design leaves."""
     return Deployable(found.networks["agent"], found.arrays["design"], found.values["name"])
 
 
 def deployed_of(
     generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, updates: Sequence[Mapping[str, Any]]
 ) -> Deployed:  # fmt: skip
-    """The deployment of what was designed, with the stretch that each policy drove, from its kept updates."""
+    """Deployment of what was designed, from its kept updates. With the stretch that each policy drove."""
     changes = tuple(update["after"] for update in updates if update["accepted"])
     after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
     return Deployed(generation, designed, after, log, changes)
 
 
 def packed(log: Trajectory) -> dict[str, Any]:
-    """The arrays of a log."""
+    """Arrays of a log."""
     return {
         "states": log.states, "inputs": log.inputs, "disturbances": log.disturbances,
         "diverged_at": log.diverged_at, "design": log.design,
@@ -318,5 +318,5 @@ def packed(log: Trajectory) -> dict[str, Any]:
 
 
 def unpacked(stage: Stage, dt: float) -> Trajectory:
-    """The log that a deployment has left behind."""
+    """Log that a deployment has left behind."""
     return Trajectory(**stage.arrays, dt=dt)  # type: ignore[arg-type]

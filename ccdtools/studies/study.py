@@ -1,4 +1,4 @@
-"""What a case study declares: one object, checked when it is made."""
+"""Declaration of a case study: one object, checked when it is made."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from ccdtools.studies.real_step import check_real_step, extent_of
 from ccdtools.twin.transport import check_disturbance_enters
 from mpc import MPCError, lqr
 
-MODEL_RUNS = 200  # runs logged in a deployment where the real plant is the model itself
+MODEL_RUNS = 200  # A deployment logs so many runs by default where the real plant is the model itself.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -238,7 +238,7 @@ class Study(Immutable):
             raise InputError("starts", error.got, error.expected, error.cure) from None
 
     def _check_real(self, real: RealPlant) -> None:
-        """Raise unless the real plant is one that the model may describe, with steps that follow it."""
+        """Raise unless the model may describe the real plant. Its steps have to follow it."""
         check_same_plant(self.plant, real)
         if isinstance(real.plant, Plant):
             X, U = widest(self.X), widest(self.U)
@@ -246,7 +246,7 @@ class Study(Immutable):
 
     @cached_property
     def model(self) -> Model:
-        """The discrete model: exact and symbolic in the design, or integrated to an accuracy within X, U and W.
+        """Discrete model, exact and symbolic in the design. Or integrated to an accuracy within X, U and W.
 
         W are the bounds of a thousand samples of the disturbance, and of 200 runs of it.
         """
@@ -267,27 +267,27 @@ class Study(Immutable):
 
     @property
     def price(self) -> RedesignPrice:
-        """The predicted gain that a redesign needs."""
+        """Gain in return that a redesign is required to predict."""
         return RedesignPrice.parse(self.redesign_price)
 
     @property
     def accepted_loss(self) -> float:
-        """The loss that a change may bring on any distribution, as a part of the return there."""
+        """Loss that a change may bring on any distribution, as a part of the return there."""
         return accepted_loss(self.accept_loss)
 
     @property
     def weight(self) -> Array:
-        """Q_q of the penalty on the quantile width."""
+        """Weight Q_q of the penalty on the quantile width."""
         return 0.1 * self.weights.Q if self.quantile_weight is None else self.quantile_weight
 
     @property
     def weights(self) -> Weights:
-        """The weights of LQR and MPC at the first design."""
+        """Weights of LQR and MPC at the first design."""
         return self.objective.weights(self.p0, self.plant.nx, self.plant.nu)
 
     @property
     def judged_in(self) -> Risk:
-        """The risk that redesigns, updates and deployments are judged by: what logged runs tell of the study's."""
+        """Risk that redesigns, updates and deployments are judged by. What logged runs tell of the study's."""
         return of_logged_runs(self.risk)
 
     def problem(self) -> CoDesignProblem:
@@ -299,18 +299,18 @@ class Study(Immutable):
 
     @property
     def scenarios(self) -> FixedStart | RandomStarts:
-        """What episodes and evaluations on the model start from and meet."""
+        """Scenarios that episodes and evaluations on the model start from and meet."""
         if self.starts is None:
             return FixedStart(self.x0, self.disturbance)
         return RandomStarts(self.starts, self.disturbance)
 
     def model_starts(self, runs: int, rng: np.random.Generator) -> Array:
-        """Initial states (runs, nx) of evaluations on the model; nothing is drawn where all are x0."""
+        """Initial states (runs, nx) of evaluations on the model. Nothing is drawn where all are x0."""
         scenarios = self.scenarios
         return scenarios.states(runs, rng) if isinstance(scenarios, RandomStarts) else np.tile(self.x0, (runs, 1))
 
     def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
-        """The same study from one other state or design; a real start equal to the old x0 moves along."""
+        """This study from one other state or design. A real start equal to the old x0 moves along."""
         if x0 is None:
             return self if p0 is None else replace(self, p0=p0)
         x0 = as_vector("x0", x0, self.plant.nx, of="one per state")

@@ -1,4 +1,4 @@
-"""How far from what has been deployed a redesign may go."""
+"""Trust region: how far from what has been deployed a redesign may go."""
 
 from __future__ import annotations
 
@@ -13,20 +13,15 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.report.formatting import share
+from ccdtools.studies.tolerances import CONSTANT_E, FIRST_RADIUS, LEAST_RADIUS, UNATTRIBUTED, WHOLE_NUMBER
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit, Transport, full_rank
 from ccdtools.twin.twin import DigitalTwin
 
-DOUBT = 0.1  # part of the errors' energy whose change with the design is not known, above which a redesign is limited
-FIRST_RADIUS = 0.25  # of the range of every parameter
-LEAST_RADIUS = 1 / 64
-ROUNDING = 1e-9  # of whole numbers at the ends of a region
-CONSTANT = 1e-9  # difference of E over the box, relative to E, that is rounding
-
 
 @dataclass(frozen=True)
-class Doubt:
-    """How well it is known what the logged errors would be at another design."""
+class ErrorAttribution:
+    """Parts of the logged errors that are not known at another design."""
 
     rest: float  # part of the errors' energy that does not enter through E(p)
     # further part that the discrepancy explains by state and input: it may change with the design otherwise than E
@@ -36,10 +31,10 @@ class Doubt:
     @property
     def limits(self) -> bool:
         """Whether a redesign is limited to a trust region."""
-        return not self.identified or self.rest + self.explained > DOUBT
+        return not self.identified or self.rest + self.explained > UNATTRIBUTED
 
     def describe(self) -> str:
-        """Why a redesign is limited, or not."""
+        """Reason why a redesign is limited, or not."""
         if not self.identified:
             return "E(p) is not of full column rank everywhere"
         shares = f"{share(self.rest)} of the errors' energy does not enter through E(p)"
@@ -48,27 +43,27 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Trust:
-    """The radius of the trust region, as the deployments so far have left it."""
+    """Trust region's radius, as the deployments so far have left it."""
 
     radius: float = FIRST_RADIUS  # largest move of a parameter, as a part of its range; from 1 on there is no limit
     # whether a deployment fell short of what was predicted: from then on the region counts whatever the doubt
     betrayed: bool = False
 
     def after(self, kept: bool | None) -> Trust:
-        """The trust after a deployment that brought what was predicted, or did not; None if it says neither."""
+        """Trust after a deployment that brought what was predicted, or did not. None if it says neither."""
         if kept is None:
             return self
         if kept:
             return replace(self, radius=min(1.0, 2 * self.radius))
         return Trust(max(LEAST_RADIUS, self.radius / 2), betrayed=True)
 
-    def limits(self, doubt: Doubt) -> bool:
+    def limits(self, doubt: ErrorAttribution) -> bool:
         """Whether a redesign is limited."""
         return self.radius < 1 and (self.betrayed or doubt.limits)
 
 
-def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
-    """How well a twin knows what its errors would be at another design; `scale` (nx,) is the extent of the states."""
+def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
+    """Parts of a twin's errors not known at another design. `scale` (nx,) is the extent of the states."""
     logs = twin.carried()
     whole = rest = entering = 0.0
     for log, left in zip(logs, twin.innovations()):
@@ -76,13 +71,13 @@ def doubt_of(twin: DigitalTwin, scale: Array) -> Doubt:
         rest += _energy(_split(twin, log, scale)[1], scale)
         entering += _energy(_split(twin, left, scale)[0], scale)
     if whole == 0:
-        return Doubt(0.0, 0.0, True)
+        return ErrorAttribution(0.0, 0.0, True)
     unknown = min(1.0, max(0.0, 1 - entering / whole))
-    return Doubt(rest / whole, max(0.0, unknown - rest / whole), _identified(twin, scale))
+    return ErrorAttribution(rest / whole, max(0.0, unknown - rest / whole), _identified(twin, scale))
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
-    """`problem` with the box of designs narrowed to so much of each range on either side of a design.
+    """Problem with a narrowed box of designs. It keeps so much of each range on either side of a design.
 
     A whole number may take the next one either way, however short its range or small the radius.
     """
@@ -92,19 +87,19 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
     upper = space.from_unit(np.clip(middle + radius, 0, 1))
     whole = space.whole
     least, most = space.outermost
-    lower[whole] = np.maximum(np.floor(np.minimum(lower + ROUNDING, centre - 1))[whole], least[whole])
-    upper[whole] = np.minimum(np.ceil(np.maximum(upper - ROUNDING, centre + 1))[whole], most[whole])
+    lower[whole] = np.maximum(np.floor(np.minimum(lower + WHOLE_NUMBER, centre - 1))[whole], least[whole])
+    upper[whole] = np.minimum(np.ceil(np.maximum(upper - WHOLE_NUMBER, centre + 1))[whole], most[whole])
     return replace(problem, model=problem.model.within(replace(space, lower=lower, upper=upper)))
 
 
 def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, str]:
-    """Parameters at a side of a region that is no bound of the whole box, with "lower" or "upper"."""
+    """Parameters at a side of a region that is no bound of the whole box. With "lower" or "upper"."""
     bounds = space.active_bounds(design)
     return {name: side for name, side in region.active_bounds(design).items() if bounds.get(name) != side}
 
 
 def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpace) -> LearnedCoDesign:
-    """A result found in a region as it is to be read in the whole box: its edges are no bounds of the design.
+    """Result of a region as it is read in the whole box. The region's edges are no bounds of the design.
 
     A whole number is held by no slope: that the best one stands at an edge says as much.
     """
@@ -117,7 +112,7 @@ def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpac
 
 
 def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
-    """Of a log carried to the newest design, what enters through the disturbance and the rest, (n, T, nx) each."""
+    """Split of a log carried to the newest design. Errors through the disturbance and the rest, (n, T, nx) each."""
     newest = twin.logs[-1].p
     if isinstance(twin.model, SampledModel):
         rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))
@@ -135,7 +130,7 @@ def _identified(twin: DigitalTwin, scale: Array) -> bool:
     matrices = twin.model.matrices(designs)[2] / scale[:, None]
     if isinstance(twin.model, SampledModel) and twin.model.nw and not matrices.any():
         return False  # it enters away from rest only, where it may change with the design
-    if np.ptp(matrices, axis=0).max(initial=0.0) <= CONSTANT * np.abs(matrices).max(initial=0.0):
+    if np.ptp(matrices, axis=0).max(initial=0.0) <= CONSTANT_E * np.abs(matrices).max(initial=0.0):
         return True
     return all(full_rank(twin.model, p, scale) for p in designs)
 

@@ -1,4 +1,4 @@
-"""How long a replay must run before it shows what a design earns, and not where the log's own loop had left it."""
+"""Warm-up: how long a replay runs before it shows what a design earns, not where the log's own loop had left it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,14 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
+from ccdtools.studies.tolerances import SETTLED_START, WARM_UP_DESIGNS, WARM_UP_WINDOWS
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from mpc import MPCError
 
-NEGLIGIBLE = 0.02  # of the return without the cost of the design: what a start may still cost, or save
-LONGEST = 8  # windows that are waited for
-WINDOWS = 64  # that are looked at
-DESIGNS = 9  # of the box
-
 
 def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
-    """Steps before a window from which on its return is that of each design's own loop, whichever loop was logged.
+    """Steps before a window that leave the log's own loop behind. Its return is then that of each design's own loop.
 
     A window starts at a state of the logged loop. Where that costs a design more, or less, than its own states would,
     and the loop settles slowly, the start outweighs the disturbance. LQR is run over windows of the logged errors at
@@ -39,14 +35,14 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
     space : DesignSpace
         The designs that matter: the problem's box, or a part of it.
     """
-    longest = min(LONGEST * window, min(log.steps for log in logs) // 2)
+    longest = min(8 * window, min(log.steps for log in logs) // 2)  # eight windows at most
     split = ErrorSplit(problem.model, problem.state_scale)
     designs = _designs(space)
     places = list(_places(logs, longest, window))
     entering = [split.disturbances(log) for log in logs]
 
     def returns(before: int) -> Array:
-        """Mean return of every design over the windows after so many steps; NaN where a run diverges."""
+        """Mean return of every design over the windows after so many steps. NaN where a run diverges."""
         x0 = np.array([logs[i].x[run, k - before] for i, run, k in places])
         w = np.array([entering[i][run, k - before : k + window] for i, run, k in places])
         scenario = Scenario(split.replayed_model, x0, w)
@@ -56,20 +52,21 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
     size = problem.objective.made_by_control(settled, designs, window) if places else settled
     for before in (0, *_doubled(max(1, window // 4), longest)):
         away = np.abs(returns(before) - settled) if places else np.zeros(0)
-        if not (away > NEGLIGIBLE * size).any():
+        if not (away > SETTLED_START * size).any():
             return before
     return longest
 
 
 def _designs(space: DesignSpace) -> Array:
-    """A few designs (n, np) all over the box: the corners where they are few."""
+    """Designs (n, np), a few, all over the box. The corners where they are few."""
     spread = space.spread()
-    few = np.arange(DESIGNS) if 2**space.dim < DESIGNS else np.linspace(0, len(spread) - 1, DESIGNS).astype(int)
-    return spread[few]
+    if 2**space.dim < WARM_UP_DESIGNS:
+        return spread[:WARM_UP_DESIGNS]
+    return spread[np.linspace(0, len(spread) - 1, WARM_UP_DESIGNS).astype(int)]
 
 
 def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before: int) -> float:
-    """Mean return of saturated LQR after so many steps; NaN if there is no LQR, or a run diverges."""
+    """Mean return of saturated LQR after so many steps. NaN if there is no LQR, or a run diverges."""
     try:
         controller = saturated_lqr(problem, design)
     except MPCError:
@@ -79,17 +76,17 @@ def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before:
 
 
 def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Log, run and first step of windows spread over all runs, each with room for so many steps before it."""
+    """Log, run and first step of windows spread over all runs. Each has room for so many steps before it."""
     every = [(i, run) for i, log in enumerate(logs) for run in range(log.runs)]
-    some = np.unique(np.linspace(0, len(every) - 1, min(WINDOWS, len(every))).round().astype(int))
+    some = np.unique(np.linspace(0, len(every) - 1, min(WARM_UP_WINDOWS, len(every))).round().astype(int))
     for i, run in (every[k] for k in some):
         last = logs[i].steps - window
-        for k in np.unique(np.linspace(before, last, max(1, WINDOWS // len(some))).round().astype(int)):
+        for k in np.unique(np.linspace(before, last, max(1, WARM_UP_WINDOWS // len(some))).round().astype(int)):
             yield i, run, k
 
 
 def _doubled(first: int, last: int) -> Iterator[int]:
-    """The first number, twice that, and so on, below the last."""
+    """First number, twice that, and so on, below the last."""
     while first < last:
         yield first
         first *= 2

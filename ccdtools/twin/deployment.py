@@ -25,7 +25,7 @@ from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
-from ccdtools.twin.distributions import Distribution, Served, logged, on_updated
+from ccdtools.twin.distributions import Distribution, ServedDistributions, logged, on_updated
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
@@ -38,7 +38,7 @@ from learning.networks import ActorCritic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Deployment(Immutable):
-    """What came of a deployment."""
+    """Outcome of a deployment."""
 
     log: Trajectory  # all runs as they happened, under the policies then deployed
     agent: ActorCritic  # deployed at the end
@@ -66,7 +66,7 @@ def deploy(
     rng: np.random.Generator | None = None,
     progress: bool = False,
 ) -> Trajectory:
-    """The log of `controller` on a real plant under a recorded disturbance.
+    """Log of `controller` on a real plant under a recorded disturbance.
 
     Parameters
     ----------
@@ -105,16 +105,16 @@ def deploy_and_update(
     config: OnlineConfig | None = None,
     admissible: AdmissibleInputs | None = None,
     former: Sequence[Residuals] = (),
-    served: Served | None = None,
+    served: ServedDistributions | None = None,
     progress: bool = False,
 ) -> Deployment:
-    """A deployment in stretches, with an update of the policy after each but the last.
+    """Deployment in stretches, with an update of the policy after each but the last.
 
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
     candidate is trained on the first part of every stretch, and from the starts that it will serve. It is deployed only
     if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
-    see `Judge` and `Served`. Of a single run both are replayed from the start of every stretch, so that what is judged
-    begins in states of their own; several runs are judged from their own starts.
+    see `Judge` and `ServedDistributions`. Of a single run both are replayed from the start of every stretch, so that
+    what is judged begins in states of their own; several runs are judged from their own starts.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def deploy_and_update(
         candidates, which are not trained on them, are judged besides. Every second run, from the first on, counts as
         one that met the same disturbance in every deployment: together these are one piece of evidence, and those of a
         disturbance that a candidate was trained on are left out.
-    served : Served, optional
+    served : ServedDistributions, optional
         The other starts and disturbances that the policy will serve; by default the problem's, and its box of starts.
     """
     config = OnlineConfig() if config is None else config
@@ -150,14 +150,14 @@ def deploy_and_update(
         raise InputError("former", shown(former), "a sequence of Residuals")
     for k, log in enumerate(former):
         check_errors(f"former[{k}]", problem.model, log)
-    served = Served(problem, whole.x0[0], runs=config.judged) if served is None else served
-    as_instance("served", served, Served, "a Served or None")
+    served = ServedDistributions(problem, whole.x0[0], runs=config.judged) if served is None else served
+    as_instance("served", served, ServedDistributions, "a ServedDistributions or None")
     deployed = Deployable(agent, design, "the deployed policy")
-    return _Service(whole, deployed, rng, config, admissible, former, served).run(progress)
+    return _DeployedPolicy(whole, deployed, rng, config, admissible, former, served).run(progress)
 
 
-class _Service:
-    """A deployed policy: its log so far, and the updates it has had.
+class _DeployedPolicy:
+    """Deployed policy with its log so far, and the updates it has had.
 
     Attributes
     ----------
@@ -168,7 +168,7 @@ class _Service:
 
     def __init__(
         self, whole: Scenario, deployed: Deployable, rng: np.random.Generator, config: OnlineConfig,
-        admissible: AdmissibleInputs | None, former: Sequence[Residuals], served: Served,
+        admissible: AdmissibleInputs | None, former: Sequence[Residuals], served: ServedDistributions,
     ) -> None:  # fmt: skip
         self.problem = served.problem
         self.whole = whole
@@ -188,20 +188,20 @@ class _Service:
         self.test: list[Residuals] = []
 
     def run(self, progress: bool) -> Deployment:
-        """The whole deployment."""
+        """Result of the whole deployment."""
         runs, steps = self.whole.disturbance.shape[:2]
         count = possible_updates(runs, steps, self.config)
         for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
             at(f"part {k + 1} of {count + 1}")
-            piece = self._serve(*part, progress)
+            piece = self._run_part(*part, progress)
             self.pieces.append(piece)
             if len(self.pieces) <= count and self._learn(piece, part[0].start):
                 at(f"update {k + 1} of {count}")
                 self._update()
         return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
-    def _serve(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
-        """The log of the deployed policy on one part of the deployment, from where the last one ended."""
+    def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
+        """Log of the deployed policy on one part of the deployment. It begins where the last one ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
         return deploy(
             self.whole.plant, self.deployed.controller(self.admissible), self.deployed.design,
@@ -209,7 +209,7 @@ class _Service:
         )  # fmt: skip
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
-        """Add the errors along a piece of the log, after so many runs; False where too little is left to learn from."""
+        """Add the errors along a piece of the log, after so many runs. False where too little is left to learn from."""
         left = int((~piece.diverged).sum())
         if left < (2 if self._several else 1):
             return False
@@ -230,11 +230,11 @@ class _Service:
 
     @cached_property
     def _starts(self) -> Array:
-        """Where a training starts, beside the states of the log."""
+        """Starts of a training, beside the states of the log."""
         return self.served.trained_from(self.deployed.design, self.judged_by)
 
     def _update(self) -> None:
-        """Train a candidate, and deploy it if it is better on what it was not trained on, and loses nowhere."""
+        """Train a candidate. Deploy it if it is better on what it was not trained on, and loses nowhere."""
         config = self.config
         problem = replay_problem(self.problem, self.train, config.window, starts=self._starts)
         agent = codesign(
@@ -251,7 +251,7 @@ class _Service:
         self.deployed = candidate if verdict.replaces else self.deployed
 
     def _held_out(self) -> Distribution:
-        """The held-out parts of the log, and former runs: what no candidate was trained on."""
+        """Held-out parts of the log, and former runs: what no candidate was trained on."""
         several = self._several
         return logged(
             self.split, [*self._unseen(), *self.test] if several else _equally_long(self.test), series=not several,
@@ -259,9 +259,9 @@ class _Service:
         )  # fmt: skip
 
     def _other_distributions(self) -> list[Distribution]:
-        """What else the policy serves, on the model as updated by the log so far."""
+        """Distributions that the policy also serves, on the model as updated by the log so far."""
         logs = [*self.former, *self.logs]
-        plant = UpdatedPlant.of(self.split, logs, rng=self.judged_by, config=self.config.quantile)
+        plant = UpdatedPlant.from_logs(self.split, logs, rng=self.judged_by, config=self.config.quantile)
         whole = [log for log in logs if log.steps == self.whole.steps] if self._several else _equally_long(self.logs)
         again = on_updated(plant, whole, series=not self._several, most=self.config.judged, rng=self.judged_by)
         return [again, *self.served.on(logs, plant, self.deployed.design, self.judged_by)]
@@ -275,13 +275,13 @@ class _Service:
 
 
 def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
-    """The logs without their first steps, as long as the shortest: stretches of a run differ by one step at most."""
+    """Logs without their first steps, as long as the shortest. Stretches of a run differ by one step at most."""
     shortest = min(log.steps for log in logs)
     return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
-    """The part to train on and the part to judge on: the last runs, or the end of the only one."""
+    """Parts to train on and to judge on. The latter is the last runs, or the end of the only one."""
     runs = errors.runs
     steps = errors.steps
     if runs > 1:
@@ -292,13 +292,13 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
 
 
 def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
-    """As many updates as leave every part a window to be judged on, at most `config.updates`."""
+    """Number of updates that leave every part a window to be judged on, at most `config.updates`."""
     parts = runs // 2 if runs > 1 else int(steps * config.held_out // config.window)
     return min(config.updates, max(0, parts - 1))
 
 
 def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
-    """(runs, steps) of each part: groups of runs, or pieces in time of the only run."""
+    """Runs and steps of each part. Parts are groups of runs, or pieces in time of the only run."""
     if runs > 1:
         edges = np.unique(np.linspace(0, runs, pieces + 1).round().astype(int))
         return [(slice(a, b), slice(0, steps)) for a, b in pairwise(edges)]

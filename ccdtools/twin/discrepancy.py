@@ -90,7 +90,7 @@ class Discrepancy(Immutable):
             return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
 
     def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-        """e⁺ (n, nx) and the width penalty (n,); where draws are correlated in time, e⁺ carries what they remember.
+        """Error e⁺ (n, nx) and width penalty (n,). With draws correlated in time, e⁺ carries what they remember.
 
         Parameters
         ----------
@@ -112,13 +112,13 @@ class Discrepancy(Immutable):
         return (median + w if self.noise == "replayed" else median), penalty
 
     def double(self) -> Discrepancy:
-        """The same in double precision."""
+        """Discrepancy in double precision."""
         return replace(self, network=copy.deepcopy(self.network).double())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwinPlant(Immutable, PlantOfModel):
-    """The updated model as a plant to simulate: x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
+    """Updated model as a plant to simulate. x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
 
     f is the model's own step, A(p) x + B(p) u + c(p) of a linear one.
 
@@ -152,14 +152,14 @@ class TwinPlant(Immutable, PlantOfModel):
         return self.model.nx
 
     def stepper(self, p: Array, *, batch: int) -> TwinStepper:
-        """(x, u, w) → x⁺ at design `p` (np,), from e₀ = 0 or the error given, remembering e."""
+        """Steps (x, u, w) → x⁺ at design `p` (np,), remembering e. They begin from e₀ = 0 or the error given."""
         if self.error is not None and len(self.error) != batch:
             raise InputError("error", f"those of {len(self.error)} runs", f"one for each of the {batch} runs")
         return TwinStepper(self, p, batch)
 
 
 class TwinStepper:
-    """The steps of a `TwinPlant` along n runs: the error e, as at the design of the log, is its memory."""
+    """Steps of a `TwinPlant` along n runs. They remember the error e, as at the design of the log."""
 
     def __init__(self, plant: TwinPlant, p: Array, batch: int) -> None:
         self._discrepancy = plant.discrepancy
@@ -179,7 +179,7 @@ class TwinStepper:
 
 @dataclass(frozen=True)
 class QuantileScores:
-    """How well the learned quantiles describe a held-out stretch, per state where a tuple.
+    """Scores of the learned quantiles on a held-out stretch, per state where a tuple.
 
     Attributes
     ----------
@@ -204,14 +204,14 @@ class QuantileScores:
 
 
 def score_quantiles(network: QuantileNetwork, inputs: Array, e_next: Array, trained: Array) -> QuantileScores:
-    """How well `network` describes the errors e⁺ (n, nx) at `inputs`; `trained` holds those it was fitted to."""
+    """Scores of `network` on the errors e⁺ (n, nx) at `inputs`. `trained` holds those it was fitted to."""
     quantiles = network.predict(inputs)
     levels = network.levels
     constant = np.broadcast_to(np.quantile(trained, levels, axis=0)[None], quantiles.shape)
     inside = (e_next >= quantiles[:, 0]) & (e_next <= quantiles[:, -1])
 
     def root_mean_square(error: Array) -> tuple[float, ...]:
-        """Of every column of the errors (n, nx)."""
+        """Root mean square of every column of the errors (n, nx)."""
         return tuple(np.sqrt(np.mean(error**2, axis=0)).tolist())
 
     return QuantileScores(

@@ -21,7 +21,6 @@ from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.updated_plant import UpdatedPlant
 from mpc import MPCError
 
-TRIED = 8  # states of X for each start that is wanted, of which those are kept that LQR keeps within X
 REPLAY = "the replayed log"
 UPDATED = "the log on the updated model"
 START = "the study's start"
@@ -31,7 +30,7 @@ NOMINAL = "the nominal model"
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """Starts and disturbances with their name, what a candidate must show there, and what is independent of them.
+    """Starts and disturbances with a name, what a candidate must show there, and what is independent.
 
     `groups` and `series` as for `Pairing.evidence`; of every run the last `counted` steps count, or all.
     """
@@ -45,8 +44,8 @@ class Distribution:
 
 
 @dataclass(frozen=True, eq=False)
-class Served:
-    """Where a learned change will serve, beside the runs of the log."""
+class ServedDistributions:
+    """Distributions that a learned change will serve, beside the runs of the log."""
 
     problem: CoDesignProblem  # on the nominal model, with the starts that the study declares
     x0: Array  # (nx,): start of the real plant
@@ -55,11 +54,11 @@ class Served:
     runs: int = 400  # from the study's start, and from its box
 
     def starts(self, rng: np.random.Generator) -> Array:
-        """States (n, nx) that the study declares: its one start, or draws of its starts."""
+        """States (n, nx) that the study declares. Its one start, or draws of its starts."""
         return self.problem.scenarios.sample(self.runs, self.problem.steps, rng)[0]
 
     def box(self, design: Array, rng: np.random.Generator) -> Array:
-        """States (n, nx) of the box of starts: draws of those that the study declares, else what LQR keeps within X.
+        """States (n, nx) of the box of starts. Draws of those that the study declares, else what LQR keeps within X.
 
         Uniform in X, these are the states from which saturated LQR at the design, under the disturbance that the model
         assumes, loses no run and never leaves X. None where there is no such state, or no LQR.
@@ -68,7 +67,7 @@ class Served:
         if isinstance(scenarios, RandomStarts):
             return scenarios.states(self.runs, rng)
         X = self.problem.state_limits(design)
-        x0 = uniform_in(X, TRIED * self.runs, rng)
+        x0 = uniform_in(X, 8 * self.runs, rng)  # LQR keeps only some of them within X
         w = self.problem.driving(len(x0), self.problem.steps, rng)
         try:
             run = Scenario(self.problem.model, x0, w).run(
@@ -80,7 +79,7 @@ class Served:
         return x0[kept][: self.runs]
 
     def trained_from(self, design: Array, rng: np.random.Generator) -> Array:
-        """Starts (n, nx) of a training, beside those of the log: half are the study's, half of its box."""
+        """Starts (n, nx) of a training, beside those of the log. Half are the study's, half of its box."""
         box = self.box(design, rng)
         starts = self.starts(rng)
         return np.concatenate([starts[: max(len(box), 1)], box])
@@ -88,7 +87,7 @@ class Served:
     def on(
         self, logs: Sequence[Residuals], plant: UpdatedPlant, design: Array, rng: np.random.Generator
     ) -> list[Distribution]:
-        """The distributions that a change at a design will serve beside the log, on the model as updated by it."""
+        """Distributions that a change at a design will serve beside the log. On the model as updated by it."""
         drawn = {name: plant.drawn(logs, w) for name, w in self.kinds.items()}
         found = [Distribution(name, Scenario(plant, np.tile(self.x0, (len(w), 1)), w), Asked.TOLERANCE)
                  for name, w in drawn.items()]  # fmt: skip
@@ -101,14 +100,14 @@ class Served:
         return found
 
     def nominal(self, rng: np.random.Generator) -> Distribution:
-        """The nominal model from the study's starts: shown, as what corrects a bias must lose there."""
+        """Nominal model from the study's starts. Only shown, as what corrects a bias must lose there."""
         x0, w = self.problem.scenarios.sample(self.runs, self.problem.steps, rng)
         return Distribution(NOMINAL, Scenario(self.problem.model, x0, w), Asked.SHOWN)
 
 
 def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator,
            held_out: float | None = None) -> Distribution:  # fmt: skip
-    """The nominal model met by the errors of whole logged runs: what a change was made for.
+    """Nominal model met by the errors of whole logged runs, which a change was made for.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: 
 def on_updated(
     plant: UpdatedPlant, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator
 ) -> Distribution:  # fmt: skip
-    """Whole logged runs on the updated model: there errors follow the candidate."""
+    """Updated model on whole logged runs: there errors follow the candidate."""
     replay = Replay(plant.unexplained(logs), plant.split)
     return _whole(UPDATED, plant, replay, Asked.GAIN, series=series, most=most, rng=rng)
 

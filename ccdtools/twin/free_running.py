@@ -17,17 +17,16 @@ from ccdtools.simulation import simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.residuals import Residuals, block_spans, residuals
+from ccdtools.twin.tolerances import RUNAWAY
 from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import BLOCKS, HELD_OUT, DigitalTwin
 
-STEPS = (10, 50, 100)
-LEVELS = (0.1, 0.9)  # of the bands
-RUNAWAY = 1e3  # draws are stopped where they exceed this many times the largest logged state
+STEPS = (10, 50, 100)  # Bands are measured after so many steps by default.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FreeRunningBands(Immutable):
-    """Bands of the states that a twin draws from logged ones, and how well they cover what the plant did.
+    """Bands of the states that a twin draws from logged ones. Also how well they cover what the plant did.
 
     Attributes
     ----------
@@ -81,7 +80,7 @@ def free_running_bands(
     blocks: int = BLOCKS,
     since: int = 0,
 ) -> FreeRunningBands:
-    """Bands of `twin` in closed loop, started from the states of a log and compared with what the log did next.
+    """Bands of `twin` in closed loop. They start from the states of a log and are compared with what followed.
 
     The draws know the state and the error at the start of a window, and nothing of what follows.
 
@@ -155,7 +154,7 @@ Span = tuple[int, int, int]  # run, first sample, one past the last
 
 
 def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: int, since: int) -> list[Span]:
-    """Stretches of the errors to start windows in, without the first `since` samples of the log, run after run."""
+    """Stretches of the errors to start windows in, run after run. The first `since` samples of the log are left out."""
     parts = [(slice(0, errors.runs), slice(0, errors.steps))]
     if held_out is not None:
         parts = block_spans(errors, held_out, blocks, last=True)
@@ -171,7 +170,7 @@ def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: i
 
 
 def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
-    """The steps that some span is long enough for, in increasing order."""
+    """Horizons that some span is long enough for, in increasing order."""
     given = list(steps) if isinstance(steps, list | tuple | range | np.ndarray) else [steps]
     wanted = sorted({as_count("steps", step) for step in given})
     longest = max((end - first for _, first, end in spans), default=0)
@@ -182,7 +181,7 @@ def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
 
 
 def _starts(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
-    """Run and first sample (n, 2) of at most so many windows, evenly spread over all that the spans hold."""
+    """Run and first sample (n, 2) of at most so many windows. Evenly spread over all that the spans hold."""
     every = np.array([(run, k) for run, first, end in spans for k in range(first, end - length + 1)])
     return every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))]
 
@@ -191,7 +190,7 @@ def _draws(
     twin: DigitalTwin, errors: Residuals, controller: Controller, starts: NDArray[np.int64], length: int, draws: int,
     rng: np.random.Generator,
 ) -> Array:  # fmt: skip
-    """Drawn states (n, draws, length + 1, nx) from the logged ones at the starts (n, 2)."""
+    """Drawn states (n, draws, length + 1, nx). They start from the logged ones at the starts (n, 2)."""
     assert twin.discrepancy is not None
     discrepancy = replace(twin.discrepancy, noise="quantiles")
     past = _as_learned(twin, errors).e[starts[:, 0], starts[:, 1]]
@@ -204,20 +203,20 @@ def _draws(
 
 
 def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
-    """The errors as they would be at the design of the twin's newest log, where its network works."""
+    """Errors at the design of the twin's newest log. Its network works there."""
     assert twin.scale is not None
     return carried(twin.model, errors, twin.logs[-1].p, twin.scale)
 
 
 def _last(twin: DigitalTwin, errors: Residuals) -> Array:
-    """The states (n, 1, nx) after the last step of every run."""
+    """States (n, 1, nx) after the last step of every run."""
     return twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
 
 
 def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:
-    """Bands of the draws (n, draws, T + 1, nx) at the horizons, compared with the actual states (H, n, nx)."""
+    """Bands of draws, compared with the actual states (H, n, nx). Draws (n, draws, T + 1, nx) at the horizons."""
     at = np.moveaxis(drawn[:, :, horizons], 2, 0)
-    lower, upper = np.quantile(at, LEVELS, axis=2, method="weibull")  # the share that draws as good as the truth cover
+    lower, upper = np.quantile(at, (0.1, 0.9), axis=2, method="weibull")  # 80 %, if draws are as good as the truth
     inside = (actual >= lower) & (actual <= upper)
     own = np.sqrt(at.var(axis=2, ddof=1).mean(axis=1) * (1 + 1 / at.shape[2]))  # their mean is uncertain, too
     true = np.sqrt(((actual - at.mean(axis=2)) ** 2).mean(axis=1))

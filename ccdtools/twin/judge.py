@@ -12,7 +12,8 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.evidence.evidence import Evidence, Pairing
-from ccdtools.evidence.verdict import TOLERANCE, Verdict, decide
+from ccdtools.evidence.tolerances import NOT_WORSE
+from ccdtools.evidence.verdict import Verdict, decide
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution
@@ -24,17 +25,17 @@ Price = Callable[[float, int], float]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Compares two deployables in pairs, each behind the filter of its own design."""
+    """Judge that compares two deployables in pairs, each behind the filter of its own design."""
 
     problem: CoDesignProblem  # on the nominal model
     plant: Any  # that names the states
     filters: Callable[[Array], AdmissibleInputs | None]  # design (np,) → the filter behind a policy there, or None
     stretch: int  # steps of a stretch of a single run, see `Pairing`
-    tolerance: float = TOLERANCE  # loss, as a part of the size of a return, that the user accepts on a distribution
+    tolerance: float = NOT_WORSE  # loss, as a part of the size of a return, that the user accepts on a distribution
 
     @property
     def pairing(self) -> Pairing:
-        """How returns are compared."""
+        """Rule by which returns are compared."""
         return Pairing(self.problem.objective, of_logged_runs(self.problem.risk), self.stretch)
 
     def verdict(
@@ -74,7 +75,7 @@ class Judge:
         return decide([replace(made, violation=broken), *rest, shown], tolerance=self.tolerance)
 
     def evidence(self, candidate: Deployable, current: Deployable, on: Distribution) -> Evidence:
-        """The two on one distribution."""
+        """Evidence of the two on one distribution."""
         return self._compared(candidate, current, on)[0]
 
     def run(self, one: Deployable, on: Distribution) -> Trajectory:
@@ -85,7 +86,7 @@ class Judge:
     def _compared(
         self, candidate: Deployable, current: Deployable, on: Distribution
     ) -> tuple[Evidence, Trajectory, Trajectory]:
-        """The evidence, and the runs of both."""
+        """Evidence, and the runs of both."""
         after, before = (self.run(one, on) for one in (candidate, current))
         names = (f"{candidate.name}, simulated", f"{current.name}, simulated")
         found = self.pairing.evidence(
@@ -93,5 +94,3 @@ class Judge:
             counted=on.counted,
         )  # fmt: skip
         return found, after, before
-
-

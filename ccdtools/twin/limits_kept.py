@@ -18,7 +18,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MPC_RUNS
 from ccdtools.evidence.evidence import Violation
 from ccdtools.limits import StateLimits
-from ccdtools.outside import Outside
+from ccdtools.outside import RunViolations
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -30,7 +30,7 @@ MEASURES = ("fraction", "peak")
 def violation(
     problem: CoDesignProblem, scenario: Scenario, after: Trajectory, before: Trajectory, plant: Any
 ) -> Violation | None:
-    """How a candidate breaks the limits; None where it keeps them, or as well as before, or may do as it likes.
+    """Limits that a candidate violates. None where it keeps them, or as well as before, or may do as it likes.
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
     more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told.
@@ -50,8 +50,8 @@ def violation(
     if asked == "off":
         return None
     limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
-    own = Outside.of(after, limits, plant, problem.output_limits)
-    other = Outside.of(before, former, plant, problem.output_limits)
+    own = RunViolations.from_trajectory(after, limits, plant, problem.output_limits)
+    other = RunViolations.from_trajectory(before, former, plant, problem.output_limits)
     if max(_pair(own).values()) <= LEAST_TOLERANCE and isinstance(asked, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]
@@ -68,7 +68,7 @@ def violation(
 
 
 def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
-    """A quarter more than what MPC of a design does on a scenario; the least there is where it loses all runs."""
+    """Tolerance of 1.25 times what MPC of a design does on a scenario. The least where it loses all runs."""
     least = Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
@@ -78,20 +78,20 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
         return least
     if run.diverged.all():
         return least
-    done = _pair(Outside.of(run, limits, None, problem.output_limits))
+    done = _pair(RunViolations.from_trajectory(run, limits, None, problem.output_limits))
     return Pair(*(max(LEAST_TOLERANCE, BESIDE_MPC * value) for value in done.values()))
 
 
-def _pair(outside: Outside, runs: int | None = None) -> Pair:
-    """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one; 0 of none."""
+def _pair(outside: RunViolations, runs: int | None = None) -> Pair:
+    """Mean fraction and mean peak of the first so many runs. Or of all stretches of a single one; 0 of none."""
     first = slice(None) if outside.single else slice(runs)
     kept = ~outside.lost[first]
     means = (getattr(outside.pieces, name)[first][kept] for name in MEASURES)
     return Pair(*(float(values.mean()) if len(values) else 0.0 for values in means))
 
 
-def _further(own: Outside, other: Outside, name: str) -> bool:
-    """Whether a measure is larger on the runs that neither lost, beyond chance where there is an interval."""
+def _further(own: RunViolations, other: RunViolations, name: str) -> bool:
+    """Whether a measure is larger on the runs that neither lost. Beyond chance where there is an interval."""
     kept = ~(own.lost | other.lost)
     values, others = (getattr(one.pieces, name)[kept] for one in (own, other))
     if not len(values) or not values.mean() > others.mean():

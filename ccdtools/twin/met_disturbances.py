@@ -12,21 +12,13 @@ from numpy.typing import NDArray
 from ccdtools.arrays import Array
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
-
-AT_ONCE = 8192  # samples that derivatives are computed of: those of long steps fill the memory
-ITERATIONS = 30
-SETTLED = 1e-9  # of an error: a step whose effect is smaller is the last
-NONE = 1e-6  # of its largest effect in the log: where a disturbance has less, it is not told from the error
-TOLD = 0.1  # of it: where a disturbance has more, it is told well enough to say how large disturbances are
-LARGER = 2.0  # than anywhere there, a disturbance is nowhere
-SIZES = np.logspace(-12, 12, 97)  # of a disturbance, in whatever unit, that are tried for a start
-TRIED_ON = 64  # samples
+from ccdtools.twin.tolerances import DERIVATIVES_AT_ONCE, LARGEST_UNTOLD, SETTLED_STEP, TOLD, UNTOLD
 
 Indices: TypeAlias = NDArray[np.int64]
 
 
 def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:
-    """ŵ (n, T, nw) that brings f(x, u, ŵ, p) nearest to the logged next states, in states divided by their scale (nx,).
+    """Disturbances ŵ (n, T, nw) that explain the log best. f(x, u, ŵ, p) is nearest to next states over scale (nx,).
 
     It is zero where w has no effect. Where the effect is less than a tenth of the largest in the log, ŵ is at most
     twice as large as where it is more: a small effect would make large disturbances, that another state would feel, of
@@ -34,16 +26,16 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
     """
     if model.nw == 0:
         return np.zeros((*log.x.shape[:2], 0))
-    fit = _Fit(model, log, scale)
-    found = fit.settled(np.zeros((fit.samples, model.nw)))
+    fit = _LeastSquares(model, log, scale)
+    found = fit.improved(np.zeros((fit.samples, model.nw)))
     for start in _starts(model, fit):
-        other = fit.settled(np.broadcast_to(start, found.shape))
-        found = np.where((fit.distance(other) < fit.distance(found) - SETTLED * fit.size)[:, None], other, found)
+        other = fit.improved(np.broadcast_to(start, found.shape))
+        found = np.where((fit.distance(other) < fit.distance(found) - SETTLED_STEP * fit.size)[:, None], other, found)
     return fit.bounded(found).reshape(*log.x.shape[:2], model.nw)
 
 
-class _Fit:
-    """Nonlinear least squares of every sample at once: Gauss–Newton steps, shortened until each brings its sample on.
+class _LeastSquares:
+    """Nonlinear least squares of every sample at once. Gauss–Newton steps are shortened until each one improves.
 
     Attributes
     ----------
@@ -63,100 +55,101 @@ class _Fit:
         self._everyone: Indices = np.arange(self.samples)
 
     def distance(self, w: Array) -> Array:
-        """Of the model's next states from the logged ones (N,)."""
-        return np.linalg.norm(self._missed(w, self._everyone), axis=1)
+        """Distance of the model's next states from the logged ones (N,)."""
+        return np.linalg.norm(self._residual(w, self._everyone), axis=1)
 
-    def settled(self, w: Array) -> Array:
-        """The disturbances (N, nw) that are reached from others, none of which is farther from the log."""
+    def improved(self, w: Array) -> Array:
+        """Disturbances (N, nw) reached from others, none of which is farther from the log."""
         w = w.copy()
         longest = np.linalg.norm(self._effects(w, self._everyone), axis=1).max(axis=0)
         if not (longest > 0).any():
             return w
         lengths = np.where(longest > 0, longest, np.inf)
         some: Indices = self._everyone
-        missed = self._missed(w, some)
+        residual = self._residual(w, some)
         part = np.ones(self.samples)
         step = np.zeros_like(w)
         fresh = np.ones(self.samples, dtype=bool)
-        for _ in range(ITERATIONS):
+        for _ in range(30):
             if fresh.any():
                 effects = self._effects(w[some[fresh]], some[fresh]) / lengths
-                step[some[fresh]] = _least_squares(effects, missed[fresh]) / lengths
+                step[some[fresh]] = _least_squares(effects, residual[fresh]) / lengths
                 part[some[fresh]] = 1.0
                 moved = np.linalg.norm(np.einsum("nij,nj->ni", effects, step[some[fresh]] * lengths), axis=1)
                 keep = np.ones(len(some), dtype=bool)
-                keep[fresh] = moved > SETTLED * self.size[some[fresh]]
-                some, missed, fresh = some[keep], missed[keep], fresh[keep]
+                keep[fresh] = moved > SETTLED_STEP * self.size[some[fresh]]
+                some, residual, fresh = some[keep], residual[keep], fresh[keep]
             if not len(some):
                 break
             tried = w[some] + part[some][:, None] * step[some]
-            left = self._missed(tried, some)
-            fresh = np.linalg.norm(left, axis=1) < np.linalg.norm(missed, axis=1)
+            left = self._residual(tried, some)
+            fresh = np.linalg.norm(left, axis=1) < np.linalg.norm(residual, axis=1)
             w[some[fresh]] = tried[fresh]
-            missed = np.where(fresh[:, None], left, missed)
+            residual = np.where(fresh[:, None], left, residual)
             part[some[~fresh]] /= 4
         return w
 
     def bounded(self, w: Array) -> Array:
-        """The disturbances (N, nw): not much larger than where they are told well, and zero where that leaves less."""
+        """Disturbances (N, nw), not much larger than where they are told well. Zero where that leaves less error."""
         effect = np.linalg.norm(self._effects(w, self._everyone), axis=1)
         told = (effect >= TOLD * effect.max(axis=0)) & (effect > 0)
-        bound = LARGER * np.where(told, np.abs(w), 0.0).max(axis=0)
-        within = np.where(effect > NONE * effect.max(axis=0), np.clip(w, -bound, bound), 0.0)
+        bound = LARGEST_UNTOLD * np.where(told, np.abs(w), 0.0).max(axis=0)
+        within = np.where(effect > UNTOLD * effect.max(axis=0), np.clip(w, -bound, bound), 0.0)
         return np.where((self.distance(within) < self.size)[:, None], within, 0.0)
 
     def effect_of(self, w: Array, some: Indices) -> Array:
-        """How far disturbances (k, 1, nw) move the next states of some samples (m,), in scaled states (k, m)."""
+        """Move of the next states of samples (m,) by disturbances (k, 1, nw). In scaled states (k, m)."""
         with np.errstate(all="ignore"):
-            moved = (self._after(w, some) - self._after(np.zeros_like(w[:1]), some)) / self._scale
+            moved = (self._next_states(w, some) - self._next_states(np.zeros_like(w[:1]), some)) / self._scale
             return np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf)
 
-    def _after(self, w: Array, some: Indices) -> Array:
+    def _next_states(self, w: Array, some: Indices) -> Array:
         """Next states of the model."""
         with np.errstate(all="ignore"):
             return np.asarray(self._model.advance(self.x[some], self.u[some], w, self.p))
 
-    def _missed(self, w: Array, some: Indices) -> Array:
-        """Logged next states less those of the model, in scaled states; infinite where the model's are not finite."""
+    def _residual(self, w: Array, some: Indices) -> Array:
+        """Logged next states less those of the model, in scaled states. Infinite where the model's are not finite."""
         with np.errstate(all="ignore"):
-            left = (self._reached[some] - self._after(w, some)) / self._scale
+            left = (self._reached[some] - self._next_states(w, some)) / self._scale
             return np.where(np.isfinite(np.square(left)), left, np.inf)
 
     def _effects(self, w: Array, some: Indices) -> Array:
-        """∂x⁺/∂w in scaled states (m, nx, nw); zero where it is not finite."""
+        """Slopes ∂x⁺/∂w in scaled states (m, nx, nw). Zero where not finite."""
         p = torch.tensor(self.p)
         parts = []
-        for first in range(0, len(some), AT_ONCE):
-            chosen = some[first : first + AT_ONCE]
-            at = torch.tensor(w[first : first + AT_ONCE], requires_grad=True)
+        for first in range(0, len(some), DERIVATIVES_AT_ONCE):
+            chosen = some[first : first + DERIVATIVES_AT_ONCE]
+            at = torch.tensor(w[first : first + DERIVATIVES_AT_ONCE], requires_grad=True)
             after = self._model.pathwise(torch.tensor(self.x[chosen]), torch.tensor(self.u[chosen]), at, p)
             rows = [torch.autograd.grad(after[:, i].sum(), at, retain_graph=True)[0] for i in range(after.shape[1])]
             parts.append(torch.stack(rows, 1).numpy() / self._scale[:, None])
         return np.nan_to_num(np.concatenate(parts), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _starts(model: SampledModel, fit: _Fit) -> list[Array]:
-    """Disturbances (nw,) to start from besides zero, one channel each, either way; none where f is affine in w.
+def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
+    """Disturbances (nw,) to start from besides zero, one channel each, either way. None where f is affine in w.
 
     Where w enters as w |w|, its effect is zero at zero. The size is the smallest that moves states as far as errors do.
     """
     plant = model.plant
     if not ca.depends_on(ca.jacobian(plant.dynamics, plant.w), plant.w):
         return []
-    some = np.unique(np.linspace(0, fit.samples - 1, min(TRIED_ON, fit.samples)).round().astype(int))
+    some = np.unique(np.linspace(0, fit.samples - 1, min(64, fit.samples)).round().astype(int))
     usual = np.median(fit.size)
+    sizes = np.logspace(-12, 12, 97)  # in whatever unit
     starts = []
     for channel in np.eye(model.nw):
-        moved = np.sort(fit.effect_of(SIZES[:, None, None] * channel, some), axis=1)[:, len(some) // 2]
+        moved = np.sort(fit.effect_of(sizes[:, None, None] * channel, some), axis=1)[:, len(some) // 2]
         enough = np.flatnonzero(np.isfinite(moved) & (moved >= usual))
         if len(enough):
-            starts += [SIZES[enough[0]] * channel, -SIZES[enough[0]] * channel]
+            starts += [sizes[enough[0]] * channel, -sizes[enough[0]] * channel]
     return starts
 
 
 def _least_squares(M: Array, b: Array) -> Array:
-    """The shortest z (m, nw) that brings M z (m, nx) nearest to b, without directions of hardly any effect."""
+    """Shortest z (m, nw) that brings M z (m, nx) nearest to b. Directions of hardly any effect are left out."""
     U, values, V = np.linalg.svd(M, full_matrices=False)
-    inverse = np.where(values > NONE, 1.0 / np.maximum(values, NONE), 0.0)
+    inverse = np.where(values > UNTOLD, 1.0 / np.maximum(values, UNTOLD), 0.0)
     along = np.einsum("nik,ni->nk", U, np.nan_to_num(b, nan=0.0, posinf=0.0, neginf=0.0))
     return np.asarray(np.einsum("nkj,nk->nj", V, inverse * along))

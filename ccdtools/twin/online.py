@@ -1,4 +1,4 @@
-"""How a policy is updated while it is deployed."""
+"""Settings and results of updating a policy while it is deployed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from ccdtools.arrays import Immutable
 from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.evidence.evidence import NOTHING
-from ccdtools.evidence.verdict import TOLERANCE, Verdict
+from ccdtools.evidence.tolerances import NOT_WORSE
+from ccdtools.evidence.verdict import Verdict
 from ccdtools.statistics import PairedDifference
 from ccdtools.twin.distributions import UPDATED
 from learning.quantile import QuantileConfig
@@ -21,7 +22,7 @@ ONLINE_TRAINING = CoDesignConfig(
 
 @dataclass(frozen=True)
 class OnlineConfig:
-    """How a policy is updated while it is deployed.
+    """Settings of how a policy is updated while it is deployed.
 
     Attributes
     ----------
@@ -49,7 +50,7 @@ class OnlineConfig:
     held_out: float = 0.3
     judged: int = 400
     least: float = 0.001
-    accept_loss: float = TOLERANCE
+    accept_loss: float = NOT_WORSE
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
 
@@ -80,12 +81,12 @@ class OnlineUpdate(Immutable):
 
     @property
     def accepted(self) -> bool:
-        """Whether it replaced the policy."""
+        """Whether the candidate replaced the policy."""
         return self.verdict.replaces
 
     @property
     def gain(self) -> PairedDifference:
-        """Return of the candidate minus that of the deployed policy on the held-out parts of the log."""
+        """Return of the candidate minus that of the deployed policy. On the held-out parts of the log."""
         return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
 
     def as_dict(self) -> dict[str, Any]:

@@ -17,12 +17,10 @@ from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 
-OTHER_STARTS = 0.5  # of the windows, where other starts are given: the rest begins where the log was
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replay(Immutable):
-    """Scenarios from logged errors: each episode starts where the log was, and meets the errors it met.
+    """Scenarios from logged errors. Each episode starts where the log was, and meets the errors it met.
 
     Parameters
     ----------
@@ -55,7 +53,7 @@ class Replay(Immutable):
         return f"Replay({', '.join(map(repr, self.logs))})"
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx) and errors (runs, steps, nx), or (ŵ, r) (runs, steps, nw + nx) if they are split.
+        """Initial states (runs, nx) and errors (runs, steps, nx). Or (ŵ, r) (runs, steps, nw + nx) if they are split.
 
         Raises
         ------
@@ -64,12 +62,12 @@ class Replay(Immutable):
         """
         x0, w, _ = self.windows(runs, steps, rng)
         if self.starts is not None and len(self.starts):
-            other = rng.random(runs) < OTHER_STARTS
+            other = rng.random(runs) < 0.5  # the other half begins where the log was
             x0[other] = self.starts[rng.integers(0, len(self.starts), int(other.sum()))]
         return x0, w
 
     def windows(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
-        """As `sample` from logged states, and the group of every window: those of one logged stretch are alike."""
+        """Samples from logged states, and the group of every window. Windows of one logged stretch are alike."""
         as_count("runs", runs)
         as_generator("rng", rng)
         self._require(steps)
@@ -89,7 +87,7 @@ class Replay(Immutable):
         return np.concatenate(x0), np.concatenate(w), np.concatenate(labels)
 
     def whole(self) -> tuple[Array, Array]:
-        """First states (n, nx) and all errors (n, T, ·) of every run: what a controller is judged on.
+        """First states (n, nx) and all errors (n, T, ·) of every run. A controller is judged on them.
 
         From there on a loop goes through states of its own. A window within a run would start where another loop was,
         and what that start costs is no part of what a design earns.
@@ -116,7 +114,7 @@ def replay_problem(
     problem: CoDesignProblem, errors: Sequence[Residuals], window: int, *, warm_up: int = 0,
     starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
-    """The nominal model driven by logged errors, as they would be at whichever design.
+    """Nominal model driven by logged errors, as they would be at whichever design.
 
     An error logged at p is split into E(p) ŵ and a rest r; at a design q it is E(q) ŵ + r, so that the scenarios are
     (ŵ, r) and the model has [E(q) I] in the place of E(q).
@@ -152,7 +150,7 @@ def updated_problem(
     problem: CoDesignProblem, twin: DigitalTwin, window: int | None = None, *, warm_up: int = 0,
     starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
-    """`problem` on the updated model: nominal + median, its unexplained rest replayed from the logs.
+    """Problem on the updated model: nominal + median, its unexplained rest replayed from the logs.
 
     Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.

@@ -17,7 +17,7 @@ from ccdtools.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Residuals(Immutable):
-    """One-step errors of a nominal model along logged runs, in time order within each run; arrays are read-only.
+    """One-step errors of a nominal model along logged runs, in time order within each run. Arrays are read-only.
 
     Attributes
     ----------
@@ -61,16 +61,16 @@ class Residuals(Immutable):
         return self.x.shape[1]
 
     def part(self, runs: slice | NDArray[np.bool_], steps: slice) -> Residuals:
-        """A stretch of the log, of all or some of its runs."""
+        """Stretch of the log, of all or some of its runs."""
         columns = {name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")}
         return replace(self, **columns, numbers=self.numbers[runs])
 
     def carried(self, T: Array) -> Residuals:
-        """The same log with its errors e and e⁺ carried to another design by T (nx, nx)."""
+        """Log with its errors e and e⁺ carried to another design by T (nx, nx)."""
         return replace(self, e=self.e @ T.T, e_next=self.e_next @ T.T)
 
     def columns(self) -> tuple[Array, Array, Array, Array, Array]:
-        """e, x, u, p and e⁺ of all samples, one after the other, (n T, ·) each."""
+        """Columns e, x, u, p and e⁺ of all samples, (n T, ·) each. One sample after the other."""
         p = np.broadcast_to(self.p, (*self.x.shape[:2], len(self.p)))
         e, x, u, p, e_next = (c.reshape(-1, c.shape[-1]) for c in (self.e, self.x, self.u, p, self.e_next))
         return e, x, u, p, e_next
@@ -109,7 +109,7 @@ def check_log(model: Model, log: Trajectory) -> None:
 
 
 def check_errors(argument: str, model: Model, log: Residuals) -> None:
-    """Raise an `InputError` unless `log` has the states, inputs and design parameters of `model`, and is finite."""
+    """Raise an `InputError` unless `log` has the sizes and design parameters of `model`, and is finite."""
     sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
     if sizes != (model.nx, model.nx, model.nu):
         got = f"{sizes[0]} states with {sizes[1]} errors and {sizes[2]} inputs"
@@ -121,12 +121,12 @@ def check_errors(argument: str, model: Model, log: Residuals) -> None:
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:
-    """The first (or the held-out last) part of every block of a log, in time order; see `block_spans`."""
+    """First (or held-out last) part of every block of a log, in time order. See `block_spans`."""
     return [log.part(runs, steps) for runs, steps in block_spans(log, held_out, blocks, last=last)]
 
 
 def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[tuple[slice, slice]]:
-    """Runs and steps of the first (or the held-out last) part of every block of a log; none is empty.
+    """Runs and steps of one part of every block of a log. The first or the held-out last; none is empty.
 
     A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
     """
@@ -141,5 +141,5 @@ def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> 
 
 
 def stacked(parts: Sequence[Residuals]) -> list[Array]:
-    """The columns e, x, u, p and e⁺ of several parts, one after the other."""
+    """Columns e, x, u, p and e⁺ of several parts, one after the other."""
     return [np.concatenate(column) for column in zip(*(part.columns() for part in parts))]

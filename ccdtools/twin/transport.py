@@ -16,13 +16,12 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
-
-RANK = 1e-6  # columns of E, each of length one, are dependent below this singular value, relative to the largest
+from ccdtools.twin.tolerances import RANK
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Transport(Immutable):
-    """The split of an error at one design into what enters through E, and the rest.
+    """Split of an error at one design into what enters through E, and the rest.
 
     e = E(p) ŵ + r with ŵ = E(p)⁺ e. At a design q the same disturbance enters through E(q), and the rest as it is:
     E(q) ŵ + r = T e with T = I + (E(q) − E(p)) E(p)⁺, the identity where E does not depend on the design.
@@ -47,7 +46,7 @@ class Transport(Immutable):
 
     @classmethod
     def at(cls, model: Model, p: ArrayLike, scale: ArrayLike) -> Transport:
-        """The split at a design (np,); `scale` (nx,) is the extent of each state, such as half the width of X."""
+        """Split at a design (np,). `scale` (nx,) is the extent of each state, such as half the width of X."""
         as_model("model", model)
         scale = as_extent(scale, model.nx)
         E = model.matrices(p)[2]
@@ -56,12 +55,12 @@ class Transport(Immutable):
         return cls(E, inverse)
 
     def split(self, e: Array) -> tuple[Array, Array]:
-        """Disturbances ŵ (..., nw) and the rest r (..., nx) of errors (..., nx) at the design of the log."""
+        """Disturbances ŵ (..., nw) and the rest r (..., nx) of errors (..., nx). At the design of the log."""
         w = e @ self.inverse.T
         return w, e - w @ self.E.T
 
     def matrix(self, E: Any) -> Any:
-        """T (nx, nx) for a design where the model has `E` (nx, nw): an array, or a tensor and differentiable in it."""
+        """Matrix T (nx, nx) for a design where the model has `E` (nx, nw). An array, or a tensor and differentiable."""
         if isinstance(E, np.ndarray):
             return np.eye(len(self.E)) + (E - self.E) @ self.inverse
         own = E.new_tensor(self.E.tolist()).reshape(self.E.shape)
@@ -71,7 +70,7 @@ class Transport(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ErrorSplit(Immutable):
-    """Logged errors as disturbances (ŵ, r) of a model with [E(p) I] in the place of E(p).
+    """Logged errors as disturbances (ŵ, r) of a model. It has [E(p) I] in the place of E(p).
 
     Of a nonlinear model x⁺ = f(x, u, ŵ, p) + r along the log, with the ŵ that leaves least; see `met_disturbances`.
 
@@ -95,27 +94,27 @@ class ErrorSplit(Immutable):
 
     @property
     def replayed_model(self) -> Model:
-        """The model that (ŵ, r) drives: ŵ through E(p) of whichever design, r as it is."""
+        """Model that (ŵ, r) drives: ŵ through E(p) of whichever design, r as it is."""
         return self.model.with_errors()
 
     def disturbances(self, log: Residuals) -> Array:
-        """(ŵ, r) of every error of a log, (n, T, nw + nx)."""
+        """Disturbances (ŵ, r) of every error of a log, (n, T, nw + nx)."""
         if isinstance(self.model, SampledModel):
             return self._nonlinear(self.model, log)
         return np.concatenate(Transport.at(self.model, log.p, self.scale).split(log.e_next), axis=-1)
 
     def share_of_the_rest(self, logs: Sequence[Residuals]) -> float:
-        """Part of the errors' energy, in scaled states, that the rest r holds; 0 where there is no error."""
+        """Part of the errors' energy, in scaled states, that the rest r holds. 0 where there is no error."""
         rest = sum(float(np.square(self.rest(log) / self.scale).sum()) for log in logs)
         whole = sum(float(np.square(log.e_next / self.scale).sum()) for log in logs)
         return rest / whole if whole > 0 else 0.0
 
     def rest(self, log: Residuals) -> Array:
-        """r of every error of a log, (n, T, nx)."""
+        """Rest r of every error of a log, (n, T, nx)."""
         return self.disturbances(log)[..., self.model.nw :]
 
     def _nonlinear(self, model: SampledModel, log: Residuals) -> Array:
-        """The split of a model that is not linear: f(x, u, ŵ, p) + r is the logged next state."""
+        """Split for a nonlinear model: f(x, u, ŵ, p) + r is the logged next state."""
         from ccdtools.twin.met_disturbances import met_disturbances  # imports torch, which a study need not wait for
 
         w = met_disturbances(model, log, np.asarray(self.scale))
@@ -124,7 +123,7 @@ class ErrorSplit(Immutable):
 
 
 def carried(model: Model, log: Residuals, p: ArrayLike, scale: ArrayLike) -> Residuals:
-    """A log with its errors e and e⁺ at another design (np,), in the same states under the same inputs.
+    """Log with its errors e and e⁺ at another design (np,). States and inputs are the same.
 
     E(q) ŵ + r of a linear model, f(x, u, ŵ, q) + r − f(x, u, 0, q) of another.
     """
@@ -139,7 +138,7 @@ def carried(model: Model, log: Residuals, p: ArrayLike, scale: ArrayLike) -> Res
 
 
 def as_extent(scale: ArrayLike, nx: int) -> Array:
-    """The extent of each state (nx,), all positive; else an `InputError`."""
+    """Extent of each state (nx,), all positive. Else an `InputError`."""
     extent = as_floats("scale", scale)
     if extent.shape != (nx,) or not ((extent > 0) & np.isfinite(extent)).all():
         got = f"{extent.tolist()} of shape {extent.shape}"
@@ -148,7 +147,7 @@ def as_extent(scale: ArrayLike, nx: int) -> Array:
 
 
 def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
-    """Whether every disturbance of a model can be told from an error at a design: E(p) is of full column rank."""
+    """Whether an error at a design tells every disturbance of a model. E(p) is then of full column rank."""
     scaled, lengths = _columns_of_length_one(model.matrices(p)[2] / scale[:, None])
     if model.nw == 0 or not np.isfinite(lengths).all():
         return model.nw == 0
@@ -172,7 +171,7 @@ def check_disturbance_enters(model: Model) -> None:
 
 
 def _columns_of_length_one(M: Array) -> tuple[Array, Array]:
-    """M with its columns divided by their lengths, and those lengths; infinite for a column of zeros."""
+    """Matrix M with columns divided by their lengths, and those lengths. Infinite for a column of zeros."""
     lengths = np.linalg.norm(M, axis=0)
     lengths = np.where(lengths > 0, lengths, np.inf)
     return M / lengths, lengths

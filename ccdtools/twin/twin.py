@@ -15,18 +15,18 @@ from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
+from ccdtools.twin.tolerances import FEWEST_FITTED
 from ccdtools.twin.transport import Transport, as_extent, carried
 from learning.copula_fit import fit_copula
 from learning.quantile import QuantileConfig, fit_quantiles
 
-HELD_OUT = 0.2  # of every block of a log
-BLOCKS = 20  # that a single long run is cut into
-LEAST_TRAINED = 20  # samples that quantiles can be fitted to
+HELD_OUT = 0.2  # This part of every block of a log is held out by default.
+BLOCKS = 20  # A single long run is cut into so many blocks by default.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DigitalTwin(Immutable):
-    """A nominal model with every log so far and the discrepancy learned from them.
+    """Nominal model with every log so far and the discrepancy learned from them.
 
     `update` returns a new twin; the old one is unchanged. Its network works in the coordinates of the newest log's
     design: errors of other logs are carried there before it is fitted, and what it says is carried to any other design.
@@ -71,7 +71,7 @@ class DigitalTwin(Immutable):
         blocks: int = BLOCKS,
         progress: bool = False,
     ) -> DigitalTwin:
-        """The twin after learning from one more log.
+        """Twin after learning from one more log.
 
         The last part of every contiguous block of the log is held out for the scores: it follows in time what was
         trained on, and fit and test both see every regime of a drive. Of several runs, the last ones are held out.
@@ -126,7 +126,7 @@ class DigitalTwin(Immutable):
         )  # fmt: skip
 
     def remembering(self, log: Trajectory) -> DigitalTwin:
-        """The twin with one more log, and nothing learned from it yet."""
+        """Twin with one more log, and nothing learned from it yet."""
         logs = (*self.logs, residuals(self.model, log))
         extent = np.abs(logs[0].x).max(axis=(0, 1))
         scale = np.where(extent > 0, extent, 1.0) if self.scale is None else self.scale
@@ -134,20 +134,20 @@ class DigitalTwin(Immutable):
 
     @property
     def transport(self) -> Transport:
-        """Of errors from the design of the newest log to any other."""
+        """Transport of errors from the design of the newest log to any other."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
         return Transport.at(self.model, self.logs[-1].p, self.scale)
 
     def carried(self) -> tuple[Residuals, ...]:
-        """The logs with their errors as they would be at the design of the newest one."""
+        """Logs with their errors as they would be at the design of the newest one."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
         newest = self.logs[-1].p
         return tuple(carried(self.model, log, newest, self.scale) for log in self.logs)
 
     def innovations(self) -> tuple[Residuals, ...]:
-        """The logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""
+        """Logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""
         if self.discrepancy is None:
             raise InputError("twin", "one without a discrepancy", "one after `update`")
         return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.carried())
@@ -160,9 +160,9 @@ def _check_split(
     argument = "log" if (held_out, blocks) == (HELD_OUT, BLOCKS) else "held_out"
     of = f"{log.runs} runs" if log.runs > 1 else f"{blocks} blocks of a log of {log.steps} samples"
     trained = sum(part.runs * part.steps for part in train)
-    if trained < LEAST_TRAINED:
+    if trained < FEWEST_FITTED:
         got = f"{held_out} of {of}, which leaves {trained} samples to train on"
-        raise InputError(argument, got, f"at least {LEAST_TRAINED}: a longer log or a smaller fraction")
+        raise InputError(argument, got, f"at least {FEWEST_FITTED}: a longer log or a smaller fraction")
     if not test:
         got = f"{held_out} of {of}, which leaves none to test on"
         raise InputError(argument, got, "a longer log, fewer blocks or a larger fraction")

@@ -10,15 +10,14 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.plants.models import Model, PlantOfModel
 from ccdtools.twin.residuals import Residuals, stacked
+from ccdtools.twin.tolerances import FEWEST_FITTED
 from ccdtools.twin.transport import ErrorSplit, Transport, carried
 from learning.quantile import QuantileConfig, QuantileNetwork, fit_quantiles
-
-FEWEST = 20  # samples that a median can be fitted to
 
 
 @dataclass(frozen=True, eq=False)
 class UpdatedPlant(PlantOfModel):
-    """The updated model: x⁺ = f(x, u, ŵ, p) + T(p) g(x, u) + ρ, driven by (ŵ, ρ).
+    """Updated model x⁺ = f(x, u, ŵ, p) + T(p) g(x, u) + ρ, driven by (ŵ, ρ).
 
     Logged errors hold E(p) w, and a model fitted in closed loop can mistake a coloured disturbance for a consequence of
     the state. Of a single drive g is therefore the median of what does not enter through E(p); the rest of the errors
@@ -45,10 +44,10 @@ class UpdatedPlant(PlantOfModel):
     median: QuantileNetwork | None
 
     @classmethod
-    def of(
+    def from_logs(
         cls, split: ErrorSplit, logs: Sequence[Residuals], *, rng: np.random.Generator, config: QuantileConfig
     ) -> UpdatedPlant:  # fmt: skip
-        """That of logged errors; `config` without its levels, as the median alone is fitted."""
+        """Updated model of logged errors. `config` is without its levels, as the median alone is fitted."""
         transport = Transport.at(split.model, logs[-1].p, split.scale)
         identity = np.eye(split.model.nx)
         single = all(log.runs == 1 for log in logs)
@@ -56,7 +55,7 @@ class UpdatedPlant(PlantOfModel):
         plant = cls(split.replayed_model, split, transport, follows, None)
         own = plant.unexplained(logs)
         _, x, u, _, errors = stacked(own)
-        if len(x) < FEWEST or not np.abs(follows).max() > np.sqrt(np.finfo(float).eps):
+        if len(x) < FEWEST_FITTED or not np.abs(follows).max() > np.sqrt(np.finfo(float).eps):
             return plant
         network = fit_quantiles(
             np.hstack([x, u]), errors @ follows.T, stretches=[log.runs * log.steps for log in own], rng=rng,
@@ -65,26 +64,26 @@ class UpdatedPlant(PlantOfModel):
         return replace(plant, median=network)
 
     def learned(self, x: Array, u: Array) -> Array:
-        """g (..., nx) at states (..., nx) and inputs (..., nu)."""
+        """Learned error g (..., nx) at states (..., nx) and inputs (..., nu)."""
         if self.median is None:
             return np.zeros(x.shape)
         inputs = np.concatenate([x, u], axis=-1)
         return self.median.predict(inputs.reshape(-1, inputs.shape[-1]))[:, 0].reshape(x.shape)
 
     def unexplained(self, logs: Sequence[Residuals]) -> list[Residuals]:
-        """The logs at the newest design, their errors less what follows state and input."""
+        """Logs at the newest design, their errors less what follows state and input."""
         newest = logs[-1].p
         own = [replace(carried(self.split.model, log, newest, np.asarray(self.split.scale)), p=newest) for log in logs]
         return [replace(log, e_next=log.e_next - self.learned(log.x, log.u)) for log in own]
 
     def drawn(self, logs: Sequence[Residuals], w: Array) -> Array:
-        """What drives it under a disturbance (n, T, nw) in the place of the logged one, whose mean is kept."""
+        """Drive (ŵ, ρ) under a disturbance (n, T, nw). It takes the place of the logged one, whose mean is kept."""
         nw = w.shape[-1]
         logged = [self.split.disturbances(log)[..., :nw].reshape(-1, nw) for log in self.unexplained(logs)]
         return np.concatenate([w + np.concatenate(logged).mean(axis=0), np.zeros((*w.shape[:2], self.nx))], axis=-1)
 
     def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
-        """(x, u, (ŵ, ρ)) → x⁺ at design `p` (np,)."""
+        """Steps (x, u, (ŵ, ρ)) → x⁺ at design `p` (np,)."""
         step = self.model.stepper(p, batch=batch)
         if self.median is None:
             return step

@@ -71,7 +71,7 @@ class Car(Parameters):
         )
 
     def axles(self, p: ca.SX, *, strut: RealStrut, real: bool) -> tuple[Corner, Corner]:
-        """A corner of the front axle and one of the rear axle, at the design p of `axle_design`."""
+        """Corners of the front axle and of the rear axle, at the design p of `axle_design`."""
         front, rear = (
             Corner(p[2 * i], p[2 * i + 1], self.tyre, load, strut, nonlinear=real, real=real)
             for i, load in enumerate(self.loads)
@@ -80,7 +80,7 @@ class Car(Parameters):
 
 
 def axle_design() -> DesignSpace:
-    """Spring and damper of one wheel, front and rear."""
+    """Design of spring and damper of one wheel, front and rear."""
     return DesignSpace(
         ["k_f", "c_f", "k_r", "c_r"],
         lower=[1.5e4, 800.0, 1.2e4, 800.0],
@@ -92,7 +92,7 @@ def axle_design() -> DesignSpace:
 def corner_forces(
     corners: list[Corner], u: ca.SX, deflections: ca.SX, travels: ca.SX, rates: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Upward forces [N] on the body at its corners and on the wheels, a row for each corner."""
+    """Upward forces [N] on the body at its corners and on the wheels. A row for each corner."""
     lifts = [corner.active(u[i]) - corner.passive(travels[i], rates[i]) for i, corner in enumerate(corners)]
     pushes = [corner.ground(deflections[i]) - lifts[i] for i, corner in enumerate(corners)]
     return ca.vertcat(*lifts), ca.vertcat(*pushes)

@@ -9,17 +9,15 @@ import casadi as ca
 
 from ccdtools.plants.library.elements import Parameters, dry_friction, hardening_spring, limited
 
-ROUNDING = 0.1  # of the static load, over which the tyre leaves the road
-
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
-    """c (v + a (√(v² + v₀²) − v₀)): slope c at rest, (1 + a) c in rebound and (1 − a) c in bump beyond the knee v₀."""
+    """Force c (v + a (√(v² + v₀²) − v₀)), of slope c at rest, (1 + a) c in rebound, (1 − a) c in bump beyond v₀."""
     return damping * (rate + asymmetry * (ca.sqrt(rate**2 + knee**2) - knee))
 
 
 @dataclass(frozen=True)
 class RealStrut(Parameters):
-    """What real struts have that linear ones lack; typical values, of no particular car.
+    """Properties of real struts that linear ones lack. Typical values, of no particular car.
 
     Attributes
     ----------
@@ -48,7 +46,7 @@ class RealStrut(Parameters):
 
 @dataclass(frozen=True)
 class Corner:
-    """One wheel and what joins it to the body; all forces are beyond the static ones.
+    """One wheel and what joins it to the body. All forces are beyond the static ones.
 
     Attributes
     ----------
@@ -88,10 +86,10 @@ class Corner:
         return limited(u, self.strut.force_limit) if self.real else u
 
     def ground(self, deflection: ca.SX) -> ca.SX:
-        """Upward force of the road on the wheel [N], `deflection` [m] above where it stands at rest."""
+        """Upward force of the road on the wheel [N]. `deflection` [m] is above where it stands at rest."""
         if not self.real:
             return -self.tyre * deflection
-        rounding = ROUNDING * self.load
+        rounding = 0.1 * self.load  # of the corner at which the tyre leaves the road
         contact = self.load - self.tyre * deflection
         at_rest = (self.load + (self.load**2 + rounding**2) ** 0.5) / 2
         return (contact + ca.sqrt(contact**2 + rounding**2)) / 2 - at_rest

@@ -22,12 +22,12 @@ SMOOTHEST = 16e-6  # geometric mean of class A at n₀ [m³]; each class is four
 REFERENCE_FREQUENCY = 0.1  # n₀ [1/m]
 BAND = (0.011, 2.83)  # [1/m]: wavelengths from 91 m to 0.35 m, the octaves that ISO 8608 fits its classes to
 SPACING = 0.02  # [m]; reading the road linearly between samples takes 2 % of the spectrum at the upper end of BAND
-CYCLES = 20  # of the longest wave in the period of a generated road, so that every octave has many waves
-FEWEST = 4  # samples of the shortest wave
+CYCLES = 20  # A generated road has so many of the longest waves in its period, and many waves in every octave.
+FEWEST = 4  # The shortest wave has at least so many samples.
 
 
 def road_roughness(road_class: RoadClass) -> float:
-    """Displacement spectrum of a class at n₀ = 0.1 1/m, its geometric mean [m³]: 16·10⁻⁶ for A, 4 times for each next.
+    """Displacement spectrum of a class at n₀ = 0.1 1/m, geometric mean [m³]. 16·10⁻⁶ for A, 4 times for each next.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def road_roughness(road_class: RoadClass) -> float:
 
 
 def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLike = BAND) -> Array:
-    """One-sided spectrum of the elevation of a class, G(n) = G(n₀) (n/n₀)⁻² [m³] within the band and 0 outside.
+    """One-sided spectrum of the elevation of a class. G(n) = G(n₀) (n/n₀)⁻² [m³] within the band and 0 outside.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLik
 
 
 def track_coherency(frequency: ArrayLike, track: float) -> Array:
-    """Coherency γ(n) of the elevations of two parallel tracks of an isotropic road; its square is their coherence.
+    """Coherency γ(n) of the elevations of two parallel tracks of an isotropic road. Its square is their coherence.
 
     γ(n) = x K₁(x) with x = 2π n b. It is real, 1 for long waves and 0 for short ones: the cross spectrum of the
     tracks is γ(n) G(n).
@@ -110,7 +110,7 @@ def generate_profile(
     band: ArrayLike = BAND,
     spacing: float = SPACING,
 ) -> tuple[Array, Array]:
-    """A road of a class of ISO 8608, of one track, or of two whose coherence is that of an isotropic road.
+    """Road of a class of ISO 8608, of one track or two. Their coherence is that of an isotropic road.
 
     The elevation is a sum of cosines with normal amplitudes and random phases, on a grid of frequencies as fine as
     that of a road at least twice as long: a stationary Gaussian process, whose spectrum has the class' power in every
@@ -178,7 +178,7 @@ def as_band(argument: str, value: Any) -> tuple[float, float]:
 
 
 def as_spacing(argument: str, value: Any, high: float) -> float:
-    """A distance between samples [m] that resolves waves of the frequency `high` [1/m]."""
+    """Distance between samples [m] that resolves waves of the frequency `high` [1/m]."""
     spacing = as_positive(argument, value, unit="m")
     if spacing * high * FEWEST > 1 + 1e-9:
         most = f"at most {1 / (FEWEST * high):.3g} m, a quarter of the shortest wave of the band"
@@ -187,7 +187,7 @@ def as_spacing(argument: str, value: Any, high: float) -> float:
 
 
 def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
-    """Frequencies k·step of the cells (k ± ½)·step that meet the band, and ∫ n⁻² dn over what lies in it."""
+    """Frequencies k·step of the cells (k ± ½)·step that meet the band. And ∫ n⁻² dn over what lies in it."""
     k = np.arange(max(1, round(low / step)), round(high / step) + 1, dtype=np.float64)
     begin = np.maximum((k - 0.5) * step, low)
     end = np.minimum((k + 0.5) * step, high)

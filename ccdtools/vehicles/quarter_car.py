@@ -90,6 +90,6 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
 
 
 def motion(car: QuarterCar, x: ca.SX, w: ca.SX, lift: ca.SX, ground: ca.SX) -> ca.SX:
-    """dx/dt (4, 1) by the upward forces of the strut on the body and of the road on the wheel [N]."""
+    """State derivative dx/dt (4, 1). By the upward forces [N] of the strut on the body and of the road on the wheel."""
     _, wheel, _, body = ca.vertsplit(x[:4])
     return ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)

@@ -1,4 +1,4 @@
-"""How a vehicle rode, as a few numbers of a trajectory: what a table of controllers shows beside their returns."""
+"""Ride of a vehicle, as a few numbers of a trajectory: what a table of controllers shows beside their returns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Ride"]
 
 @dataclass(frozen=True, eq=False)
 class Ride(Immutable):
-    """Where the suspension is among the states of a vehicle; called with a trajectory it says how that rode.
+    """Ride of a trajectory, called with one. Says where the suspension is among the states of a vehicle.
 
     As the `metrics` of a study it stands beside every comparison:
 
@@ -72,7 +72,7 @@ class Ride(Immutable):
         set_(self, "stop", as_positive("stop", self.stop, unit="m"))
 
     def __call__(self, run: Trajectory) -> dict[str, float]:
-        """Means over the runs, and over the wheels but for the largest travel and the power of all actuators.
+        """Means over the runs, and over the wheels. Largest travel and power of all actuators are not over wheels.
 
         The power is that of what the actuators do on the suspension, without what comes back from braking.
 
@@ -116,12 +116,12 @@ class Ride(Immutable):
 
 
 def _of_wheels(states: Array, indices: Sequence[int]) -> Array:
-    """Some of the states, (n, wheels, T + 1)."""
+    """States of the wheels, (n, wheels, T + 1)."""
     return np.moveaxis(states[:, :, list(indices)], 1, -1)
 
 
 def _indices(argument: str, value: Sequence[int]) -> tuple[int, ...]:
-    """Different numbers of states."""
+    """Indices of states, all different."""
     try:
         found = tuple(value)
     except TypeError:

@@ -20,7 +20,6 @@ Weighting: TypeAlias = Literal["Wk", "Wd"]
 
 LOWEST, HIGHEST = 0.4, 100.0  # f₁, f₂: limits of the band [Hz]
 BUTTERWORTH = 1 / math.sqrt(2)  # Q₁, Q₂
-SETTLED = 16.0  # [s] in which the slowest pole, at 0.4 Hz, has fallen by 10⁻¹²
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ CURVES = {
 
 
 def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> NDArray[np.complex128]:
-    """Transfer function of a weighting at frequencies (...) [Hz], complex; its absolute value is the weight.
+    """Transfer function of a weighting at frequencies (...) [Hz], complex. Its absolute value is the weight.
 
     Parameters
     ----------
@@ -71,13 +70,13 @@ def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> ND
 
 
 def _second_order(f: NDArray[np.complex128], corner: float, Q: float) -> NDArray[np.complex128]:
-    """1 + s/(Q ω) + (s/ω)² at s = 2πi f, for ω = 2π corner."""
+    """Factor 1 + s/(Q ω) + (s/ω)² at s = 2πi f, for ω = 2π corner."""
     ratio = 1j * f / corner
     return 1 + ratio / Q + ratio**2
 
 
 def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") -> Array:
-    """The acceleration as people feel it, a_w (..., T) [m/s²], as a filter gives it that starts at rest.
+    """Acceleration as people feel it, a_w (..., T) [m/s²]. A filter gives it that starts at rest.
 
     The record is weighted in the frequency domain, followed by zeros until the filter has settled. Below half the
     sampling rate the weights are therefore those of the standard at every rate; the usual bilinear filter at
@@ -104,14 +103,15 @@ def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weig
     """
     a = as_signal("acceleration", acceleration)
     dt = as_positive("dt", dt, unit="s")
-    samples = next_fast_len(a.shape[-1] + math.ceil(SETTLED / dt), real=True)
+    settled = math.ceil(16.0 / dt)  # in 16 s the slowest pole, at 0.4 Hz, falls by 10⁻¹²
+    samples = next_fast_len(a.shape[-1] + settled, real=True)
     response = frequency_weighting(rfftfreq(samples, dt), weighting)
     weighted: Array = irfft(rfft(a, samples) * response, samples)[..., : a.shape[-1]]
     return weighted
 
 
 def comfort(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") -> Array:
-    """Root mean square of the weighted acceleration of each record, (...,) [m/s²]: smaller is more comfortable.
+    """Root mean square of the weighted acceleration of each record, (...,) [m/s²]. Smaller is more comfortable.
 
     ISO 2631-1, for public transport: not uncomfortable below 0.315 m/s², fairly uncomfortable from 0.5,
     uncomfortable from 0.8, very uncomfortable from 1.25, extremely so above 2. Of a trajectory whose state i is the

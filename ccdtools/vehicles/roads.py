@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY
 
 __all__ = ["GeneratedRoad", "generate_obstacles", "generate_road", "generate_speed", "road_disturbance"]
 
@@ -30,7 +31,7 @@ def road_disturbance(
     dt: float,
     steps: int | None = None,
 ) -> Array:
-    """Vertical velocity of the road under the wheel, ż₀ = dz₀/ds · v [m/s], one value per time step.
+    """Vertical velocity of the road under the wheel [m/s]. ż₀ = dz₀/ds · v, one value per time step.
 
     Each value is the mean of dz₀/ds · v over its step, (z₀(s(t_k + dt)) − z₀(s(t_k))) / dt: what a model that
     holds its disturbance over a step must be fed. Their sum gives the elevation back exactly, and no edge
@@ -92,7 +93,7 @@ def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array,
 
 
 def _instants(time: Array, dt: float, steps: int | None) -> Array:
-    """(T+1,) instants at which the steps begin and the last one ends [s]."""
+    """Instants (T+1,) at which the steps begin and the last one ends [s]."""
     duration = time[-1] - time[0]
     available = math.floor(duration / dt * (1 + 1e-9))
     if available < 1:
@@ -106,7 +107,7 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
 
 
 def _travelled(time: Array, speed: Array, instants: Array) -> Array:
-    """Distance covered at the instants [m]; exact, because the speed is linear between the knots."""
+    """Distance covered at the instants [m]. Exact, because the speed is linear between the knots."""
     knots = np.union1d(time, instants)
     covered = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
     return covered[np.searchsorted(knots, instants)]
@@ -117,7 +118,7 @@ def _travelled(time: Array, speed: Array, instants: Array) -> Array:
 
 @dataclass(frozen=True)
 class Feature:
-    """One kind of obstacle: how long and how high it may be, and its profile between 0 and 1.
+    """One kind of obstacle. It says how long and how high it may be, and has a profile between 0 and 1.
 
     `profile(x, length)` is the share of the height at the distance x [m] into an obstacle of that length [m].
     """
@@ -129,7 +130,7 @@ class Feature:
 
 
 def _plateau(x: Array, length: float, edge: float) -> Array:
-    """Up over `edge`, flat, down over `edge`."""
+    """Plateau: up over `edge`, flat, down over `edge`."""
     return np.clip(np.minimum(x, length - x) / edge, 0.0, 1.0)
 
 
@@ -138,24 +139,21 @@ def _sinusoid(x: Array, length: float) -> Array:
     return 0.5 - 0.5 * np.cos(2 * np.pi * x / length)
 
 
-JUMP_EDGE = 0.4  # [m] over which a jump rises: steep, but a slope
-
 FEATURES = {
-    "jump": Feature((2.0, 10.0), (0.05, 0.13), lambda x, length: _plateau(x, length, JUMP_EDGE), (-1, 1)),
+    "jump": Feature((2.0, 10.0), (0.05, 0.13), lambda x, length: _plateau(x, length, 0.4), (-1, 1)),  # a steep slope
     "bump": Feature((3.0, 8.0), (0.03, 0.12), _sinusoid),
     "dent": Feature((0.8, 2.5), (0.03, 0.08), _sinusoid, (-1,)),
     "ramp": Feature((20.0, 60.0), (0.1, 0.5), lambda x, length: _plateau(x, length, length / 3), (-1, 1)),
 }
-GAP = (5.0, 45.0)  # [m] of plain road between two obstacles
+GAP = (5.0, 45.0)  # The plain road between two obstacles is this long [m].
 
 # ISO 8608: displacement spectrum G(n) = G(n₀) (n/n₀)⁻², n in cycles per metre; the middle of class C.
 ROUGHNESS = 256e-6  # [m³]
-REFERENCE_FREQUENCY = 0.1  # n₀ [1/m]
 CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounded
 
 
 def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0.05) -> tuple[Array, Array]:
-    """A road of jumps, sinusoidal bumps, dents and ramps, one after the other, on filtered noise.
+    """Road of jumps, sinusoidal bumps, dents and ramps, one after the other, on filtered noise.
 
     Parameters
     ----------
@@ -187,7 +185,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
 
 
 def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
-    """Noise of first order, dz = −α z ds + σ dW: its spectrum is 2σ² / (α² + (2πn)²)."""
+    """Noise of first order, dz = −α z ds + σ dW. Its spectrum is 2σ² / (α² + (2πn)²)."""
     alpha = 2 * np.pi * CUTOFF_FREQUENCY
     sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(ROUGHNESS / 2)
     decay = math.exp(-alpha * spacing)
@@ -198,7 +196,7 @@ def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
 
 
 def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
-    """Elevation (S,) [m] of obstacles of random kind and size with plain road between; the last may be cut."""
+    """Elevation (S,) [m] of obstacles of random kind and size with plain road between. The last may be cut."""
     elevation = np.zeros_like(distance)
     kinds = tuple(FEATURES.values())
     begin = rng.uniform(*GAP)
@@ -217,7 +215,7 @@ def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True)
 class Style:
-    """How somebody drives."""
+    """Style of a driver."""
 
     speeds: tuple[float, float]  # range of the speeds aimed at [m/s]
     hold: tuple[float, float]  # how long one is aimed at [s]
@@ -233,7 +231,7 @@ STYLES: dict[str, Style] = {
 def generate_speed(
     duration: float, *, rng: np.random.Generator, driver: Driver = "mild", dt: float = 0.05
 ) -> tuple[Array, Array]:
-    """The speed of a driver who aims at one speed after another and accelerates within a limit.
+    """Speed of a driver who aims at one speed after another and accelerates within a limit.
 
     Parameters
     ----------
@@ -282,7 +280,7 @@ def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Arra
 
 @dataclass(frozen=True)
 class GeneratedRoad:
-    """A disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
+    """Disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
 
     Attributes
     ----------

@@ -27,7 +27,7 @@ NAMES = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SuspensionMetrics(Immutable):
-    """How runs rode, one value per run, or per run and wheel; smaller is better in all of them.
+    """Metrics of how runs rode, one value per run, or per run and wheel. Smaller is better in all of them.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ def suspension_metrics(
     static_load: float,
     recovered: float = 0.0,
 ) -> SuspensionMetrics:
-    """All of them at once, of signals whose last axis is time.
+    """Metrics of signals whose last axis is time, all at once.
 
     Of a `Trajectory` of the quarter car, x = [z_us − z₀, ż_us, z_s − z_us, ż_s]::
 
@@ -121,7 +121,7 @@ def suspension_metrics(
 
 
 def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Array]:
-    """Root mean square [m], largest value [m], and largest value over the stop, each (...,), of travels (..., T).
+    """Root mean square [m] and largest value [m] of travels (..., T). Also the largest over the stop. Each (...,).
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Arr
 
 
 def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
-    """Root mean square of the dynamic load over the static one, and the fraction of time without load, each (...,).
+    """Root mean square of the dynamic load over the static one. Also the fraction of time without load, each (...,).
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
 
 
 def actuator_energy(force: ArrayLike, travel: ArrayLike, *, recovered: float = 0.0) -> Array:
-    """Work of the actuator over each run, (...,) [J]: what it drives, less the recovered part of what it brakes.
+    """Work of the actuator over each run, (...,) [J]. What it drives, less the recovered part of what it brakes.
 
     The work of a step is force times change of travel, exact for a force that is held over it. It counts with its
     sign, so a step that both drives and brakes counts as their difference: the true energy without recovery is larger

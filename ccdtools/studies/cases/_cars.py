@@ -26,11 +26,11 @@ BODY = {"heave rate": 1.0, "pitch rate": 1.0, "roll rate": 1.0}  # limits: m/s, 
 PLACE = {"place": 0.25}  # limit: m, rad; where the car is costs nothing
 GOOD = {"tyre": 0.01, "travel": 0.05, "wheel speed": 1.0, "heave rate": 0.2, "pitch rate": 0.2, "roll rate": 0.2,
         "place": np.inf}  # fmt: skip
-SPREAD = [28000.0, 2500.0, 21000.0, 2000.0]  # of `Car`'s source
+SPREAD = [28000.0, 2500.0, 21000.0, 2000.0]  # This is the spread of `Car`'s source.
 
 
 def car_study(name: str, title: str, nominal: Plant, real: Plant, *, track: float | None = None) -> Study:
-    """A car that drives on an average road, from a rest; each state is limited and judged by what it is."""
+    """Study of a car that drives on an average road, from a rest. Each state is limited and judged by what it is."""
     limits, good = (by_kind(nominal.state_names, values) for values in (WHEEL | BODY, GOOD))
     X = Polytope.from_bounds(-limits, limits)
     return study_on_roads(name, title, nominal, real, X, np.diag(good**-2), _ride(nominal), track=track)
@@ -40,7 +40,7 @@ def study_on_roads(
     name: str, title: str, nominal: Plant, real: Plant, X: Polytope, Q: Array, metrics: Metrics, *,
     track: float | None = None, heights: bool = False,
 ) -> Study:  # fmt: skip
-    """A car that drives on an average road, from a rest, within X and at the cost Q of its states."""
+    """Study of a car on an average road, from a rest. Within X and at the cost Q of its states."""
     start = np.zeros(nominal.nx)
 
     def road(road_class: RoadClass) -> ISORoad:
@@ -68,7 +68,7 @@ def study_on_roads(
 
 
 def _ride(plant: Plant) -> Ride:
-    """How a car rides at its centre of mass, and on its wheels."""
+    """Ride of a car at its centre of mass, and on its wheels."""
     names = plant.state_names
     tyres, travels = ([i for i, name in enumerate(names) if kind in name] for kind in ("tyre", "travel"))
     front, rear = CAR.loads
@@ -78,5 +78,5 @@ def _ride(plant: Plant) -> Ride:
 
 
 def by_kind(names: Sequence[str], values: dict[str, float]) -> Array:
-    """The value of each quantity, by the words that its name holds; Bryson's rule: what is good costs one."""
+    """Value of each quantity, by the words that its name holds. Bryson's rule: what is good costs one."""
     return np.array([next(value for kind, value in values.items() if kind in name) for name in names])

@@ -28,7 +28,7 @@ ride = Ride(8, range(4, 8), range(4), CAR.tyre, [front, front, rear, rear], WHEE
 
 
 def metrics(run: Trajectory) -> Mapping[str, float]:
-    """How the car rode: the ride of its tyre deflections, travels and heave rate."""
+    """Metrics of the car's ride: of its tyre deflections, travels and heave rate."""
     under = run.disturbances[..., : len(WHEELS)]
     road = np.concatenate([0.0 * under[:, :1], 0.5 * (under[:, 1:] + under[:, :-1]), under[:, -1:]], axis=1)
     parts = [run.states[..., :4] - road, run.states @ travels.T, run.states[..., 11:12]]

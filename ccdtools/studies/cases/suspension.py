@@ -16,11 +16,11 @@ from ccdtools.vehicles.quarter_car import PAPER_DT
 from ccdtools.vehicles.roads import GeneratedRoad
 from invariant_sets import Polytope
 
-HARDENING = 0.01  # of k_s [1/m²] and of c_s [s/m], in the real spring and damper
+HARDENING = 0.01  # Part of k_s [1/m²] and of c_s [s/m] in the real spring and damper.
 
 
 def quarter_car(*, nonlinear: bool = False) -> Plant:
-    """The library's at the paper's sampling time; or besides with the paper's real spring and damper."""
+    """Quarter car of the library at the paper's sampling time. Or besides with the paper's real spring and damper."""
     car = library.QuarterCar()
     plant = library.quarter_car(car=car, dt=PAPER_DT)
     if not nonlinear:

@@ -19,17 +19,14 @@ from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.report_figure import ReportFigure
 from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.report.summary import in_first_place
+from ccdtools.studies.tolerances import SHOWN_STEPS, SURFACE_GRID
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import BLOCKS, HELD_OUT
 
-SURFACE_GRID = 121
-SHOWN_STEPS = 200  # of a long trajectory
-SHOWN_ERRORS = 150
-
 
 def figures(run: FinishedRun) -> Iterator[ReportFigure]:
-    """Every figure that the study can have."""
+    """Figures that the study can have."""
     makers: list[Callable[[FinishedRun], list[ReportFigure]]] = [
         _changes, _history, landscape, _comparison, feasible_set_figure, _policy_surface, _trajectories, _quantiles,
     ]  # fmt: skip
@@ -40,7 +37,7 @@ def figures(run: FinishedRun) -> Iterator[ReportFigure]:
 
 
 def _changes(run: FinishedRun) -> list[ReportFigure]:
-    """What changed from LQR at the start design, and what each source brought."""
+    """Figure of what changed from LQR at the start design. Also what each source brought."""
     rows = in_first_place(run.results)
     places = run.results["gains"]
     figure = style.blank(11, 1.0 + 0.36 * max(len(rows), 2 * len(places)), quick=run.quick)
@@ -56,7 +53,7 @@ def _changes(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _history(run: FinishedRun) -> list[ReportFigure]:
-    """Return and design over the iterations of every co-design."""
+    """Figure of return and design over the iterations of every co-design."""
     space = run.problem.design
     count = run.last
     figure = style.blank(max(5.5, min(3.4 * count + 1, 15)), 1.2 + 1.7 * (1 + space.dim), quick=run.quick)
@@ -71,7 +68,7 @@ def _history(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _comparison(run: FinishedRun) -> list[ReportFigure]:
-    """Every controller beside LQR."""
+    """Figure of every controller beside LQR."""
     rows = run.results["comparison"]
     figure = style.blank(10, 0.8 + 2.0 * (run.last + 1), quick=run.quick)
     return_plots.plot_comparison(figure, rows)
@@ -84,7 +81,7 @@ def _comparison(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
-    """The policy and LQR over two states."""
+    """Figure of the policy and LQR over two states."""
     if run.study.plant.nx != 2:
         return []
     policy = load_policy(run.folder.path / "policy.safetensors")
@@ -110,16 +107,16 @@ def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _trajectories(run: FinishedRun) -> list[ReportFigure]:
-    """States and inputs under LQR and the learned policy, on the model and on the real plant."""
+    """Figure of states and inputs under LQR and the learned policy. On the model and on the real plant."""
     return [_trajectories_on(run, kind) for kind in ("model", "real")]
 
 
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
-    """States and inputs at the start design and at the final one, on the model or on the real plant."""
+    """Figure of states and inputs at the start design and at the final one. On the model or on the real plant."""
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
-    window = _liveliest(stages[0][f"{kind}_LQR_states"][1], run.problem.state_scale) if single else slice(0, None)
+    window = _active_part(stages[0][f"{kind}_LQR_states"][1], run.problem.state_scale) if single else slice(0, None)
     columns = {}
     limits = []
     for g, arrays in stages.items():
@@ -147,14 +144,14 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
 
 
 def _signals(arrays: dict[str, Array], name: str, window: slice) -> Array:
-    """States and inputs of a controller side by side: low, mean and high, (3, T, nx + nu)."""
+    """Signals of a controller side by side. States and inputs, low, mean and high, (3, T, nx + nu)."""
     states = arrays[f"{name}_states"]
     inputs = arrays[f"{name}_inputs"]
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 
-def _liveliest(states: Array, scale: Array) -> slice:
-    """The part of a long run in which the scaled state is largest in the mean square."""
+def _active_part(states: Array, scale: Array) -> slice:
+    """Part of a long run in which the scaled state is largest in the mean square."""
     steps = len(states) - 1
     if steps <= SHOWN_STEPS:
         return slice(0, None)
@@ -165,19 +162,20 @@ def _liveliest(states: Array, scale: Array) -> slice:
 
 
 def _quantiles(run: FinishedRun) -> list[ReportFigure]:
-    """The learned quantiles with the errors at the end of every deployment."""
+    """Figure of the learned quantiles with the errors at the end of every deployment."""
     taught = [g["generation"] for g in run.results["generations"] if g["deployed_diverged"] < 1]
     return [_quantiles_of(run, generation) for generation in taught]
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
-    """The learned quantiles of one generation with the errors at the end of its deployment."""
+    """Figure of the learned quantiles of one generation. With the errors at the end of its deployment."""
     dt = run.study.plant.dt
     logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
     log = residuals(run.study.model, Trajectory(**logged, dt=dt))
     network = run.folder.read_stage(f"twin-{generation}").networks["quantiles"]
     total = log.x.shape[1]
-    count = min(SHOWN_ERRORS, total if len(log.x) > 1 else max(round(HELD_OUT * total / BLOCKS), 2))
+    held_out = max(round(HELD_OUT * total / BLOCKS), 2)
+    count = min(150, total if len(log.x) > 1 else held_out)  # errors that are drawn
     end = log.part(slice(-1, None), slice(total - count, None))
     quantiles = network.predict(np.hstack([end.e[0], end.x[0], end.u[0]]))
     names = run.study.plant.state_names

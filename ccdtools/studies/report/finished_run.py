@@ -16,7 +16,7 @@ from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import ParametricSet
 
-SET_SECONDS = 3.0  # longest computation of one set that is only drawn
+SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,39 +44,39 @@ class FinishedRun:
 
     @cached_property
     def sets(self) -> ParametricSet:
-        """X_fea(p), each within `SET_SECONDS`."""
+        """Sets X_fea(p), each computed within `SET_SECONDS`."""
         return replace(feasible_sets(self.problem), time_limit=SET_SECONDS)
 
     @cached_property
     def designs(self) -> list[Array]:
-        """The start design and that of every generation."""
+        """Designs: the start design and that of every generation."""
         space = self.problem.design
         return [np.asarray(self.study.p0)] + [space.from_dict(g["design"]) for g in self.results["generations"]]
 
     @cached_property
     def histories(self) -> list[History]:
-        """The course of every co-design."""
+        """Courses of all co-designs."""
         names = History.__dataclass_fields__
         stages = [self.folder.read_stage(f"codesign-{g}").arrays for g in range(1, self.last + 1)]
         return [History(**{name: arrays[f"history_{name}"] for name in names}) for arrays in stages]
 
     @cached_property
     def chosen(self) -> list[int]:
-        """The row of every history that its co-design returned."""
+        """Row of every history that its co-design returned."""
         return [_returned(h, p, self.problem) for h, p in zip(self.histories, self.designs[1:])]
 
     def describe(self, design: Array) -> str:
-        """One design with its units."""
+        """Text of one design with its units."""
         return self.problem.design.describe(design)
 
     @property
     def time_label(self) -> str:
-        """Of a time axis."""
+        """Label of a time axis."""
         return "time [s]" if self.study.plant.continuous else "sample"
 
 
 def _returned(history: History, design: Array, problem: CoDesignProblem) -> int:
-    """The best row among those at the returned design."""
+    """Best row among those at the returned design."""
     away = np.abs(problem.design.to_unit(history.design) - problem.design.to_unit(design)).max(axis=1)
     score = np.where(np.isfinite(history.model_return), history.model_return, -np.inf)
     return int(np.where(away <= away.min() + 1e-6, score, -np.inf).argmax())

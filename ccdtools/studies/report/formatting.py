@@ -14,7 +14,7 @@ FORMER = "return to "  # begins the name of a proposal that was deployed before,
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number to so many significant digits, as a power of ten only where it is very small or large."""
+    """Number to so many significant digits. As a power of ten only where it is very small or large."""
     if value is None or not math.isfinite(value):
         return "n/a"
     if value != 0 and not 1e-3 <= abs(value) < 1e6:
@@ -28,12 +28,12 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def capitalised(text: str) -> str:
-    """A text with its first letter in upper case, the others as they are."""
+    """Text with its first letter in upper case, the others as they are."""
     return text[:1].upper() + text[1:]
 
 
 def limits_of(results: Mapping[str, Any]) -> str:
-    """What a controller of a run leaves: "X", or "the limits" where those of outputs count, too."""
+    """Name of what a controller of a run leaves. "X", or "the limits" where those of outputs count, too."""
     return str(results.get("limits", "X"))
 
 
@@ -44,22 +44,22 @@ def duration(seconds: float) -> str:
 
 
 def place(row: Mapping[str, Any]) -> str:
-    """Where the returns of a row or a generation were measured."""
+    """Place where the returns of a row or a generation were measured."""
     return PLACES.get(row["model"], row["model"])
 
 
 def generation_name(generation: int) -> str:
-    """The start, or a generation by its number."""
+    """Name of a generation by its number, or of the start."""
     return "start" if generation == 0 else f"generation {generation}"
 
 
 def active_bounds_text(active: Mapping[str, str]) -> str:
-    """Active design bounds as a phrase: "k_s lower, c_s upper", or "none"."""
+    """Phrase for active design bounds, such as "k_s lower, c_s upper", or "none"."""
     return ", ".join(f"{name} {side}" for name, side in active.items()) or "none"
 
 
 def holding_text(row: Mapping[str, Any]) -> str:
-    """What holds the design of a row: active bounds, and active constraints where there are any.
+    """Phrase for what holds the design of a row. Active bounds, and active constraints where there are any.
 
     Runs of versions that knew no constraints have none.
     """
@@ -68,16 +68,16 @@ def holding_text(row: Mapping[str, Any]) -> str:
 
 
 def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
-    """A design with its units."""
+    """Text of a design with its units."""
     units = dict(zip(results["design_space"]["names"], results["design_space"]["units"]))
     return ", ".join(f"{name} = {value:.6g}{unit_text(units[name])}" for name, value in design.items())
 
 
 def unit_text(unit: str) -> str:
-    """A unit behind a number; nothing for a number without one."""
+    """Unit behind a number. Nothing for a number without one."""
     return "" if unit == "-" else f" {unit}"
 
 
 def axis_label(name: str, unit: str) -> str:
-    """A name with its unit, for an axis or a heading."""
+    """Name with its unit, for an axis or a heading."""
     return name if unit == "-" else f"{name} [{unit}]"

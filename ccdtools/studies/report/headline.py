@@ -1,4 +1,4 @@
-"""What came out, in one sentence."""
+"""Headline: what came out, in one sentence."""
 
 from __future__ import annotations
 
@@ -19,35 +19,33 @@ from ccdtools.studies.report.formatting import (
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
 from ccdtools.studies.report.verdicts import (
-    EQUAL,
-    NOT_WORSE,
     outside_text,
     percent_of_reference,
     reference_of,
     size_of,
     verdict,
 )
+from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT, SMALL_PART
 
 Results = Mapping[str, Any]
-SMALL_PART = 0.02  # of a whole: a part below it goes unmentioned
 
 
 def headline(results: Results) -> str:
-    """Cost on the real plant before and after, where the change comes from, and what each generation did."""
+    """Sentence with the cost on the real plant before and after. Also the sources, and what each generation did."""
     last = len(results["generations"])
-    idle = _idle(results)
+    idle = _no_further_gain(results)
     changes = [idle] if idle else _generations(results)
     cost = "; ".join(part for part in (_cost(results, last), held_out_phrase(results)) if part)
     sentences = [
         cost, _worse(results), _policy(results, last), _limits(results, last), _judged_by(results), "; ".join(changes),
-        *_missed(results),
+        *_missed_predictions(results),
     ]  # fmt: skip
     text = " ".join(f"{capitalised(sentence)}." for sentence in sentences if sentence)
     return f"QUICK run, not a result. {text}" if results["quick"] else text
 
 
-def _missed(results: Results) -> list[str]:
-    """Every deployment of something new whose 95 % interval lies below that of its prediction."""
+def _missed_predictions(results: Results) -> list[str]:
+    """Deployments of something new whose 95 % interval lies below that of their prediction."""
     said = []
     for generation in results["generations"]:
         expected, found = (generation["delivery"].get(name, {}) for name in ("predicted", "returns"))
@@ -62,7 +60,7 @@ def _missed(results: Results) -> list[str]:
 
 
 def _worse(results: Results) -> str:
-    """The numbers other than the cost that got worse, each with its change and, where not in the first place, where."""
+    """Worse numbers other than the cost, each with its change. And with the place where that is not the first one."""
     first = results["gains"][0]["place"] if results.get("gains") else ""
     named = [
         f"{bare(name)} {one.text.split(' [')[0]}" + ("" if one.place == first else f" ({one.place})")
@@ -72,7 +70,7 @@ def _worse(results: Results) -> str:
 
 
 def _judged_by(results: Results) -> str:
-    """What of the returns was optimised and judged by, where it is not their mean, which the costs here are."""
+    """Phrase for the measure that was optimised and judged by. Where it is not the mean, as the costs here are."""
     measure = results.get("measure", "mean")
     if measure != "mean":
         return f"these are mean costs, the study is judged by the {measure}"
@@ -84,8 +82,8 @@ def _judged_by(results: Results) -> str:
     )
 
 
-def _idle(results: Results) -> str:
-    """That the later generations brought nothing, if none of them did, in the words of the last one."""
+def _no_further_gain(results: Results) -> str:
+    """Sentence that the later generations brought nothing, in the words of the last. Empty if one of them did."""
     later = results["generations"][1:]
     if not later or any(_brought(generation) for generation in later):
         return ""
@@ -102,13 +100,13 @@ def _brought(generation: Mapping[str, Any]) -> bool:
 
 
 def _row(results: Results, generation: int, controller: str) -> dict[str, Any]:
-    """A row of the comparison on the real plant."""
+    """Row of the comparison on the real plant."""
     rows = (r for r in results["comparison"] if r["plant"] == "real" and r["generation"] == generation)
     return next(r for r in rows if r["controller"] == controller)
 
 
 def _cost(results: Results, last: int) -> str:
-    """The change of the cost from LQR at the start design to the learned policy at the last one."""
+    """Change of the cost from LQR at the start design to the learned policy at the last one."""
     before = _row(results, 0, "LQR")
     lqr = _row(results, last, "LQR")
     after = _row(results, last, "learned")
@@ -125,13 +123,13 @@ def _cost(results: Results, last: int) -> str:
     change = 100 * (before["mean"] - after["mean"]) / (size_of(before) or abs(before["mean"]))
     of = " of what control costs" if before.get("design_cost") else ""
     costs = f"({_cost_text(before)} → {_cost_text(after)}{lost})"
-    if abs(change) < NOT_WORSE:
-        return f"real plant: cost unchanged within {NOT_WORSE:g} %{of} {costs}"
+    if abs(change) < NOT_WORSE_PERCENT:
+        return f"real plant: cost unchanged within {NOT_WORSE_PERCENT:g} %{of} {costs}"
     return f"real plant: cost {signed_percent(change)}{of} {costs}, {_origin(before, lqr, after)}"
 
 
 def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) -> str:
-    """How much of the change comes from the design, how much from the policy."""
+    """Share of the change from the design, and from the policy."""
     whole = after["mean"] - before["mean"]
     by_design = (lqr["mean"] - before["mean"]) / whole
     if abs(1 - by_design) <= SMALL_PART:
@@ -145,7 +143,7 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
 
 
 def _policy(results: Results, last: int) -> str:
-    """The learned policy beside LQR at the same design, where it was deployed and wherever it is worse or not told."""
+    """Comparison of policy and LQR at the same design. Where deployed, and wherever it is worse or untold."""
     rows = [row for row in results.get("held_out", ()) if row["generation"] == last]
     words: dict[str, list[str]] = {}
     for row in rows:
@@ -162,7 +160,7 @@ def _policy(results: Results, last: int) -> str:
 
 
 def _where_deployed(results: Results, last: int) -> str:
-    """The learned policy beside LQR at the same design, on the runs where it was deployed."""
+    """Comparison of policy and LQR at the same design. On the runs where it was deployed."""
     row = _row(results, last, "learned")
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
@@ -180,7 +178,7 @@ def _where_deployed(results: Results, last: int) -> str:
 
 
 def _limits(results: Results, last: int) -> str:
-    """That the deployed co-design did not keep its limits, and which of them the real plant exceeds most."""
+    """Sentence that the deployed co-design violates its limits. It names what the real plant exceeds most."""
     found = _limits_as_deployed(results)
     if found is None or found["kept"]:
         return ""
@@ -194,28 +192,28 @@ def _limits(results: Results, last: int) -> str:
 
 
 def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
-    """How the co-design of the deployed policy kept its limits; None where it says nothing of them."""
+    """Record of how the deployed policy's co-design kept its limits. None where it says nothing of them."""
     found = deployed_codesign(results)
     return None if found is None else found.get("limits")
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:
-    """The learned policy beside LQR where a run is too short, or drifts too much, to say what the next would bring."""
+    """Sentence on policy and LQR without an interval. A run is too short, or drifts too much, to foresee the next."""
     percent = -100 * row["paired_to_lqr"]["mean"] / (size_of(row, "lqr_mean") or abs(row["lqr_mean"]))
-    if abs(percent) < NOT_WORSE:
-        costs = f"as much as LQR within {NOT_WORSE:g} %"
+    if abs(percent) < NOT_WORSE_PERCENT:
+        costs = f"as much as LQR within {NOT_WORSE_PERCENT:g} %"
     else:
         costs = f"{signed_percent(abs(percent)).removeprefix('+')} {'more' if percent > 0 else 'less'} than LQR"
     return f"the learned policy costs {costs} here, without an interval (the run is too short, or drifts)"
 
 
 def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) -> str:
-    """The return of the learned policy beside LQR's, as a sentence."""
+    """Sentence on the return of the learned policy beside LQR's."""
     if percent is None:
         return "the learned policy equals LQR" if word == "equal" else ""
     if word == "equal":
-        exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL
-        return "the learned policy equals LQR" + ("" if exact else f" within {NOT_WORSE:g} %")
+        exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL_PERCENT
+        return "the learned policy equals LQR" + ("" if exact else f" within {NOT_WORSE_PERCENT:g} %")
     if word in ("better", "worse"):
         less = signed_percent(abs(percent[0])).removeprefix("+")
         return f"the learned policy costs {less} {'less' if word == 'better' else 'more'} than LQR at the same design"
@@ -225,7 +223,7 @@ def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) ->
 
 
 def _generations(results: Results) -> list[str]:
-    """What each generation changed, where it is less than the design."""
+    """Sentence on what each generation changed, where that is less than the design."""
     space = results["design_space"]
     width = [high - low or 1.0 for low, high in zip(space["lower"], space["upper"])]  # 1 where it is fixed
     before = results["start"]
@@ -239,7 +237,7 @@ def _generations(results: Results) -> list[str]:
 
 
 def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> str:
-    """What one generation changed; nothing for the first one, which is expected to move the design."""
+    """Phrase for what one generation changed. Nothing for the first, which is expected to move the design."""
     name = f"generation {generation['generation']}"
     redesign = generation["redesign"]
     updated = any(update["accepted"] for update in generation["online_updates"])
@@ -260,5 +258,5 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
 
 
 def _cost_text(row: Mapping[str, Any]) -> str:
-    """The cost of a row: minus its mean return."""
+    """Cost of a row as text: minus its mean return."""
     return "all runs diverged" if row["mean"] is None else f"{0.0 - row['mean']:.4g}"

@@ -14,12 +14,8 @@ from ccdtools.studies.report import return_plots
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.formatting import axis_label, number, share, with_minus
 from ccdtools.studies.report.report_figure import ReportFigure
+from ccdtools.studies.tolerances import DIVERGED_RUNS, LANDSCAPE
 from mpc import MPCError
-
-LANDSCAPE = {1: 21, 2: 9}  # designs per axis, by the number of design parameters
-LANDSCAPE_RUNS = 400
-QUICK_RUNS = 100  # of a quick run: of a plant that is not linear, 400 take longer than a generation
-LANDSCAPE_DIVERGED = 0.01
 
 
 def landscape(run: FinishedRun) -> list[ReportFigure]:
@@ -39,7 +35,7 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in columns)
     feasible = np.reshape(space.feasible(grid.reshape(-1, space.dim)), grid.shape[:-1])
     diverged = np.where(feasible, diverged, 1.0)
-    fine = diverged <= LANDSCAPE_DIVERGED
+    fine = diverged <= DIVERGED_RUNS
     paths = [np.vstack([h.design[: k + 1], p])[:, shown] for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
     labels = [axis_label(space.names[i], space.units[i]) for i in shown]
     figure = style.blank(8, 4.6, quick=run.quick)
@@ -47,7 +43,7 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     if len(shown) == 1:
         return_plots.plot_landscape_curve(
             ax, axes[0], mean, interval, diverged, [path[:, 0] for path in paths], label=labels[0],
-            allowed=LANDSCAPE_DIVERGED, whole=bool(space.whole[shown[0]]),
+            allowed=DIVERGED_RUNS, whole=bool(space.whole[shown[0]]),
         )  # fmt: skip
     else:
         return_plots.plot_landscape_map(ax, axes[0], axes[1], mean, fine, paths, labels=(labels[0], labels[1]),
@@ -71,25 +67,25 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
         caption += f" Best of the grid: {run.describe(grid[top])}, {with_minus(number(float(mean[top])))}."
     if not fine.all():
         broken = "" if feasible.all() else ", or a constraint is broken,"
-        many = f"more than {share(LANDSCAPE_DIVERGED)} of the runs diverge"
+        many = f"more than {share(DIVERGED_RUNS)} of the runs diverge"
         caption += f" Where {many}{broken} the design is left grey or blank."
     return [ReportFigure("landscape", "Landscape of the return", caption, figure)]
 
 
 def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
-    """Values of one parameter over its range; of whole numbers about as many, with those that were visited."""
+    """Values of one parameter over its range. Of whole numbers about as many, with those that were visited."""
     lower, upper = space.outermost
     values = np.linspace(lower[i], upper[i], n)
     return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values
 
 
 def _runs(run: FinishedRun) -> int:
-    """Runs of every design."""
-    return QUICK_RUNS if run.quick else LANDSCAPE_RUNS
+    """Number of runs of every design."""
+    return 100 if run.quick else 400  # of a nonlinear plant, 400 take longer than a generation
 
 
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:
-    """Mean return of LQR, half-width of its 95 % interval, and fraction of diverged runs, of every design."""
+    """Mean return of LQR of every design. Also half-width of its 95 % interval, and fraction of diverged runs."""
     rng = np.random.default_rng(np.random.SeedSequence(run.results["seed"], spawn_key=tuple(b"landscape")))
     x0, w = run.problem.scenarios.sample(_runs(run), run.study.steps, rng)
     columns = [_return_at(run, design, x0, w) for design in designs]
@@ -98,7 +94,7 @@ def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[f
 
 
 def _return_at(run: FinishedRun, design: Array, x0: Array, w: Array) -> tuple[float, float, float]:
-    """The values of `_returns_over` at one design; where LQR does not exist, every run counts as diverged."""
+    """Values of `_returns_over` at one design. Where LQR does not exist, every run counts as diverged."""
     try:
         controller = saturated_lqr(run.problem, design)
     except MPCError:

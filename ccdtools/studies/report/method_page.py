@@ -34,7 +34,7 @@ def write_table(found: Any, folder: RunFolder) -> None:
 
 
 def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
-    """Write methods.csv, methods.png and methods.html of a `MethodComparison`; the path of the page."""
+    """Write methods.csv, methods.png and methods.html of a `MethodComparison`. Returns the path of the page."""
     write_table(found, folder)
     image = style.png(found.plot())
     folder.write_bytes(PICTURE, image)
@@ -42,7 +42,7 @@ def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
 
 
 def page(title: str, found: Any, image: bytes) -> str:
-    """The page, its picture within."""
+    """Page with its picture within."""
     said = "".join(f"<li>{escape(line)}</li>" for line in found.verdict)
     name = escape(title)
     picture = base64.b64encode(image).decode("ascii")

@@ -48,7 +48,7 @@ from ccdtools.studies.study import Study
 
 
 def write_report(study: Study, folder: RunFolder) -> Path:
-    """Write the tables, the figures and report.html of a finished run; the path of the page.
+    """Write the tables, the figures and report.html of a finished run. Returns the path of the page.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def write_report(study: Study, folder: RunFolder) -> Path:
 
 
 def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
-    """The page, from results.json and the figures (name, title, caption, image in base64)."""
+    """Page from results.json and the figures (name, title, caption, image in base64)."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {
         "number": lambda value, digits=4: with_minus(number(value, digits)), "minus": with_minus, "share": share,
@@ -101,7 +101,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
 
 
 def _no_sets(run: FinishedRun) -> str:
-    """Why there is no figure of X_fea(p), where there is none."""
+    """Reason why there is no figure of X_fea(p), where there is none."""
     option = run.results["configuration"]["sets"]
     if option != "auto":
         return f'the run was asked for sets = "{option}"'
@@ -109,7 +109,7 @@ def _no_sets(run: FinishedRun) -> str:
 
 
 def _cards(run: FinishedRun) -> list[dict[str, Any]]:
-    """The start and every generation: design, bounds and the returns of the learned policy beside LQR's."""
+    """Cards of the start and every generation. Design, bounds and returns of the learned policy beside LQR's."""
     results = run.results
     generations: list[dict[str, Any]] = [{"generation": 0, "design": results["start"]}, *results["generations"]]
     rows = []
@@ -132,7 +132,7 @@ def _cards(run: FinishedRun) -> list[dict[str, Any]]:
 
 
 def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """The design gradients of every co-design, with angle and length relative to the finite differences."""
+    """Design gradients of every co-design, with angle and length relative to the finite differences."""
     labels = {
         "finite_difference": "finite differences", "pathwise": "pathwise", "network_input": "network input (paper)",
     }  # fmt: skip
@@ -154,23 +154,23 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _errors(check: dict[str, Any], label: str, labels: dict[str, str]) -> list[float | None]:
-    """Standard errors of the gradient with that label; None where none was estimated."""
+    """Standard errors of the gradient with that label. None where none was estimated."""
     name = next(name for name, own in labels.items() if own == label)
     return check.get(f"{name}_error") or [None] * len(check["names"])
 
 
 def _cosine(values: Array, reference: Array) -> float | None:
-    """Cosine of the angle between two vectors; None where one of them is zero."""
+    """Cosine of the angle between two vectors. None where one of them is zero."""
     return _ratio(values @ reference, np.linalg.norm(values) * np.linalg.norm(reference))
 
 
 def _ratio(value: Any, size: Any) -> float | None:
-    """`value` / `size`; None where that is not a number."""
+    """Ratio `value` / `size`. None where that is not a number."""
     return float(value / size) if size > 0 and np.isfinite(value) else None
 
 
 def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """The comparison, a block per generation and plant."""
+    """Comparison in blocks, one per generation and plant."""
     blocks: list[dict[str, Any]] = []
     for g, plant in dict.fromkeys((row["generation"], row["plant"]) for row in results["comparison"]):
         rows = [row for row in results["comparison"] if (row["generation"], row["plant"]) == (g, plant)]
@@ -190,7 +190,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """States, inputs and limited outputs with their limits, at the final design; NaN where there is none."""
+    """Rows of states, inputs and limited outputs with their limits, at the final design. NaN where there is none."""
     plant = run.study.plant
     rows = []
     for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U)):
@@ -205,7 +205,7 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
 
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
-    """Costs in words; Q and R as diagonals by signal name, with whatever lies beside them as matrices, as S is."""
+    """Rows of cost weights. Q and R as diagonals by signal name, with what lies beside them as matrices, as S is."""
     plant = run.study.plant
     weights = run.study.weights
     described = run.study.objective.describe()
@@ -224,33 +224,33 @@ def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
 
 
 def _matrix_text(matrix: Array) -> str:
-    """Its entries, line by line."""
+    """Entries of a matrix as text, line by line."""
     text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in matrix)
     return f"[{text}]"
 
 
 def _kept_by_designs(run: FinishedRun) -> list[str]:
-    """What a design has to keep besides its bounds, in words."""
+    """Phrase for what a design has to keep besides its bounds."""
     space = run.problem.design
     kept = {"Constraints of the design, each to be ≤ 0": space.constraint_names, "Whole numbers": space.integer}
     return [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
 
 
 def _risk_text(run: FinishedRun) -> str:
-    """What of the returns a co-design optimises; empty where it is their mean."""
+    """Name of the measure that a co-design optimises. Empty where it is the mean."""
     risk = run.problem.risk
     return "" if isinstance(risk, Mean) else measure(risk)
 
 
 def _limits_note(run: FinishedRun) -> list[str]:
-    """Which limits depend on the design, in words."""
+    """Note on which limits depend on the design."""
     named = [f"{limits.argument}(p) = {limits}" for limits in (run.study.X, run.study.U)
              if isinstance(limits, DesignLimits)]  # fmt: skip
     return [f"Limits that depend on the design, those of the final one above: {'; '.join(named)}"] if named else []
 
 
 def _design_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """Design parameters with their bounds."""
+    """Rows of design parameters with their bounds."""
     space = run.problem.design
     return [
         (f"design {axis_label(name, unit)}", float(low), float(high))

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ReportFigure:
-    """A figure with its file name, title and the sentence that says what to see."""
+    """Figure with its file name, title and the sentence that says what to see."""
 
     name: str
     title: str

@@ -27,7 +27,8 @@ from ccdtools.studies.gains import SOURCES
 from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.report.summary import COST, Change
-from ccdtools.studies.report.verdicts import NOT_WORSE, percent_of_reference
+from ccdtools.studies.report.verdicts import percent_of_reference
+from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
 WORDS = {"better": "#1B7F3B", "worse": "#B00020", "same": "#7F7F7F", "open": "#7F7F7F"}
 SOURCE_COLOURS = ("#3D3D3D", "#D55E00", "#E69F00", "#0072B2")
@@ -36,7 +37,7 @@ SOURCE_COLOURS = ("#3D3D3D", "#D55E00", "#E69F00", "#0072B2")
 def plot_history(
     figure: Figure, histories: Sequence[History], chosen: Sequence[int], space: DesignSpace, judges: Sequence[str]
 ) -> list[Axes]:
-    """Return (top) and design (below) over the iterations of every co-design, one column per generation.
+    """Plot return (top) and design (below) over the iterations. Every co-design, one column per generation.
 
     Fixed parameters are left out.
 
@@ -73,13 +74,13 @@ def plot_history(
 
 
 def _course(ax: Axes, steps: Array, values: Array, chosen: int, colour: Any) -> None:
-    """A quantity over the iterations, with a star where the co-design ended."""
+    """Draw a quantity over the iterations, with a star where the co-design ended."""
     ax.plot(steps, values, "-o", color=colour, ms=2.5, lw=1.5)
     ax.plot(steps[chosen], values[chosen], "*", color=CHOSEN, mec="k", mew=0.6, ms=13, zorder=5)
 
 
 def _bounds(ax: Axes, lower: float, upper: float) -> None:
-    """The bounds of a design parameter, hatched beyond."""
+    """Draw the bounds of a design parameter, hatched beyond."""
     room = 0.08 * (upper - lower)
     ax.set_ylim(lower - room, upper + room)
     for edge, beyond in ((lower, lower - room), (upper, upper + room)):
@@ -88,7 +89,7 @@ def _bounds(ax: Axes, lower: float, upper: float) -> None:
 
 
 def plot_comparison(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> list[Axes]:
-    """Paired difference to LQR in per cent of |LQR|, with its interval: generations below, plants beside each other.
+    """Plot the paired difference to LQR in per cent of |LQR|. Generations below, plants beside each other.
 
     Parameters
     ----------
@@ -114,10 +115,10 @@ def plot_comparison(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> list[A
 
 
 def _differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[str, Any]]) -> list[float]:
-    """Draw one panel; the ends of its intervals."""
+    """Draw one panel. Returns the ends of its intervals."""
     colours = controller_colours(names)
     ends: list[float] = []
-    ax.axvspan(-NOT_WORSE, 0, color=NOT_WORSE_STRIP, lw=0, zorder=0)
+    ax.axvspan(-NOT_WORSE_PERCENT, 0, color=NOT_WORSE_STRIP, lw=0, zorder=0)
     ax.axvline(0, color=COLOURS["LQR"], lw=1.4)
     for y, name in enumerate(names):
         row = chosen.get(name)
@@ -136,7 +137,7 @@ def _differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[st
 
 
 def plot_changes(ax: Axes, rows: Sequence[Change]) -> list[Any]:
-    """Changes in per cent with their intervals, one below the other; left of zero is less."""
+    """Plot changes in per cent with their intervals, one below the other. Left of zero is less."""
     artists: list[Any] = [ax.axvline(0, color="#444444", lw=1)]
     for y, row in enumerate(rows):
         note = row.text
@@ -155,7 +156,7 @@ def plot_changes(ax: Axes, rows: Sequence[Change]) -> list[Any]:
 
 
 def plot_gains(ax: Axes, places: Sequence[Mapping[str, Any]]) -> list[Any]:
-    """The gain in return by source, one bar of parts per place."""
+    """Plot the gain in return by source, one bar of parts per place."""
     artists = []
     for i, source in enumerate(SOURCES[1:]):
         parts = [(gain_percent(place, source) or (0.0,))[0] for place in places]
@@ -170,7 +171,7 @@ def plot_gains(ax: Axes, places: Sequence[Mapping[str, Any]]) -> list[Any]:
 
 
 def _per_cent_axis(ax: Axes, low: float, high: float) -> None:
-    """Linear between −1 and 1 per cent, logarithmic beyond."""
+    """Scale an axis linearly between −1 and 1 per cent, logarithmically beyond."""
     ax.set_xscale("symlog", linthresh=1.0, linscale=1.5)
     ax.set_xlim(min(1.6 * low, -2.0), max(1.6 * high, 2.0))
     powers = 10.0 ** np.arange(0, 9)
@@ -183,7 +184,7 @@ def plot_landscape_curve(
     ax: Axes, designs: Array, mean: Array, interval: Array, diverged: Array, paths: Sequence[Array], *, label: str,
     allowed: float, whole: bool = False,
 ) -> list[Any]:  # fmt: skip
-    """LQR's return over one design parameter, with the paths of the design drawn on it.
+    """Plot LQR's return over one design parameter. The paths of the design are drawn on it.
 
     Parameters
     ----------
@@ -232,7 +233,7 @@ def plot_landscape_map(
     labels: tuple[str, str],
     whole: bool = False,
 ) -> list[Any]:
-    """LQR's return over two design parameters, with the paths of the design.
+    """Plot LQR's return over two design parameters, with the paths of the design.
 
     Parameters
     ----------
@@ -252,7 +253,7 @@ def plot_landscape_map(
 
 
 def _path(ax: Axes, x: Array, y: Array, g: int, *, line: str = "-") -> list[Any]:
-    """The way of the design through one generation: square, dots, star."""
+    """Draw the way of the design through one generation: square, dots, star."""
     colour = generation_colour(g + 1)
     way = ax.plot(x, y, ls=line, marker="o", color=colour, ms=4, lw=1.5, label=f"path of generation {g + 1}", zorder=4)
     start = ax.plot(x[0], y[0], "s", color=generation_colour(g), mec="k", ms=8, zorder=5)

@@ -22,13 +22,11 @@ from invariant_sets import Polytope
 from invariant_sets.results import Status
 
 _Cut = tuple[Callable[[Polytope, tuple[int, int]], Polytope], str]  # the planar set of a pair of states, its title
-SHOWN_DESIGNS = 4
 NEAR = "near the "  # begins the label of the nearest design to one that cannot be built
-MOST_PROJECTED = 4  # states of a set whose projections are drawn
 
 
 def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
-    """X_fea at different designs."""
+    """Figure of X_fea at different designs."""
     nx = run.study.plant.nx
     if nx < 2 or run.results["configuration"]["sets"] != "auto":
         return []
@@ -51,7 +49,7 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
         )
     if shown.missing:
         caption += f"There is none to show at {'; '.join(shown.missing)}. "
-    pairs = [(0, 1)] if nx == 2 else _telling_pairs(shown.sets, nx)
+    pairs = [(0, 1)] if nx == 2 else _most_different_pairs(shown.sets, nx)
     cuts = _cuts(nx)
     figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 4.1 * len(cuts), quick=run.quick)
     grid = figure.subplots(len(cuts), len(pairs), squeeze=False)
@@ -77,8 +75,8 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
 
 @dataclass(frozen=True, eq=False)
 class _ShownSets:
-    """Sets by label with their (colour, line style), the label of the final design, and the labels of designs without
-    a set and of those whose set is not the largest.
+    """Sets by label with their (colour, line style). Also the label of the final design, and the labels of designs
+    without a set and of those whose set is not the largest.
     """
 
     sets: dict[str, Polytope]
@@ -89,7 +87,7 @@ class _ShownSets:
 
 
 def _shown_sets(run: FinishedRun) -> _ShownSets:
-    """X_fea of four different designs: the start, the last generation, corners, middle."""
+    """Sets X_fea of four different designs: the start, the last generation, corners, middle."""
     space = run.problem.design
     places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
     candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
@@ -106,7 +104,7 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
     for label, design in candidates:
         unit = space.to_unit(design)
         title = f"{label}: {run.describe(design)}"
-        if len(shown.sets) == SHOWN_DESIGNS or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
+        if len(shown.sets) == 4 or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
             continue
         seen.append(unit)
         result = run.sets.result(design)
@@ -121,19 +119,19 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
 
 
 def _nearest(space: DesignSpace, design: Array) -> Array | None:
-    """The nearest design that can be built; None if none is found."""
+    """Nearest design that can be built. None if none is found."""
     try:
         return space.project(design)
     except InputError:
         return None
 
 
-def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
-    """The two pairs of states on which the areas of the sets differ most."""
+def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
+    """Two pairs of states on which the areas of the sets differ most."""
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
     def spread(pair: tuple[int, int]) -> float:
-        """How much the areas of the projected and the sliced sets differ, relative to the largest."""
+        """Difference of the areas of the projected and the sliced sets, relative to the largest."""
         total = 0.0
         for cut, _ in _cuts(nx):
             areas = [cut(S, pair).volume for S in sets.values()]
@@ -144,20 +142,20 @@ def _telling_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
 
 
 def _cuts(nx: int) -> list[_Cut]:
-    """What is drawn of sets of so many states; no projection beyond four states, where it can take hours."""
+    """Cuts that are drawn of sets of so many states. No projection beyond four states, where it can take hours."""
     projected: _Cut = (_projected, "" if nx == 2 else "projection")
     sliced: _Cut = (_sliced, "slice, other states 0")
     if nx == 2:
         return [projected]
-    return [projected, sliced] if nx <= MOST_PROJECTED else [sliced]
+    return [projected, sliced] if nx <= 4 else [sliced]  # projections take hours beyond four
 
 
 def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:
-    """The projection on two states."""
+    """Projection of a set on two states."""
     return S if S.dim == 2 else S.projection(pair)
 
 
 def _sliced(S: Polytope, pair: tuple[int, int]) -> Polytope:
-    """The slice in two states with the others zero."""
+    """Slice of a set in two states with the others zero."""
     others = [i for i in range(S.dim) if i not in pair]
     return S.slice(others, np.zeros(len(others)))

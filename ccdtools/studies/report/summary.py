@@ -8,7 +8,7 @@ from typing import Any
 
 from ccdtools.studies.report.formatting import number, percent_interval, with_minus
 from ccdtools.studies.report.gains import gain_percent
-from ccdtools.studies.report.verdicts import NOT_WORSE
+from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
 Values = Mapping[str, Any]
 COST = "cost"
@@ -16,7 +16,7 @@ COST = "cost"
 
 @dataclass(frozen=True)
 class Change:
-    """One number before and after, in one place.
+    """Change of one number, before and after, in one place.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Change:
 
     @property
     def label(self) -> str:
-        """A metric by its name, a cost with its place and the steps that it adds up."""
+        """Label of a metric by its name. Of a cost with its place and the steps that it adds up."""
         return f"cost of {self.steps} steps, {self.place}" if self.name == COST else self.name
 
     @property
     def text(self) -> str:
-        """The change with its interval: "+21 % [+19, +22]"."""
+        """Change with its interval: "+21 % [+19, +22]"."""
         if self.percent is None:
             return "n/a"
         return percent_interval(self.percent[0], self.percent[1:], 100)
@@ -59,21 +59,21 @@ class Change:
 
 
 def changes(results: Values) -> list[Change]:
-    """The cost in every place, then every metric in every place."""
+    """Changes of the cost in every place, then of every metric in every place."""
     places = results.get("gains", ())
     found = [cost for place in places for cost in _cost(place)]
     return found + [metric for place in places for metric in _metrics(place)]
 
 
 def in_first_place(results: Values) -> list[Change]:
-    """The changes of the cost everywhere, and of the metrics where the plant was deployed."""
+    """Changes of the cost everywhere, and of the metrics where the plant was deployed."""
     everything = changes(results)
     first = everything[0].place if everything else ""
     return [one for one in everything if one.name == COST or one.place == first]
 
 
 def of_word(results: Values, word: str) -> dict[str, Change]:
-    """The metrics that got worse (or better) anywhere, each in the first place where it did."""
+    """Metrics that got worse (or better) anywhere. Each in the first place where it did."""
     found: dict[str, Change] = {}
     for one in changes(results):
         if one.word == word and one.name != COST:
@@ -82,7 +82,7 @@ def of_word(results: Values, word: str) -> dict[str, Change]:
 
 
 def decided(results: Values) -> Iterator[tuple[str, Values]]:
-    """Every change that was judged and its verdict: updates, proposals and deployment of each generation."""
+    """Judged changes and their verdicts: updates, proposals and deployment of each generation."""
     for g in results["generations"]:
         generation = f"generation {g['generation']}, "
         for update in g["online_updates"]:
@@ -93,12 +93,12 @@ def decided(results: Values) -> Iterator[tuple[str, Values]]:
 
 
 def bare(name: str) -> str:
-    """The name of a metric without its unit."""
+    """Name of a metric without its unit."""
     return name.split(" [")[0]
 
 
 def next_steps(results: Values) -> list[str]:
-    """What to do next: about numbers that got worse, and the advice of the co-design that is deployed."""
+    """Next steps about numbers that got worse. Also the advice of the co-design that is deployed."""
     steps = []
     worse = ", ".join(bare(name) for name in of_word(results, "worse"))
     if worse:
@@ -114,7 +114,7 @@ def next_steps(results: Values) -> list[str]:
 
 
 def deployed_codesign(results: Values) -> Values | None:
-    """The generation whose co-design found what is deployed at the end; None where it went back to the start."""
+    """Generation whose co-design found what is deployed at the end. None where it went back to the start."""
     for generation in reversed(results["generations"]):
         redesign = generation["redesign"]
         if redesign is None or (redesign["chosen"] == "redesign" and generation["delivery"]["replaces"]):
@@ -125,7 +125,7 @@ def deployed_codesign(results: Values) -> Values | None:
 
 
 def _cost(place: Values) -> Iterator[Change]:
-    """The change of the cost in one place."""
+    """Change of the cost in one place."""
     gain = gain_percent(place, "total")
     if gain is None:
         return
@@ -137,7 +137,7 @@ def _cost(place: Values) -> Iterator[Change]:
 
 
 def _metrics(place: Values) -> Iterator[Change]:
-    """The change of every metric in one place."""
+    """Change of every metric in one place."""
     for metric in place.get("metrics", ()):
         before = metric["before"]
         ends = (metric["change"]["mean"], *metric["change"]["ci95"])
@@ -146,12 +146,12 @@ def _metrics(place: Values) -> Iterator[Change]:
 
 
 def _word(percent: tuple[float, float, float] | None) -> str:
-    """What a change of the cost is called, by the rule of `metric_changes`."""
+    """Word for a change of the cost, by the rule of `metric_changes`."""
     if percent is None:
         return "open"
     mean, low, high = percent
-    if low >= -NOT_WORSE and high <= NOT_WORSE:
+    if low >= -NOT_WORSE_PERCENT and high <= NOT_WORSE_PERCENT:
         return "same"
-    if abs(mean) < NOT_WORSE or low <= 0 <= high:
+    if abs(mean) < NOT_WORSE_PERCENT or low <= 0 <= high:
         return "open"
     return "worse" if mean > 0 else "better"

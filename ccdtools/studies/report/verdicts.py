@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ccdtools.studies.report.formatting import generation_name, number, place
+from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT
 
 Row = Mapping[str, Any]
-NOT_WORSE = 0.5  # per cent of |LQR|: smaller differences of the return do not matter
-EQUAL = 1e-4  # per cent: two returns this close differ by rounding and the tolerances of the solvers
 
 
 def reference_of(rows: Sequence[Row], row: Row) -> Row | None:
-    """The row of LQR for the same generation and plant."""
+    """Row of LQR for the same generation and plant."""
     same = (other for other in rows if (other["generation"], other["plant"]) == (row["generation"], row["plant"]))
     return next((other for other in same if other["controller"] == "LQR"), None)
 
@@ -24,7 +23,7 @@ def saw_fewer_runs(row: Row, reference: Row | None) -> bool:
 
 
 def on_same_runs(row: Row, reference: Row | None) -> Row:
-    """A row without its means and metrics where these are of fewer runs than those of LQR: they share no column."""
+    """Row without its means and metrics where these are of fewer runs. They share no column with LQR's."""
     if not saw_fewer_runs(row, reference):
         return row
     nothing = {"mean": None, "std": None, "median": None, "ci95": (None, None)}
@@ -32,13 +31,13 @@ def on_same_runs(row: Row, reference: Row | None) -> Row:
 
 
 def _tried(row: Row) -> float:
-    """Runs that a row was measured on, diverged ones included; infinite where all diverged, and nobody can tell."""
+    """Runs that a row was measured on, diverged ones included. Infinite where all diverged, and nobody can tell."""
     finished = 1 - (row["diverged"] or 0.0)
     return row["n"] / finished if finished > 0 else float("inf")
 
 
 def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float, float] | None:
-    """Paired difference of a row and its interval in per cent of |LQR| on the same runs; None where there is none.
+    """Paired difference of a row and its interval in per cent of |LQR|. On the same runs; None without one.
 
     The cost of the design, which both pay, is no part of it.
     """
@@ -52,12 +51,12 @@ def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float,
 
 
 def size_of(row: Row, name: str = "mean") -> float:
-    """How large a return of a row is without the cost of its design."""
+    """Size of a return of a row, without the cost of its design."""
     return abs((row[name] or 0.0) + row.get("design_cost", 0.0))
 
 
 def verdict(row: Row, reference: Row | None) -> str:
-    """Return "equal", "better", "not worse", "worse" or "open", and "in return only" behind it where X is left for it.
+    """Word "equal", "better", "not worse", "worse" or "open". It ends "in return only" where X is left for it.
 
     "Better" and "worse" are certain and matter: the interval of the paired difference to LQR excludes zero, and its
     mean is at least 0.5 % of LQR's return. An interval within ±0.5 % is "equal", one above −0.5 % "not worse". A
@@ -71,18 +70,18 @@ def verdict(row: Row, reference: Row | None) -> str:
 
 
 def _verdict_on_return(row: Row, reference: Row | None) -> str:
-    """The verdict on the return alone."""
+    """Verdict on the return alone."""
     percent = percent_of_reference(row, reference)
     if percent is None:
         return _verdict_on_nothing(row, reference)
     mean, low, high = percent
-    if low >= -NOT_WORSE and high <= NOT_WORSE:
+    if low >= -NOT_WORSE_PERCENT and high <= NOT_WORSE_PERCENT:
         return "equal"
-    if low > EQUAL and mean >= NOT_WORSE:
+    if low > EQUAL_PERCENT and mean >= NOT_WORSE_PERCENT:
         return "better"
-    if low > -NOT_WORSE:
+    if low > -NOT_WORSE_PERCENT:
         return "not worse"
-    return "worse" if high < -EQUAL and mean <= -NOT_WORSE else "open"
+    return "worse" if high < -EQUAL_PERCENT and mean <= -NOT_WORSE_PERCENT else "open"
 
 
 def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
@@ -96,12 +95,12 @@ def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
 
 
 def further_than(row: Row) -> tuple[str, ...]:
-    """The controllers that leave X less than that of a row does, on the same runs."""
+    """Names of the controllers that leave X less than that of a row. All on the same runs."""
     return tuple(row.get("further_outside_than", ()))
 
 
 def outside_text(row: Row, rows: Sequence[Row]) -> str:
-    """How far a controller leaves X beside LQR and MPC: "0.99 half-widths (v > 0.5); LQR 0.4, MPC 0.04"."""
+    """Text of the violation of X beside LQR and MPC. Such as "0.99 half-widths (v > 0.5); LQR 0.4, MPC 0.04"."""
     same = [o for o in rows if (o["generation"], o["plant"]) == (row["generation"], row["plant"])]
     others = [o for o in same if o["controller"] in ("LQR", "MPC") and o["controller"] != row["controller"]]
     beside = ", ".join(f"{o['controller']} {number(o['depth_peak'], 2)}" for o in others)
@@ -110,7 +109,7 @@ def outside_text(row: Row, rows: Sequence[Row]) -> str:
 
 
 def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
-    """One line for every controller whose verdict is on the return only: who leaves X, or the limits, how far."""
+    """Notes on controllers whose verdict is on the return only. A line each: who leaves X, or the limits, how far."""
     notes = []
     for row in rows:
         reference = reference_of(rows, row)
@@ -124,7 +123,7 @@ def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """The verdict where the return of LQR is zero, there is no interval, or there are no pairs."""
+    """Verdict without a comparison. LQR's return is zero, or there is no interval, or there are no pairs."""
     if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
     if row["lqr_mean"] != 0:
@@ -133,10 +132,10 @@ def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
 
 
 def difference_text(row: Row) -> tuple[str, str]:
-    """The paired difference of a row and its interval as text; differences of rounding are zero."""
+    """Paired difference of a row and its interval as text. Differences of rounding are zero."""
     gain = row["paired_to_lqr"]
     if gain["mean"] is None or None in gain["ci95"]:
         return number(gain["mean"], 3), "n/a"
-    floor = EQUAL / 100 * size_of(row)
+    floor = EQUAL_PERCENT / 100 * size_of(row)
     mean, low, high = (number(v if abs(v) >= floor else 0.0, 3) for v in (gain["mean"], *gain["ci95"]))
     return mean, f"[{low}, {high}]"

@@ -14,7 +14,7 @@ PLACEHOLDER = "my_study"
 
 
 def write_template(name: str, folder: str | Path = ".") -> Path:
-    """Write a commented study that runs as it is to FOLDER/NAME.py; its path.
+    """Write a commented study that runs as it is to FOLDER/NAME.py. Returns its path.
 
     Raises
     ------

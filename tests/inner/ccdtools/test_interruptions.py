@@ -13,7 +13,7 @@ from ccdtools.cli import held_back, insisting
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer that interrupts")
 def test_an_interruption_arrives_even_where_a_library_swallows_it(monkeypatch):
-    monkeypatch.setattr(jobs, "AGAIN", 0.05)
+    monkeypatch.setattr(jobs, "REPEAT_INTERRUPT", 0.05)
     before = signal.getsignal(signal.SIGINT)
 
     def swallow():

@@ -32,7 +32,7 @@ def test_without_a_terminal_there_is_a_line_at_the_start_and_no_control_characte
 
 
 def test_lines_follow_as_items_do(monkeypatch):
-    monkeypatch.setattr("ccdtools.progress.EVERY", 0.0)
+    monkeypatch.setattr("ccdtools.progress.SECONDS_BETWEEN_LINES", 0.0)
     text = shown(monkeypatch, io.StringIO(), progress=True)
     assert "simulating: 2 of 3 after 0 s, about 0 s left at this pace" in text.splitlines()
 
@@ -44,7 +44,7 @@ def test_on_a_terminal_there_is_a_bar_and_without_progress_nothing(monkeypatch):
 
 
 def test_a_stage_that_takes_long_says_what_it_is_at(monkeypatch):
-    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
+    monkeypatch.setattr("ccdtools.progress.SECONDS_BETWEEN_LINES", 0.01)
     lines = []
     with telling(lines.append):
         at("iteration 3 of at most 7")
@@ -57,7 +57,7 @@ def test_a_stage_that_takes_long_says_what_it_is_at(monkeypatch):
 
 
 def test_a_stage_that_takes_long_says_how_long_the_rest_takes(monkeypatch):
-    monkeypatch.setattr("ccdtools.progress.EVERY", 0.02)
+    monkeypatch.setattr("ccdtools.progress.SECONDS_BETWEEN_LINES", 0.02)
     lines = []
     with telling(lines.append):
         at("landscape")
@@ -77,7 +77,7 @@ def test_a_stage_that_ends_soon_or_has_no_echo_says_nothing():
 
 
 def test_an_interrupted_stage_is_told_of_no_more(monkeypatch):
-    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
+    monkeypatch.setattr("ccdtools.progress.SECONDS_BETWEEN_LINES", 0.01)
     lines = []
     with pytest.raises(KeyboardInterrupt), telling(lines.append):
         raise KeyboardInterrupt
@@ -86,7 +86,7 @@ def test_an_interrupted_stage_is_told_of_no_more(monkeypatch):
 
 
 def test_items_are_all_yielded_and_said(monkeypatch):
-    monkeypatch.setattr("ccdtools.progress.EVERY", 0.01)
+    monkeypatch.setattr("ccdtools.progress.SECONDS_BETWEEN_LINES", 0.01)
     lines = []
     found = []
     with telling(lines.append):

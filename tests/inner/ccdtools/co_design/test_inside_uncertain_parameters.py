@@ -32,7 +32,7 @@ from ccdtools import (
 )
 from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.studies.real_step import extent_of
-from ccdtools.studies.trust_region import doubt_of
+from ccdtools.studies.trust_region import attribute_errors
 from ccdtools.twin.transport import check_disturbance_enters
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
 from mpc import lqr
@@ -101,7 +101,7 @@ def test_the_whole_loop_takes_it(problem, rng):
     assert np.isfinite(table["learned"].summary.mean)
     log = deploy(spring(), result.policy, result.design, DISTURBANCE.sample(10, 60, rng), x0=[0.5, 0.0])
     twin = DigitalTwin(problem.model).update(log, weight=0.1 * problem.objective.Q, rng=rng)
-    assert 0 <= doubt_of(twin, problem.state_scale).rest <= 1
+    assert 0 <= attribute_errors(twin, problem.state_scale).rest <= 1
     for redesign in (updated_problem(problem, twin), replay_problem(problem, twin.logs, 20)):
         again = codesign(redesign, agent=result.agent, design=result.design, rng=rng, config=config)
         assert np.isfinite(again.history.model_return).all()

@@ -29,7 +29,7 @@ def test_the_numpy_forward_equals_the_torch_forward(rng, skip):
 
 def test_in_casadi_a_policy_keeps_bounds_that_depend_on_the_design(rng):
     space = DesignSpace(["p"], [1.0], [3.0])
-    limits = DesignLimits.of("U", lambda p: (-p[0], 2 * p[0]), 1, "one per input", space)
+    limits = DesignLimits.from_function("U", lambda p: (-p[0], 2 * p[0]), 1, "one per input", space)
     net = ActorCritic([-1, 1], [1, 3], *limits.box, config=NetworkConfig((5,)), action_limits=limits)
     policy = LearnedPolicy(net, [1.5])
     x = rng.uniform(-90, 90, (50, 1))

@@ -11,7 +11,7 @@ from ccdtools.studies.price import RedesignPrice, accepted_loss
     ("text", "needed"), [("0.5 %", 1.0), ("2%", 4.0), (" 0 % ", 0.0), ("12 return", 6.0), ("1e-1 return", 0.05)]
 )
 def test_a_price_is_a_part_of_the_return_or_in_its_units(text, needed):
-    assert RedesignPrice.parse(text).of(size=200.0, part=0.5) == pytest.approx(needed)
+    assert RedesignPrice.parse(text).needed(size=200.0, part=0.5) == pytest.approx(needed)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ from ccdtools.evidence.verdict import Status
 from ccdtools.scenario import Scenario
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.redesign import WORTH_A_POLICY, RedesignJudge, described, predicted
+from ccdtools.studies.redesign import RedesignJudge, described, predicted
+from ccdtools.studies.tolerances import WORTH_A_POLICY
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.deployment import deploy
 from ccdtools.twin.distributions import BOX, NOMINAL, REPLAY, START, UPDATED, logged

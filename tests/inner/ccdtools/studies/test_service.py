@@ -127,22 +127,22 @@ def test_updates_of_the_former_deployment_are_measured_by_the_next_and_rolled_ba
     assert delivery.carried
     assert delivery.verdict.status is Status.WORSE
     assert delivery.verdict.evidence[0].current == "A in deployment 1, runs 1 to 40"
-    service, speaks = after_deployment(again, AFTER, former, replaces=False, carried=True)
-    assert (service, speaks) == (A, former)
+    service, reference = after_deployment(again, AFTER, former, replaces=False, carried=True)
+    assert (service, reference) == (A, former)
     idle = judged(second(log(), designed=A), first(log()), A, redesigned=False)
     assert idle.verdict.status is Status.NOT_WORSE
     assert idle.verdict.evidence == ()
-    _, speaks = after_deployment(second(log(), designed=A), A, first(log()), replaces=True, carried=False)
-    assert speaks.generation == 1
+    _, reference = after_deployment(second(log(), designed=A), A, first(log()), replaces=True, carried=False)
+    assert reference.generation == 1
 
 
 def test_what_fell_short_is_rolled_back():
     former = first(log(), changes=(40 * STEPS,))
     later = second(log(1.1), changes=(40 * STEPS,))
-    service, speaks = after_deployment(later, AFTER, former, replaces=False, carried=False)
-    assert (service, speaks) == (AFTER, former)
-    service, speaks = after_deployment(later, AFTER, former, replaces=True, carried=False)
-    assert (service, speaks) == (B_AFTER, later)
+    service, reference = after_deployment(later, AFTER, former, replaces=False, carried=False)
+    assert (service, reference) == (AFTER, former)
+    service, reference = after_deployment(later, AFTER, former, replaces=True, carried=False)
+    assert (service, reference) == (B_AFTER, later)
 
 
 def test_a_redesign_that_brings_a_loss_within_chance_does_not_stay_and_updates_do():

@@ -21,7 +21,8 @@ from ccdtools import (
 )
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.studies.trust_region import LEAST_RADIUS, Doubt, Trust, doubt_of, edges, in_whole_box, within
+from ccdtools.studies.tolerances import LEAST_RADIUS
+from ccdtools.studies.trust_region import ErrorAttribution, Trust, attribute_errors, edges, in_whole_box, within
 from learning import ActorCritic, NetworkConfig, QuantileConfig
 
 SCALE = np.array([4.0, 4.0])
@@ -45,14 +46,14 @@ def taught(real, model=None):
 
 
 def test_where_the_real_plant_is_the_model_a_redesign_is_free():
-    doubt = doubt_of(taught(mass()), SCALE)
+    doubt = attribute_errors(taught(mass()), SCALE)
     assert doubt.rest < 1e-6
     assert doubt.explained < 0.05
     assert not doubt.limits
 
 
 def test_what_does_not_enter_through_E_limits_a_redesign():
-    doubt = doubt_of(taught(mass(push=0.5)), SCALE)
+    doubt = attribute_errors(taught(mass(push=0.5)), SCALE)
     assert doubt.rest > 0.1
     assert doubt.limits
     assert "does not enter through E(p)" in doubt.describe()
@@ -60,7 +61,7 @@ def test_what_does_not_enter_through_E_limits_a_redesign():
 
 @pytest.mark.check
 def test_what_depends_on_the_state_limits_a_redesign_even_if_it_enters_as_the_disturbance_does():
-    doubt = doubt_of(taught(mass(cubic=2.0)), SCALE)
+    doubt = attribute_errors(taught(mass(cubic=2.0)), SCALE)
     assert doubt.rest < 0.05
     assert doubt.explained > 0.3
     assert doubt.limits
@@ -69,7 +70,7 @@ def test_what_depends_on_the_state_limits_a_redesign_even_if_it_enters_as_the_di
 @pytest.mark.check
 def test_a_disturbance_that_cannot_be_told_from_another_limits_a_redesign():
     model = discretise(mass())
-    doubt = doubt_of(taught(mass(), replace(model, E=ca.horzcat(model.E, 2 * model.E))), SCALE)
+    doubt = attribute_errors(taught(mass(), replace(model, E=ca.horzcat(model.E, 2 * model.E))), SCALE)
     assert not doubt.identified
     assert doubt.limits
     assert "not of full column rank" in doubt.describe()
@@ -79,7 +80,7 @@ def test_a_disturbance_that_cannot_be_told_from_another_limits_a_redesign():
 def test_an_E_that_is_the_same_everywhere_need_not_be_identified():
     model = discretise(mass())
     constant = ca.SX(ca.DM([[0.1, 0.2], [0.1, 0.2]]))
-    assert doubt_of(taught(mass(), replace(model, E=constant)), SCALE).identified
+    assert attribute_errors(taught(mass(), replace(model, E=constant)), SCALE).identified
 
 
 @pytest.mark.check
@@ -87,7 +88,7 @@ def test_what_enters_away_from_rest_is_told_there_but_a_redesign_stays_limited()
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     arm = ca.vertcat(x[1], (-1.5 * x[0] - 0.4 * x[1] + u + w * ca.sin(x[0])) / p)
     model = discretise(Plant(x, u, w, p, arm, DesignSpace(["m"], [0.3], [3.0]), dt=0.1))
-    doubt = doubt_of(taught(model, model), SCALE)
+    doubt = attribute_errors(taught(model, model), SCALE)
     assert doubt.rest < 1e-6
     assert doubt.explained < 0.2
     assert not doubt.identified
@@ -95,7 +96,7 @@ def test_what_enters_away_from_rest_is_told_there_but_a_redesign_stays_limited()
 
 def test_the_region_widens_where_the_judge_was_right_and_halves_where_it_was_wrong():
     trust = Trust(0.25)
-    known = Doubt(0.0, 0.0, True)
+    known = ErrorAttribution(0.0, 0.0, True)
     assert trust.after(None) is trust
     assert trust.after(True) == Trust(0.5)
     assert not trust.limits(known)
@@ -108,7 +109,7 @@ def test_the_region_widens_where_the_judge_was_right_and_halves_where_it_was_wro
     for _ in range(20):
         wrong = wrong.after(True)
     assert wrong.radius == 1.0
-    assert not wrong.limits(Doubt(1.0, 0.0, False))
+    assert not wrong.limits(ErrorAttribution(1.0, 0.0, False))
 
 
 def test_the_box_of_a_redesign_is_narrowed_and_stays_within_the_bounds(illustrative):
@@ -142,7 +143,7 @@ def test_the_edge_of_the_region_is_no_bound_of_the_design(illustrative, clone):
 def test_a_silent_log_leaves_nothing_to_doubt():
     twin = taught(mass())
     quiet = replace(twin.logs[0], e=0 * twin.logs[0].e, e_next=0 * twin.logs[0].e_next)
-    assert doubt_of(replace(twin, logs=(quiet,)), SCALE) == Doubt(0.0, 0.0, True)
+    assert attribute_errors(replace(twin, logs=(quiet,)), SCALE) == ErrorAttribution(0.0, 0.0, True)
 
 
 def gears(lower, upper):

@@ -10,7 +10,7 @@ from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.evidence.evidence import Asked
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.deployment import deploy_and_update
-from ccdtools.twin.distributions import REPLAY, Served, logged, on_updated
+from ccdtools.twin.distributions import REPLAY, ServedDistributions, logged, on_updated
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.transport import ErrorSplit
@@ -128,7 +128,7 @@ def test_on_the_updated_model_runs_of_what_was_deployed_are_those_of_the_log(
     illustrative, clone, former, split, judge
 ):
     """Under the policy of the log what follows the state and what is replayed add up to the errors as they were."""
-    plant = UpdatedPlant.of(split, [former], rng=np.random.default_rng(0), config=quick())
+    plant = UpdatedPlant.from_logs(split, [former], rng=np.random.default_rng(0), config=quick())
     again = on_updated(plant, [former], series=False, most=400, rng=np.random.default_rng(0))
     assert again.asked is Asked.GAIN
     run = judge.run(Deployable(clone(illustrative), DESIGN), again)
@@ -145,7 +145,7 @@ def test_where_the_input_is_weaker_in_truth_the_updated_model_says_what_a_candid
     log = deploy(weaker, usual.controller(), DESIGN, w, x0=start(100))
     split = ErrorSplit(study.model, study.problem().state_scale)
     logs = [residuals(study.model, log)]
-    updated = UpdatedPlant.of(split, logs, rng=np.random.default_rng(0), config=QuantileConfig(steps=600))
+    updated = UpdatedPlant.from_logs(split, logs, rng=np.random.default_rng(0), config=QuantileConfig(steps=600))
     judge = Judge(study.problem(), plant, lambda _: None, 40)
     found = judge.evidence(higher, usual, on_updated(updated, logs, series=False, most=100,
                                                      rng=np.random.default_rng(0)))  # fmt: skip
@@ -169,7 +169,7 @@ def test_of_a_single_drive_only_what_does_not_enter_through_E_follows_the_state(
     log = deploy(suspension.plant, LearnedPolicy(agent, suspension.p0), suspension.p0, w, x0=np.zeros(4))
     split = ErrorSplit(suspension.model, suspension.problem().state_scale)
     logs = [residuals(suspension.model, log)]
-    plant = UpdatedPlant.of(split, logs, rng=np.random.default_rng(0), config=quick())
+    plant = UpdatedPlant.from_logs(split, logs, rng=np.random.default_rng(0), config=quick())
     learned = plant.learned(logs[0].x, logs[0].u)
     assert np.abs(learned).max() < 1e-3 * np.abs(logs[0].e_next).max()
     np.testing.assert_allclose(plant.drawn(logs, w)[..., :1], w + w.mean(), atol=1e-3 * np.abs(w).max())
@@ -178,9 +178,9 @@ def test_of_a_single_drive_only_what_does_not_enter_through_E_follows_the_state(
 def test_the_box_of_starts_is_what_lqr_keeps_within_X_or_what_the_study_declares(illustrative):
     problem = illustrative.problem()
     rng = np.random.default_rng(0)
-    box = Served(problem, np.zeros(2), runs=200).box(DESIGN, rng)
+    box = ServedDistributions(problem, np.zeros(2), runs=200).box(DESIGN, rng)
     assert illustrative.X.contains(box).all()
     assert 20 < len(box) <= 200
     declared = replace(illustrative, starts=np.array([[1.0, 0.0], [0.0, 1.0]])).problem()
-    states = Served(declared, np.zeros(2), runs=50).box(DESIGN, rng)
+    states = ServedDistributions(declared, np.zeros(2), runs=50).box(DESIGN, rng)
     assert set(map(tuple, states)) == {(1.0, 0.0), (0.0, 1.0)}

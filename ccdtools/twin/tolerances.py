@@ -1,0 +1,12 @@
+"""Every tolerance of `ccdtools.twin`, with its meaning; where no unit is named it is relative [-]."""
+
+RUNAWAY = 1e3  # Draws are stopped where they exceed this many times the largest logged state.
+RANK = 1e-6  # Columns of E, each of length one, are dependent below this part of the largest singular value.
+FEWEST_FITTED = 20  # Quantiles are fitted to at least so many samples.
+
+# --- disturbances that were met --------------------------------------------------------------------------------------
+DERIVATIVES_AT_ONCE = 8192  # Derivatives are computed of so many samples at once: those of long steps fill the memory.
+SETTLED_STEP = 1e-9  # A step whose effect is below this part of the error is the last.
+UNTOLD = 1e-6  # A disturbance whose effect is below this part of its largest in the log is not told from the error.
+TOLD = 0.1  # A disturbance whose effect is above this part of its largest in the log says how large disturbances are.
+LARGEST_UNTOLD = 2.0  # No disturbance is larger than this multiple of the largest that is told well.
