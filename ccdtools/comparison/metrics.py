@@ -115,7 +115,7 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
     Raises
     ------
     InputError
-        If the runs do not pair, or the metrics are no mapping of names to numbers.
+        If the runs do not pair, the metrics are no mapping of names to numbers, or `larger_is_better` names others.
     """
     if before.inputs.shape[:2] != after.inputs.shape[:2]:
         sizes = f"{before.inputs.shape[:2]} and {after.inputs.shape[:2]} (runs, steps)"
@@ -127,6 +127,9 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
     whole = [metrics_of(metrics, run) for run in pair]
     units = [list(zip(*(metrics_of(metrics, unit).values() for unit in _units(run)))) for run in pair]
     larger = frozenset(getattr(metrics, "larger_is_better", ()))
+    if unknown := larger - whole[0].keys():
+        got = f"{', '.join(sorted(unknown))}, which the metrics do not name"
+        raise InputError("larger_is_better", got, f"names among {', '.join(whole[0])}")
     return tuple(
         _change(name, whole[0][name], whole[1][name], np.array(first), np.array(second), name in larger)
         for name, first, second in zip(whole[0], *units, strict=True)

@@ -99,11 +99,6 @@ class Driver:
         """Keep the inputs (n, nu) that were applied."""
         self.last = u
 
-    def first_call(self, x: Array) -> Any:
-        """Function without arguments that calls the controller for one state (nx,) at the first sample."""
-        signals = self._signals(0, self._measured(0, x[None]), 0)
-        return lambda: self.copies[0](x, **signals)
-
     def _measured(self, k: int, x: Array) -> Array | None:
         """Outputs (n, ny), if the controller needs them."""
         if "output" not in self.needs:
@@ -201,7 +196,8 @@ def _check_takes_state(controller: Any) -> None:
 
 def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:
     """Function without arguments that calls the controller for one state (nx,), for timing."""
-    return Driver(controller, surroundings, 1, nu).first_call(x)
+    driver = Driver(controller, surroundings, 1, nu)
+    return lambda: driver(0, x[None])
 
 
 def needs_in_loop(controller: Any) -> frozenset[str]:

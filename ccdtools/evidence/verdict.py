@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.checks import shown
+from ccdtools.checks import as_number, shown
 from ccdtools.evidence.evidence import Asked, Evidence
 from ccdtools.evidence.percent import signed_percent
 from ccdtools.evidence.tolerances import NOT_WORSE
@@ -124,8 +124,7 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
     deciding = [one for one in records if isinstance(one, Evidence) and one.asked is not Asked.SHOWN]
     if not deciding or not all(isinstance(one, Evidence) for one in records):
         raise InputError("evidence", shown(evidence), "at least one Evidence, and one that is not only shown")
-    if not 0 <= tolerance <= 1:
-        raise InputError("tolerance", tolerance, "a fraction from 0 to 1")
+    tolerance = as_number("tolerance", tolerance, expected="a fraction from 0 to 1", low=0.0, high=1.0)
     for test in (_lost, _left_limits, lambda one: _short(one, tolerance)):
         for one in deciding:
             found = test(one)

@@ -291,3 +291,8 @@ def test_a_pid_without_gains_is_named_and_not_compared_with():
     assert table.notes[-1] == f"zero: {table['zero'].remark}"
     assert table["zero"].paired_to_lqr.mean != 0
     assert "[" not in repr(table).splitlines()[2]
+
+
+def test_a_controller_that_takes_rows_of_states_alone_is_compared(illustrative, scenario):
+    table = compared(illustrative, {"rows": lambda x: -x[:, :1], "none": Passive(1)}, scenario)
+    assert table["rows"].step_time > 0

@@ -261,7 +261,7 @@ def test_runs_that_share_a_design_are_filtered_as_each_would_be_alone():
 
 
 def test_what_takes_long_says_how_far_it_is(illustrative, monkeypatch):
-    monkeypatch.setattr(progress, "EVERY", 0.001)
+    monkeypatch.setattr(progress, "SECONDS_BETWEEN_LINES", 0.001)
     lines = []
     expert_dataset(illustrative.problem(), samples=200, rng=np.random.default_rng(0), echo=lines.append)
     assert lines

@@ -48,6 +48,9 @@ def test_more_is_better_where_the_metrics_say_so():
     range_left.larger_is_better = {"level [m]"}
     (found,) = metric_changes(range_left, runs([1.0, 1.1]), runs([2.0, 2.1]))
     assert found.word == "better"
+    range_left.larger_is_better = {"level"}
+    with pytest.raises(InputError, match=r"larger_is_better: got level, .* expected names among level \[m\]"):
+        metric_changes(range_left, runs([1.0, 1.1]), runs([2.0, 2.1]))
 
 
 def test_one_long_run_is_judged_by_its_stretches(rng):
