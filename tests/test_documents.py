@@ -22,7 +22,9 @@ PICTURES = sorted((DOCS / "pictures").glob("[a-z]*.py"))
 BLOCK = re.compile(r"```python\n(.*?)```", re.S)  # what is printed, and nothing else
 WRITTEN = re.compile(r"```sh\n(.*?)```", re.S)
 INLINE = re.compile(r"`((?:ccdtools|python|make) [^`…]+)`")
-LONG = ["codesign.md", "every_stage_alone.md", "ten_minutes.md"]  # co-designs; a policy and a twin that are trained
+LONG = [  # co-designs; a policy and a twin that are trained
+    "codesign.md", "compare.md", "deploy_and_update.md", "every_stage_alone.md", "objectives.md", "ten_minutes.md",
+]  # fmt: skip
 HEAVY = dict.fromkeys(LONG, pytest.mark.check)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 RUN = [page for page in PAGES if page.name != "README.md" and BLOCK.search(page.read_text(encoding="utf-8"))]
