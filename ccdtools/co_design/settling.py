@@ -160,7 +160,7 @@ class Settling:
         space = self.problem.design
         begin, end = space.to_unit(kept.design), space.to_unit(beyond)
         near, far = 0.0, 1.0
-        for _ in range(4):
+        for _ in range(4):  # halvings of the way
             share = (near + far) / 2
             design = space.project(space.from_unit(begin + share * (end - begin)))
             other = None
