@@ -1,6 +1,8 @@
 """What the Python blocks of a page leave behind, so that its picture is the one that its code draws."""
 
+import contextlib
 import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,9 @@ def run(page: str) -> dict[str, Any]:
     """Names that the Python blocks of `page`, a path below docs/, have defined."""
     text = (DOCS / page).read_text(encoding="utf-8")
     names: dict[str, Any] = {}
-    for block in re.findall(r"```python\n(.*?)```", text, re.S):
-        exec(compile(block, page, "exec"), names)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):  # for the files that a page writes
+        for block in re.findall(r"```python\n(.*?)```", text, re.S):
+            exec(compile(block, page, "exec"), names)
     return names
 
 
