@@ -72,7 +72,7 @@ class Trajectory(Immutable):
         return self.dt * np.arange(self.states.shape[1], dtype=float)
 
     def plot(self, figure: Any = None) -> Any:
-        """Plot of states and inputs over time as a matplotlib Figure. Of many runs the first 50 are drawn."""
+        """Plot of states and inputs over time as a matplotlib Figure; of many runs the first 50 are drawn."""
         from ccdtools.plotting import plot_trajectory
 
         return plot_trajectory(self, figure)

@@ -82,7 +82,7 @@ class Previewing(Immutable):
         return self.steps
 
     def __call__(self, x: ArrayLike, *, w: ArrayLike, **signals: Any) -> Array:
-        """Inputs (n, nu) of states (n, nx) with what they will meet, w (n, N, nw). Or (nu,) of (nx,) and (N, nw)."""
+        """Inputs (n, nu) of states (n, nx) with what they will meet, w (n, N, nw), or (nu,) of (nx,) and (N, nw)."""
         states = as_floats("x", x)
         ahead = as_floats("w", w)
         if ahead.ndim != states.ndim + 1 or ahead.shape[-2] != self.steps:

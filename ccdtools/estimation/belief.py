@@ -118,7 +118,7 @@ def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
 
 
 def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-    """Estimates along a record of y (T, ny) and u (T, nu). Or (n, T, ny) and (n, T, nu); u_k held from k to k + 1."""
+    """Estimates along a record of y (T, ny) and u (T, nu), or (n, T, ny) and (n, T, nu); u_k held from k to k + 1."""
     y = _runs("outputs", outputs, estimator.ny)
     n, steps = y.shape[:2]
     u = _runs("inputs", inputs, estimator.nu)

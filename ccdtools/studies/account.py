@@ -99,7 +99,7 @@ def _less_than_predicted(delivery: Values) -> list[str]:
 
 
 def _returns(delivery: Values) -> list[str]:
-    """Predicted and measured return of the first generation. Of the stretch that the policy as designed drove."""
+    """Predicted and measured return of the first generation, of the stretch that the policy as designed drove."""
     expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("predicted", "returns"))
     missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
     return [f"predicted a deployed return of {expected}, measured {found}{missed}"]

@@ -78,7 +78,7 @@ def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
 
 @contextmanager
 def blamed_on_source(study: str) -> Iterator[None]:
-    """Turn an exception in the user's own study file into an `InputError`. With the line where it was running."""
+    """Turn an exception in the user's own study file into an `InputError`, with the line where it was running."""
     try:
         yield
     except InputError:
@@ -116,7 +116,7 @@ def _is_beside(file: Path, folder: Path) -> bool:
 
 
 def _place(path: Path, error: BaseException) -> str:
-    """Place FILE:LINE of an error in a study file. Or in a file beside it."""
+    """Place FILE:LINE of an error in a study file, or in a file beside it."""
     place = str(path)
     folder = path.resolve().parent
     for frame in traceback.extract_tb(error.__traceback__):

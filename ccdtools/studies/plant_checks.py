@@ -11,7 +11,7 @@ from ccdtools.studies.real_plant import RealPlant
 
 
 def check_finite(plant: Plant) -> None:
-    """Raise unless the derivatives of the dynamics are finite. At the corners of the design box and between them."""
+    """Raise unless the derivatives of the dynamics are finite, at the corners of the design box and between them."""
     z = ca.vertcat(plant.x, plant.u, plant.w)
     at_zero = ca.substitute(ca.densify(ca.jacobian(plant.dynamics, z)), z, ca.SX.zeros(z.shape))
     matrices = ca.Function("matrices", [plant.p], [at_zero])

@@ -73,7 +73,7 @@ class Deployed:
         return (0, 0)
 
     def part(self, first: int, last: int, *, common: bool = False) -> Trajectory:
-        """Log from one sample to another. Of several runs whole ones, `common` those that are met every time."""
+        """Log from one sample to another, of several runs whole ones, `common` those that are met every time."""
         log = self.log
         runs, steps = log.inputs.shape[:2]
         chosen: Any = slice(None)

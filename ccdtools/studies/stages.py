@@ -303,7 +303,7 @@ def deployable_of(found: Stage) -> Deployable:
 def deployed_of(
     generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, updates: Sequence[Mapping[str, Any]]
 ) -> Deployed:  # fmt: skip
-    """Deployment of what was designed, from its kept updates. With the stretch that each policy drove."""
+    """Deployment of what was designed, from its kept updates, with the stretch that each policy drove."""
     changes = tuple(update["after"] for update in updates if update["accepted"])
     after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
     return Deployed(generation, designed, after, log, changes)

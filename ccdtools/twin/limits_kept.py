@@ -83,7 +83,7 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
 
 
 def _pair(outside: RunViolations, runs: int | None = None) -> Pair:
-    """Mean fraction and mean peak of the first so many runs. Or of all stretches of a single one; 0 of none."""
+    """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one; 0 of none."""
     first = slice(None) if outside.single else slice(runs)
     kept = ~outside.lost[first]
     means = (getattr(outside.pieces, name)[first][kept] for name in MEASURES)

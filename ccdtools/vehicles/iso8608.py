@@ -187,7 +187,7 @@ def as_spacing(argument: str, value: Any, high: float) -> float:
 
 
 def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
-    """Frequencies k·step of the cells (k ± ½)·step that meet the band. And ∫ n⁻² dn over what lies in it."""
+    """Frequencies k·step of the cells (k ± ½)·step that meet the band, and ∫ n⁻² dn over what lies in it."""
     k = np.arange(max(1, round(low / step)), round(high / step) + 1, dtype=np.float64)
     begin = np.maximum((k - 0.5) * step, low)
     end = np.minimum((k + 0.5) * step, high)

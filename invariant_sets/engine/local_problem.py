@@ -100,7 +100,7 @@ class LocalProblem:
 
 @dataclass(frozen=True)
 class Localised:
-    """The problem in local coordinates, or a flatter X to try instead. With neither no state can stay in X."""
+    """The problem in local coordinates, or a flatter X to try instead; with neither no state can stay in X."""
 
     problem: LocalProblem | None = None
     flatter: Polytope | None = None

@@ -148,7 +148,8 @@ def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
     k = np.minimum(place.astype(int), N - 1)
     np.maximum.at(relative, (rows, k), value / np.minimum(sizes[rows, k], local))
     worst = relative.argmax(axis=1)
-    depth, when = np.zeros(m), worst + 0.5
+    seen = beyond.reshape(m, N, LIMIT_CHECKS)[np.arange(m), worst]
+    depth, when = np.maximum(seen.max(axis=1), 0.0), worst + (seen.argmax(axis=1) + 0.5) / LIMIT_CHECKS
     for row, interval, at, deep in zip(rows, k, place, value):
         if interval == worst[row] and deep > depth[row]:
             depth[row], when[row] = deep, at
@@ -162,7 +163,8 @@ def _peaks(beyond: Array, floor: Array) -> tuple[Any, Any]:
     Of a cone and of a parabola the maximum lies above its sample by no more than the larger drop to a neighbour.
     """
     around = np.pad(beyond, ((0, 0), (1, 1)), mode="edge")
-    behind, ahead = beyond - around[:, :-2], beyond - around[:, 2:]
+    with np.errstate(invalid="ignore"):  # where a limit is no number it counts as infinite
+        behind, ahead = beyond - around[:, :-2], beyond - around[:, 2:]
     peak = (behind >= 0) & (ahead >= 0) & ((ahead > 0) | (np.arange(beyond.shape[1]) == beyond.shape[1] - 1))
     rows, places = np.nonzero(peak & (beyond + 2 * np.maximum(behind, ahead) > floor))
     return rows, places

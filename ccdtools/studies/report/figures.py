@@ -168,7 +168,7 @@ def _quantiles(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
-    """Figure of the learned quantiles of one generation. With the errors at the end of its deployment."""
+    """Figure of the learned quantiles of one generation, with the errors at the end of its deployment."""
     dt = run.study.plant.dt
     logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
     log = residuals(run.study.model, Trajectory(**logged, dt=dt))

@@ -60,7 +60,7 @@ def _missed_predictions(results: Results) -> list[str]:
 
 
 def _worse(results: Results) -> str:
-    """Worse numbers other than the cost, each with its change. And with the place where that is not the first one."""
+    """Worse numbers other than the cost, each with its change, and with the place where that is not the first one."""
     first = results["gains"][0]["place"] if results.get("gains") else ""
     named = [
         f"{bare(name)} {one.text.split(' [')[0]}" + ("" if one.place == first else f" ({one.place})")

@@ -73,7 +73,7 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
-    """Values of one parameter over its range. Of whole numbers about as many, with those that were visited."""
+    """Values of one parameter over its range, of whole numbers about as many, with those that were visited."""
     lower, upper = space.outermost
     values = np.linspace(lower[i], upper[i], n)
     return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values

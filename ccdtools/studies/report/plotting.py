@@ -138,7 +138,7 @@ def plot_quantiles(
     figure: Figure, time: Array, errors: Array, quantiles: Array, levels: Sequence[float], *,
     labels: Sequence[str], time_label: str,
 ) -> list[Axes]:  # fmt: skip
-    """Plot learned quantiles (T, levels, nx). With the logged one-step errors (T, nx), one row per state."""
+    """Plot learned quantiles (T, levels, nx), with the logged one-step errors (T, nx), one row per state."""
     grid = figure.subplots(len(labels), 1, squeeze=False, sharex=True)[:, 0]
     outer = f"{levels[0]:g} to {levels[-1]:g} quantile"
     for i, (ax, label) in enumerate(zip(grid, labels)):

@@ -42,7 +42,7 @@ class Change:
 
     @property
     def label(self) -> str:
-        """Label of a metric by its name. Of a cost with its place and the steps that it adds up."""
+        """Label of a metric by its name; of a cost with its place and the steps that it adds up."""
         return f"cost of {self.steps} steps, {self.place}" if self.name == COST else self.name
 
     @property

@@ -163,7 +163,7 @@ def console_table(results: Mapping[str, Any]) -> str:
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Notes on controllers that saw fewer runs than LQR did. With both means, or that they are no baseline."""
+    """Notes on controllers that saw fewer runs than LQR did, with both means, or that they are no baseline."""
     notes: dict[tuple[str, int], list[str]] = {}
     for row in rows:
         reference = reference_of(rows, row)

@@ -156,3 +156,14 @@ def test_a_trajectory_straight_through_a_narrow_obstacle_is_not_solved(inside, d
     assert (found.status is OptimalControlStatus.LIMITS_PASSED) is (depth > 0.02 * deepest)
     if depth > 0.02 * deepest:
         assert max(excess.value.max() for excess in found.path_excess) == pytest.approx(depth, rel=0.02)
+
+
+def test_a_limit_that_is_no_number_between_the_points_is_passed_there():
+    phase = Phase(
+        lambda u: u, 1, 1, start=[0], end=[1], stage_cost=lambda u: u**2,
+        path=lambda x: -ca.sqrt((x[0] - 0.522) ** 2 - 1.6e-7),
+    )  # fmt: skip
+    found = solve(build(phase, intervals=10))
+    assert found.status is OptimalControlStatus.LIMITS_PASSED
+    assert found.path_excess[0].value[0] == np.inf
+    assert found.path_excess[0].time[0] == pytest.approx(0.522, abs=1e-3)
