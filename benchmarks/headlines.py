@@ -32,7 +32,7 @@ def close(printed: float, true: float) -> bool:
 
 
 def worse_metrics(results: dict[str, Any]) -> dict[str, tuple[float, str]]:
-    """Metrics that got worse beyond chance and by at least half a per cent anywhere: change in per cent, and where."""
+    """Metrics that got worse beyond chance and by half a per cent anywhere: the largest change [%], and where."""
     found: dict[str, tuple[float, str]] = {}
     for place in results["gains"]:
         for metric in place["metrics"]:
@@ -41,7 +41,8 @@ def worse_metrics(results: dict[str, Any]) -> dict[str, tuple[float, str]]:
             certain = low is not None and (low > 0 or high < 0)
             if certain and change > 0 and change >= MATTERS / 100 * abs(metric["before"]):
                 part = 100 * change / abs(metric["before"]) if metric["before"] else float("inf")
-                found.setdefault(metric["name"].split(" [")[0], (part, place["place"]))
+                name = metric["name"].split(" [")[0]
+                found[name] = max(found.get(name, (0.0, "")), (part, place["place"]))
     return found
 
 
@@ -82,6 +83,9 @@ def faults(results: dict[str, Any]) -> list[str]:
     said = listed[1] if listed else ""
     for name, (change, where) in worse_metrics(results).items():
         told = re.search(rf"{re.escape(name)} ({NUMBER}) %", said)
+        elsewhere = where != results["gains"][0]["place"]
+        if elsewhere and f"({where})" not in said:
+            wrong.append(f"{name} is worst on {where}, which is not named")
         if told is None:
             wrong.append(f"{name} is worse on {where} and not named")
         elif not close(percent(told[1]), change):

@@ -112,7 +112,6 @@ def run(
 
 def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
     """Run a study in a new folder. An interruption says how to go on."""
-    options.check_files()
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
     folder = None

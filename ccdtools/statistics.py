@@ -15,6 +15,7 @@ from ccdtools.checks import as_array, as_floats, finite
 from ccdtools.exceptions import InputError
 from ccdtools.tolerances import BATCHES, COSINES, FEWEST_RUNS, INDEPENDENCE_LEVEL, SAME_RETURN, TRANSIENT
 
+FEW_DECIDE = "a few runs make most of its spread: others may move it beyond the interval"
 TOO_SHORT = "the run is too short for its own correlation: no interval"
 
 
@@ -22,7 +23,8 @@ TOO_SHORT = "the run is too short for its own correlation: no interval"
 class Summary:
     """Mean, standard deviation, median, number and 95 % interval of the mean. NaN where there are too few values.
 
-    `warning` says why there is no interval although there are values; empty where nothing is to be said.
+    `warning` says why there is no interval although there are values, or that it stands on a few of them; empty where
+    nothing is to be said.
     """
 
     mean: float
@@ -42,15 +44,15 @@ class PairedDifference:
 
 
 def summarise(values: ArrayLike) -> Summary:
-    """Statistics of independent values (n,), by Student's t."""
+    """Statistics of independent values (n,), with the interval of `interval_of_parts`."""
     v = as_floats("values", values)
     if v.ndim != 1:
         raise InputError("values", f"shape {v.shape}", "(n,)")
     if len(v) == 0:
         return Summary(np.nan, np.nan, np.nan, 0, (np.nan, np.nan))
     std = float(v.std(ddof=1)) if len(v) > 1 else float("nan")
-    mean = float(v.mean())
-    return Summary(mean, std, float(np.median(v)), len(v), _interval(mean, std, len(v)))
+    warning = FEW_DECIDE if len(v) > FEWEST_RUNS and _degrees(v) < FEWEST_RUNS else ""
+    return Summary(float(v.mean()), std, float(np.median(v)), len(v), interval_of_parts(v), warning)
 
 
 def paired_difference(a: ArrayLike, b: ArrayLike) -> PairedDifference:
@@ -142,8 +144,10 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
 def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, float]:
     """Interval of a statistic from the parts (n,) of independent runs. The statistic is the mean of the parts.
 
-    Such parts are far from normal (of the mean of the worst tenth nine in ten are alike), so the interval is skewed as
-    they are, and Student's t has as many degrees of freedom as their fourth moment leaves, ten at least.
+    Returns and their parts in a risk can be far from normal (of the worst tenth nine parts in ten are alike), so the
+    interval is skewed as they are, and Student's t has as many degrees of freedom as their fourth moment leaves, ten at
+    least. What happens in one run of a thousand is in no interval of a hundred runs that have not met it. NaN of fewer
+    than two parts.
 
     References
     ----------
@@ -154,11 +158,10 @@ def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, flo
     if n < 2:
         return (float("nan"), float("nan"))
     mean = float(values.mean())
-    away = values - mean
-    spread = float(away.std())
+    spread = float(values.std())
     if spread == 0:
         return (mean, mean)
-    degrees = min(n - 1.0, max(2 * n / max(float(((away / spread) ** 4).mean()) - 1, 1e-9), FEWEST_RUNS))
+    degrees = min(n - 1.0, max(_degrees(values), FEWEST_RUNS))
     return _skewed(mean, spread / np.sqrt(n - 1), _skewness(values), degrees, level)
 
 
@@ -245,6 +248,14 @@ def _skewness(values: Array) -> float:
     return float(((away / spread) ** 3).mean() / np.sqrt(len(values))) if spread > 0 else 0.0
 
 
+def _degrees(values: Array) -> float:
+    """Degrees of freedom of the variance of values (n,): twice the number of those that make it, by their kurtosis."""
+    away = values - values.mean()
+    spread = away.std()
+    excess = float(((away / spread) ** 4).mean()) - 1 if spread > 0 else 0.0
+    return 2 * len(values) / excess if excess > 0 else float("inf")
+
+
 def _skewed(
     mean: float, error: float, skewness: float, degrees: float, level: float = 0.95
 ) -> tuple[float, float]:  # fmt: skip
@@ -254,11 +265,3 @@ def _skewed(
         return (mean - error * quantile, mean + error * quantile)
     low, high = (3 / skewness * (np.cbrt(1 + skewness * (t - skewness / 6)) - 1) for t in (quantile, -quantile))
     return (mean - error * float(low), mean - error * float(high))
-
-
-def _interval(mean: float, std: float, n: int) -> tuple[float, float]:
-    """Interval (95 %) of a mean of n values by Student's t. NaN below two."""
-    if n < 2:
-        return (float("nan"), float("nan"))
-    half = float(stats.t.ppf(0.975, n - 1)) * std / float(np.sqrt(n))
-    return (mean - half, mean + half)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Indices
+from ccdtools.checks import finite
 from ccdtools.co_design.objective import Objective
 from ccdtools.co_design.risk import MEAN, Risk, measure
 from ccdtools.evidence.paired_risk import paired_in_risk
@@ -152,6 +153,11 @@ class Pairing:
             Whether the runs are consecutive parts of a single one.
         counted : int, optional
             Last steps of every run that count; all by default.
+
+        Raises
+        ------
+        InputError
+            If a reward of a run that neither loses is not finite.
         """
         kept = ~(after.diverged | before.diverged)
         labels = np.arange(len(kept)) if groups is None else np.asarray(groups, dtype=np.int64)
@@ -162,7 +168,10 @@ class Pairing:
         )  # fmt: skip
         if not kept.any():
             return none
-        made, met = (run.rewards(self.objective)[kept][:, -(counted or 0) :] for run in (after, before))
+        made, met = (
+            finite(f"rewards of {name}", run.rewards(self.objective)[kept][:, -(counted or 0) :])
+            for name, run in zip(names, (after, before))
+        )
         gain = paired_in_risk(
             self.risk, made, met, labels[kept], runs=1 if series else max(2, len(kept)), stretch=self.stretch
         )

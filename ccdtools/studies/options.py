@@ -112,16 +112,13 @@ class Options:
         given = self.sources()
         if len(given) > 1:
             raise InputError(f"--{given[1]}", f"it together with --{given[0]}", "one source of the disturbance")
-        for own, other in (("road", "speed"), ("speed", "road")):
-            if getattr(self, own) is not None and getattr(self, other) is None:
-                expected = "both: elevation over distance, speed over time"
-                raise InputError(f"--{own}", f"it without --{other}", expected)
         if self.column is not None and self.disturbance is None:
             raise InputError("--column", "it without --disturbance", "the file it is a column of")
 
     def sources(self) -> list[str]:
-        """Names of the options that say where the disturbance comes from."""
-        return [name for name in ("disturbance", "road", "driver") if getattr(self, name) is not None]
+        """Names of the options that say where the disturbance comes from. A road with its speed is one source."""
+        given = [name for name in ("disturbance", "road", "speed", "driver") if getattr(self, name) is not None]
+        return [name for name in given if name != "speed" or "road" not in given]
 
     def limit_tolerance(self) -> str | tuple[float, float] | None:
         """Tolerance of the state limits that `limits` asks for. None for the study's own."""

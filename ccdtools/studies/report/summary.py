@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -73,12 +74,14 @@ def in_first_place(results: Values) -> list[Change]:
 
 
 def of_word(results: Values, word: str) -> dict[str, Change]:
-    """Metrics that got worse (or better) anywhere. Each in the first place where it did."""
-    found: dict[str, Change] = {}
-    for one in changes(results):
-        if one.word == word and one.name != COST:
-            found.setdefault(one.name, one)
-    return found
+    """Metrics that got worse (or better) anywhere. Each in the place where it did most."""
+    named = [one for one in changes(results) if one.word == word and one.name != COST]
+    return {one.name: max((other for other in named if other.name == one.name), key=_by) for one in named}
+
+
+def _by(change: Change) -> float:
+    """How far a number moved [%]. Infinite from zero."""
+    return math.inf if change.percent is None else abs(change.percent[0])
 
 
 def decided(results: Values) -> Iterator[tuple[str, Values]]:

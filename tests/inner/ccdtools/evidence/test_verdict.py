@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ccdtools import CVaR, InputError, QuadraticObjective
+from ccdtools.co_design.risk import MEAN
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Pairing, Violation
 from ccdtools.evidence.verdict import Status, Verdict, decide
 from ccdtools.statistics import PairedDifference
@@ -101,6 +102,9 @@ def test_a_verdict_names_its_evidence_by_distribution():
     [
         (([],), {}, r"evidence: got .*, expected at least one Evidence"),
         (([evidence(-30, -31, -29, Asked.SHOWN)],), {}, r"evidence: got .* one that is not only shown"),
+        (([replace(GAIN, needed=NAN)],), {}, r"evidence: got a gain of 2, a price of nan and a size of 100 on the log"),
+        (([evidence(np.inf, 1.0, np.inf)],), {}, r"evidence: got a gain of inf, .*, expected finite numbers"),
+        (([GAIN, evidence(1.0, 0.0, 2.0, Asked.TOLERANCE, size=NAN)],), {}, r"a size of nan on the log"),
         ((["better"],), {}, r"evidence: got .*, expected at least one Evidence"),
         (([GAIN],), {"tolerance": 5.0}, r"tolerance: got 5\.0, expected a fraction from 0 to 1"),
         (([GAIN],), {"tolerance": -0.1}, r"tolerance: got -0\.1, expected a fraction"),
@@ -130,7 +134,7 @@ def of(after, before, objective=None, **options):
 def test_evidence_is_the_paired_difference_of_whole_runs_by_students_t():
     rng = np.random.default_rng(0)
     before = 1 + 0.5 * rng.random(30)
-    after = 0.9 * before + 0.05 * rng.random(30)
+    after = before - 0.1 + 0.02 * np.tile([-1.0, 1.0], 15)  # not skewed: the interval is that of the book
     found = of(runs(after), runs(before))
     difference = 20 * (before - after)
     half = 2.0452 * difference.std(ddof=1) / np.sqrt(30)
@@ -138,6 +142,14 @@ def test_evidence_is_the_paired_difference_of_whole_runs_by_students_t():
     assert found.gain.ci95 == pytest.approx((difference.mean() - half, difference.mean() + half), rel=1e-4)
     assert found.values == pytest.approx((-20 * after.mean(), -20 * before.mean()))
     assert (found.size, found.runs, found.grouped) == (pytest.approx(20 * before.mean()), 30, "30 runs")
+
+
+@pytest.mark.parametrize("risk", [MEAN, CVaR(0.1)])
+def test_a_reward_that_is_not_finite_is_refused_in_every_risk(risk):
+    broken = np.where(np.arange(40) == 7, np.nan, 1.0)
+    with pytest.raises(InputError, match="rewards of B: got a value that is not finite"):
+        of(runs(broken), runs(np.ones(40)), pairing={"risk": risk})
+    assert of(runs(np.roll(broken, -7), diverged=1), runs(np.ones(40)), pairing={"risk": risk}).gain.mean == 0.0
 
 
 def test_runs_that_met_one_disturbance_are_one_piece_of_evidence():

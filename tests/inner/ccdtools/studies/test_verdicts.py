@@ -226,6 +226,12 @@ def test_the_headline_names_every_number_that_got_worse_and_where():
     assert "wear" not in said
 
 
+def test_the_headline_names_a_number_in_the_place_where_it_got_worst():
+    results = with_places(outcome(100, 80, 80), metric("noise [dB]", 10.0, 11.0, 0.5), metric("heat [K]", 4, 4, 1))
+    results["gains"][1] = results["gains"][1] | {"metrics": (metric("noise [dB]", 10.0, 15.0, 0.5),)}
+    assert "Worse: noise +50 % (start)." in headline(results)
+
+
 def test_the_headline_does_not_call_a_policy_equal_to_LQR_that_is_worse_somewhere():
     said = headline(with_places(outcome(100, 80, 80), metric("noise [dB]", 10.0, 9.0, 0.5)))
     assert "The learned policy equals LQR, but it is worse than LQR with start (+6 % cost)." in said
