@@ -3,8 +3,9 @@
 It is made once, of the controller handed out, after its closed loop was measured.
 
 What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
-far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, its
-gradient is that of the closed loop and a plain search over its last layer finds nothing better.
+far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, MPC
+of its design neither, its gradient is that of the closed loop and a plain search over its last layer finds nothing
+better.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.idle_entries import acting_together
@@ -37,7 +38,7 @@ from ccdtools.co_design.risk import measure
 from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, SETTLED_LOSS, SETTLING_RUNS
+from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, MPC_RUNS, SETTLED_LOSS, SETTLING_RUNS
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -85,9 +86,9 @@ class Settling:
             return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
         return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
 
-    def _loop(self, controller: Any, design: Array) -> ClosedLoopReturns:
+    def _loop(self, controller: Any, design: Array, runs: int | None = None) -> ClosedLoopReturns:
         """Returns of a controller at a design on the fresh scenarios."""
-        return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios))
+        return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios), runs=runs)
 
     def _limits(
         self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
@@ -121,11 +122,19 @@ class Settling:
         return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), rng)
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
-        """Saturated LQR of the same design, and nested LQR from there; of those that keep the limits and their runs."""
+        """LQR and MPC of the same design, and nested LQR from there; of those that keep the limits and their runs.
+
+        MPC is a baseline of a policy, which could be as good.
+        """
         found = []
         for name, lqr in self._linear_laws(result.design):
             if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
                 found.append(self._baseline(name, lqr, result.design, loop, None))
+        if isinstance(result.controller, LearnedPolicy):
+            runs = fewer_runs(MPC_RUNS, self.problem.steps)
+            with suppress(MPCError, InputError):
+                planned = linear_mpc(self.problem, result.design)
+                found.append(self._baseline("MPC of the same design", planned, result.design, loop, None, runs))
         if self.designing and result.method != Nested().name:
             starts = start_points(self.problem.design, result.design, result.valleys[:1], 2)
             found += [self._nested(self.problem.design.settled(v), loop) for v in starts]
@@ -179,15 +188,16 @@ class Settling:
         return self._baseline(f"{name}, at {self.problem.design.describe(design)}", controller, design, loop, limits)
 
     def _baseline(
-        self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
-    ) -> Baseline | None:
+        self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None,
+        runs: int | None = None,
+    ) -> Baseline | None:  # fmt: skip
         """Baseline at a design; None where it loses runs or leaves the limits."""
-        other = self._loop(controller, design)
+        other = self._loop(controller, design, runs)
         limits = self._limits(other, design, limits)
         if other.lost.any() or not (limits is None or limits.kept):
             return None
-        runs = np.arange(min(len(loop.values), len(other.values)))
-        gain = difference_of_parts(self.problem.risk, other.parts(runs) - loop.parts(runs), runs)
+        both = np.arange(min(len(loop.values), len(other.values)))
+        gain = difference_of_parts(self.problem.risk, other.parts(both) - loop.parts(both), both)
         return self._in_parts(name, design, gain, loop)
 
     def _in_parts(self, name: str, design: Array, gain: PairedDifference, loop: ClosedLoopReturns) -> Baseline:

@@ -97,6 +97,15 @@ def test_a_claim_stands_at_the_optimum_and_falls_below_lqr_of_its_own_design(pro
     assert any("LQR of the same design: +" in line for line in weak.describe())
 
 
+def test_a_policy_falls_below_mpc_of_its_own_design_where_the_input_saturates(problem):
+    tight = replace(problem, U=(-0.6, 0.6), scenarios=FixedStart([2.0, -1.0], Gaussian([0.1])))
+    found = codesign(tight, method=Claims(BEST, LearnedPolicy(clone_of(tight), [BEST])), rng=np.random.default_rng(0))
+    assert found.status is CoDesignStatus.WORSE_THAN_BASELINE
+    planned = found.baselines[1]
+    assert planned.name == "MPC of the same design"
+    assert planned.gain.ci95[0] > 0.005
+
+
 def test_a_claim_falls_at_a_design_that_nested_lqr_leaves_for_a_better_one(problem):
     found = claimed(problem, 2.0, gain(problem, 2.0))
     assert found.status is CoDesignStatus.WORSE_THAN_BASELINE
