@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import torch
 
-from ccdtools import to_torch
+from ccdtools.plants import to_torch
 from ccdtools.plants.library import full_car, quarter_car
 
 STATES, LOOPED, ROUNDS = 10_000, 1000, 9

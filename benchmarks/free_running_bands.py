@@ -18,11 +18,12 @@ import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 
-from ccdtools import DesignSpace, DigitalTwin, Plant, deploy, discretise, free_running_bands
+from ccdtools import DesignSpace, DigitalTwin, Plant, deploy, discretise
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.studies.cases import illustrative, suspension
+from ccdtools.twin import free_running_bands
 from ccdtools.twin.residuals import residuals
 from ccdtools.vehicles.roads import GeneratedRoad
 from mpc import lqr

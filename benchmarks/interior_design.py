@@ -30,9 +30,9 @@ from ccdtools import (
     QuadraticObjective,
     codesign,
     discretise,
-    expert_dataset,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
 from learning import fit_actor_critic
 
 SPRUNG, TYRE = 325.0, 232.5e3  # kg, N/m

@@ -17,23 +17,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.signal import lfilter
 
-from ccdtools import (
-    CVaR,
-    GeneratedRoad,
-    LinearFeedback,
-    MeanSpread,
-    Passive,
-    Scenario,
-    WorstCase,
-    load_study,
-    saturated_lqr,
-)
+from ccdtools import CVaR, LinearFeedback, MeanSpread, Scenario, WorstCase, load_study, saturated_lqr
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Risk
 from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.pid_tuning import tuned_pid
+from ccdtools.controllers import Passive
 from ccdtools.controllers.controllers import Controller
 from ccdtools.statistics import mean_interval
+from ccdtools.vehicles import GeneratedRoad
 from mpc import lqr
 
 STEPS = 15_000  # of a drive

@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 import torch
 
-from ccdtools import CoDesignProblem, codesign, expert_dataset, load_study, saturated_lqr, simulate
+from ccdtools import CoDesignProblem, codesign, load_study, saturated_lqr, simulate
+from ccdtools.co_design import expert_dataset
 from ccdtools.statistics import paired_difference
 from learning import fit_actor_critic
 from mpc import lqr

@@ -20,16 +20,10 @@ import numpy as np
 import torch
 
 from benchmarks.loop_targets import recorded_road
-from ccdtools import (
-    CoDesignProblem,
-    CoDesignResult,
-    Previewing,
-    codesign,
-    expert_dataset,
-    load_study,
-    previewed_problem,
-)
+from ccdtools import CoDesignProblem, codesign, load_study
+from ccdtools.co_design import CoDesignResult, expert_dataset, previewed_problem
 from ccdtools.co_design.design_controllers import HORIZON, saturated_lqr
+from ccdtools.controllers import Previewing
 from ccdtools.limits import excursions
 from ccdtools.simulation import simulate
 from ccdtools.statistics import change_of_level

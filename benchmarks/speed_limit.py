@@ -20,10 +20,10 @@ from ccdtools import (
     codesign,
     discretise,
     excursions,
-    expert_dataset,
     saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
 from ccdtools.controllers.controllers import Controller
 from ccdtools.plants.library import dc_servo
 from ccdtools.trajectory import Trajectory

@@ -24,21 +24,18 @@ import torch
 from ccdtools import (
     CoDesignConfig,
     CoDesignProblem,
-    CoDesignResult,
-    Constant,
     DesignSpace,
     FixedStart,
     Gaussian,
     Plant,
     QuadraticObjective,
-    Stacked,
-    Uniform,
     codesign,
     discretise,
-    expert_dataset,
     saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import CoDesignResult, expert_dataset
+from ccdtools.disturbances import Constant, Stacked, Uniform
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
 

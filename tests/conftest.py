@@ -87,7 +87,7 @@ def study(request):
 @pytest.fixture(scope="session")
 def expert_data():
     """Return a function: study → its expert's data, made once."""
-    from ccdtools import expert_dataset
+    from ccdtools.co_design import expert_dataset
 
     made = {}
 

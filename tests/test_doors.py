@@ -4,9 +4,12 @@ import ast
 from importlib import import_module
 from pathlib import Path
 
+import ccdtools
+
 TESTS = Path(__file__).parent
 DOORS = (
-    "ccdtools", "ccdtools.cli", "ccdtools.exceptions", "ccdtools.plants.library", "ccdtools.studies", "invariant_sets",
+    "ccdtools", *(f"ccdtools.{group}" for group in ccdtools.GROUPS), "ccdtools.cli", "ccdtools.plants.library",
+    "ccdtools.studies", "invariant_sets",
     "invariant_sets.exceptions", "learning", "learning.exceptions", "mpc", "mpc.exceptions", "mpc.optimal_control",
 )  # fmt: skip
 PACKAGES = {door.split(".")[0] for door in DOORS}

@@ -1,1 +1,5 @@
 """Controller and design optimised together: the problem, the expert, the methods."""
+
+from ccdtools_ground.front_door import front_door
+
+__all__, __getattr__, __dir__ = front_door(__name__, __file__)

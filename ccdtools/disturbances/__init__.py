@@ -1,1 +1,5 @@
 """Disturbances that act on a plant: random, generated or recorded disturbances."""
+
+from ccdtools_ground.front_door import front_door
+
+__all__, __getattr__, __dir__ = front_door(__name__, __file__)

@@ -1,1 +1,5 @@
 """Plants, the box of their designs, and their exact discretisation."""
+
+from ccdtools_ground.front_door import front_door
+
+__all__, __getattr__, __dir__ = front_door(__name__, __file__)

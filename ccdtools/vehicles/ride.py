@@ -11,7 +11,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_instance, as_positive, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
-from ccdtools.vehicles.suspension_metrics import suspension_metrics
+from ccdtools.vehicles.car_metrics import suspension_metrics
 
 __all__ = ["Ride"]
 

@@ -6,7 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _page import save
 
-from ccdtools import Passive, load_study, simulate
+from ccdtools import load_study, simulate
+from ccdtools.controllers import Passive
 from ccdtools.figure_style import styled
 
 DESIGN = [40000.0, 500.0]

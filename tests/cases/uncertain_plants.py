@@ -7,17 +7,8 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import minimize
 
-from ccdtools import (
-    Cases,
-    CoDesignProblem,
-    CustomObjective,
-    DesignSpace,
-    FixedStart,
-    Gaussian,
-    Plant,
-    Stacked,
-    discretise,
-)
+from ccdtools import CoDesignProblem, CustomObjective, DesignSpace, FixedStart, Gaussian, Plant, discretise
+from ccdtools.disturbances import Cases, Stacked
 
 DT = 0.1
 MASSES = (0.6, 1.0, 2.2)  # 1 + θ

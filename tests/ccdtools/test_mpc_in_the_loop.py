@@ -4,7 +4,9 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import LinearFeedback, LinearModel, QuadraticObjective, Reference, Scenario, compare, simulate
+from ccdtools import LinearFeedback, QuadraticObjective, Scenario, compare, simulate
+from ccdtools.controllers import Reference
+from ccdtools.plants import LinearModel
 from invariant_sets import Polytope
 from mpc import LinearMPC, OffsetFreeMPC, lqr
 

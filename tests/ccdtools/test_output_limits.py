@@ -23,9 +23,9 @@ from ccdtools import (
     codesign,
     compare,
     discretise,
-    expert_dataset,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
 from learning import fit_actor_critic
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1)

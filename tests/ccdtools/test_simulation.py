@@ -8,17 +8,9 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import (
-    PID,
-    Gaussian,
-    InputError,
-    LinearFeedback,
-    LinearModel,
-    Passive,
-    QuadraticObjective,
-    Trajectory,
-    simulate,
-)
+from ccdtools import PID, Gaussian, InputError, LinearFeedback, QuadraticObjective, Trajectory, simulate
+from ccdtools.controllers import Passive
+from ccdtools.plants import LinearModel
 from mpc import lqr
 
 SCALAR = control.ss([[0.5]], [[1.0]], [[1.0]], 0, True)

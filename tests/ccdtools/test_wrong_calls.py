@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import ccdtools as cc
-from ccdtools import expert_dataset
+from ccdtools.co_design import expert_dataset
 from invariant_sets import Polytope
 from learning import ActorCritic, NetworkConfig, PPOConfig
 from mpc import LinearMPC

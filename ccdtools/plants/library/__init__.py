@@ -8,8 +8,4 @@ from ccdtools.plants.library.two_tanks import Tanks, two_tanks  # noqa: F401 (th
 from ccdtools.plants.library.wind_turbine import Turbine, wind_turbine  # noqa: F401 (the stub beside this file lists them)
 from ccdtools_ground.front_door import front_door
 
-__all__, __getattr__ = front_door(__name__, __file__)  # cars stand in a folder of their own
-
-
-def __dir__() -> list[str]:
-    return __all__
+__all__, __getattr__, __dir__ = front_door(__name__, __file__)  # cars stand in a folder of their own

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from constrained_plants import CASES
 
-from ccdtools import CoDesignConfig, CoDesignProblem, DesignSpace, InputError, codesign, expert_dataset
+from ccdtools import CoDesignConfig, CoDesignProblem, DesignSpace, InputError, codesign
+from ccdtools.co_design import expert_dataset
 from learning import ActorCritic, CloningConfig, NetworkConfig, PPOConfig, fit_actor_critic
 
 SMALL = CoDesignConfig(iterations=160, runs=16, pathwise_runs=48, evaluation_runs=300)

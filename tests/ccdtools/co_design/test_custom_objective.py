@@ -17,10 +17,10 @@ from ccdtools import (
     Plant,
     QuadraticObjective,
     discretise,
-    output_objective,
     saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import output_objective
 
 x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
 ACCELERATION = -p[0] * x[0] - p[1] * x[1] + u

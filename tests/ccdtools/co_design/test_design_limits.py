@@ -30,18 +30,15 @@ from ccdtools import (
     Gaussian,
     InputError,
     LearnedPolicy,
-    admissible_inputs,
     baselines,
     codesign,
     discretise,
-    expert_dataset,
-    feasible_sets,
     least_depth,
     load_policy,
-    previewed_problem,
     saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import admissible_inputs, expert_dataset, feasible_sets, previewed_problem
 from invariant_sets import Polytope, maximal_control_invariant_set
 from learning import CloningConfig, NetworkConfig, fit_actor_critic, load
 from learning.exceptions import CheckpointError

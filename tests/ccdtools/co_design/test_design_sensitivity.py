@@ -16,10 +16,10 @@ from ccdtools import (
     OutputLimits,
     Plant,
     QuadraticObjective,
-    SampledModel,
     design_sensitivity,
     discretise,
 )
+from ccdtools.plants import SampledModel
 from ccdtools.plants.library import pendulum_on_cart
 from mpc import LinearMPC, NotStabilisableError, SensitivityStatus, lqr
 from mpc.optimal_control import NonlinearMPC

@@ -13,9 +13,8 @@ from ccdtools import (
     Plant,
     QuadraticObjective,
     discretise,
-    expert_dataset,
-    feasible_sets,
 )
+from ccdtools.co_design import expert_dataset, feasible_sets
 from invariant_sets import Polytope
 from mpc import lqr
 

@@ -4,16 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import (
-    CoDesignProblem,
-    DesignSpace,
-    FixedStart,
-    Gaussian,
-    Plant,
-    QuadraticObjective,
-    discretise,
-    expert_dataset,
-)
+from ccdtools import CoDesignProblem, DesignSpace, FixedStart, Gaussian, Plant, QuadraticObjective, discretise
+from ccdtools.co_design import expert_dataset
 
 
 def sets_of(cubic):

@@ -26,12 +26,12 @@ from ccdtools import (
     QuadraticObjective,
     Search,
     Sequential,
-    closed_loop_returns,
     compare_methods,
     discretise,
     simulate,
 )
 from ccdtools.cli import insisting
+from ccdtools.co_design import closed_loop_returns
 
 QUICK = {
     "plant first": Sequential(starts=1), "nested": Nested(starts=1, runs=100),

@@ -15,15 +15,15 @@ from ccdtools import (
     LinearFeedback,
     Plant,
     QuadraticObjective,
-    SampledModel,
     baselines,
     codesign,
     discretise,
-    expert_dataset,
-    replay_problem,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
+from ccdtools.plants import SampledModel
 from ccdtools.plants.library import pendulum_on_cart
+from ccdtools.twin import replay_problem
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
 
 NOISE = Gaussian([0.2])

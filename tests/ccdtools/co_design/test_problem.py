@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import CoDesignProblem, CustomObjective, FixedStart, InputError, LinearModel, QuadraticObjective
+from ccdtools import CoDesignProblem, CustomObjective, FixedStart, InputError, QuadraticObjective
+from ccdtools.plants import LinearModel
 from invariant_sets import Polytope
 
 

@@ -6,20 +6,17 @@ from scipy import stats
 
 from ccdtools import (
     CoDesignProblem,
-    Constant,
     FixedStart,
     Gaussian,
     InputError,
-    Mixture,
     QuadraticObjective,
     RandomStarts,
-    Uniform,
     baselines,
     discretise,
-    expert_dataset,
-    feasible_sets,
     least_depth,
 )
+from ccdtools.co_design import expert_dataset, feasible_sets
+from ccdtools.disturbances import Constant, Mixture, Uniform
 from ccdtools.plants.library import mass_chain
 from invariant_sets import Polytope
 

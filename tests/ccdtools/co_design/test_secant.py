@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import InputError, Nested, codesign, stochastic_linearisation
+from ccdtools import InputError, Nested, codesign
+from ccdtools.co_design import stochastic_linearisation
 from invariant_sets import Polytope
 from mpc import lqr
 

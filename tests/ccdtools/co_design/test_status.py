@@ -8,7 +8,6 @@ import pytest
 from small_plants import best_design, clone_of, exact_return, mass, two_valleys
 
 from ccdtools import (
-    Cases,
     CoDesignConfig,
     CoDesignProblem,
     DesignSpace,
@@ -18,11 +17,11 @@ from ccdtools import (
     Plant,
     QuadraticObjective,
     Sequential,
-    Stacked,
     WorstCase,
     codesign,
     discretise,
 )
+from ccdtools.disturbances import Cases, Stacked
 from ccdtools.exceptions import LimitWarning
 from invariant_sets import Polytope
 

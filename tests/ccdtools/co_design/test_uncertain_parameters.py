@@ -4,20 +4,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import (
-    CoDesignConfig,
-    Constant,
-    DesignSpace,
-    Gaussian,
-    Plant,
-    QuadraticObjective,
-    SampledModel,
-    Stacked,
-    Study,
-    Uniform,
-    discretise,
-    simulate,
-)
+from ccdtools import CoDesignConfig, DesignSpace, Gaussian, Plant, QuadraticObjective, Study, discretise, simulate
+from ccdtools.disturbances import Constant, Stacked, Uniform
+from ccdtools.plants import SampledModel
 
 X, U = ([-1.0, -3.0], [1.0, 3.0]), (-5.0, 5.0)
 P = [4.0, 0.5]

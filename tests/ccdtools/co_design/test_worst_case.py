@@ -9,7 +9,6 @@ from scipy.optimize import minimize
 from uncertain_plants import MASSES, STEPS, exact_costs, minimax, problem
 
 from ccdtools import (
-    Cases,
     CoDesignConfig,
     FixedStart,
     Gaussian,
@@ -19,9 +18,10 @@ from ccdtools import (
     WorstCase,
     codesign,
     compare,
-    expert_dataset,
     saturated_lqr,
 )
+from ccdtools.co_design import expert_dataset
+from ccdtools.disturbances import Cases
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
 
 

@@ -11,7 +11,6 @@ from ccdtools import (
     CVaR,
     InputError,
     LinearFeedback,
-    Passive,
     Scenario,
     baselines,
     compare,
@@ -19,6 +18,7 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
+from ccdtools.controllers import Passive
 from invariant_sets import Polytope
 from mpc import LinearMPC
 

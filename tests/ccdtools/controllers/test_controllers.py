@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ccdtools import PID, InputError, LinearFeedback, Passive
+from ccdtools import PID, InputError, LinearFeedback
+from ccdtools.controllers import Passive
 
 
 @pytest.mark.parametrize(

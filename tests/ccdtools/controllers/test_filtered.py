@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import Filtered
+from ccdtools.controllers import Filtered
 from invariant_sets import AdmissibleInputFamily, AdmissibleInputs, Polytope
 from mpc import LinearMPC
 

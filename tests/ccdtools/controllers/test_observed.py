@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import ExtendedKalmanFilter, Filtered, InputError, KalmanFilter, LinearFeedback, Measurement, Observed
+from ccdtools import InputError, KalmanFilter, LinearFeedback, Measurement
+from ccdtools.controllers import Filtered, Observed
+from ccdtools.estimation import ExtendedKalmanFilter
 from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant_set
 from mpc import LinearMPC, OffsetFreeMPC, lqr
 

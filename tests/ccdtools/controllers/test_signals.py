@@ -6,7 +6,9 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import InputError, LinearFeedback, LinearModel, QuadraticObjective, Reference, Scenario, compare, simulate
+from ccdtools import InputError, LinearFeedback, QuadraticObjective, Scenario, compare, simulate
+from ccdtools.controllers import Reference
+from ccdtools.plants import LinearModel
 from invariant_sets import Polytope
 
 A, B, E = np.array([[1.0, 0.2], [0.0, 1.0]]), np.array([[0.0], [0.2]]), np.eye(2)

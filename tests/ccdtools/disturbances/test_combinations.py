@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ccdtools import Constant, Gaussian, InputError, Mixture, Recorded, Stacked, Sum, Uniform
+from ccdtools import Gaussian, InputError, Recorded
+from ccdtools.disturbances import Constant, Mixture, Stacked, Sum, Uniform
 
 MASS = Constant(Uniform([-0.2], [0.4]))
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ccdtools import Gaussian, InputError, Recorded, Sum, Uniform
+from ccdtools import Gaussian, InputError, Recorded
+from ccdtools.disturbances import Sum, Uniform
 
 
 def test_gaussian_noise_has_the_stated_moments_and_is_white(rng):

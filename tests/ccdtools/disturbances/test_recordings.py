@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ccdtools import read_disturbance, read_road, read_speed
+from ccdtools import read_disturbance
 from ccdtools.exceptions import CCDError, InputError
+from ccdtools.vehicles import read_road, read_speed
 
 DT = 0.05
 

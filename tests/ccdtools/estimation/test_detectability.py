@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import ExtendedKalmanFilter, InputError, KalmanFilter, NotDetectableError
+from ccdtools import InputError, KalmanFilter
+from ccdtools.estimation import ExtendedKalmanFilter
+from ccdtools.exceptions import NotDetectableError
 
 NONE = cc.DesignSpace([], [], [])
 

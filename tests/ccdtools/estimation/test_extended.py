@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import ExtendedKalmanFilter, InputError, KalmanFilter, Measurement
+from ccdtools import InputError, KalmanFilter, Measurement
+from ccdtools.estimation import ExtendedKalmanFilter
 from ccdtools.plants import library
 
 STEPS = 40

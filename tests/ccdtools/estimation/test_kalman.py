@@ -11,7 +11,10 @@ from gaussians import conditioned, random_system
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 import ccdtools as cc
-from ccdtools import InputError, KalmanFilter, LinearFeedback, LinearModel, Measurement, NotDetectableError, Observed
+from ccdtools import InputError, KalmanFilter, LinearFeedback, Measurement
+from ccdtools.controllers import Observed
+from ccdtools.exceptions import NotDetectableError
+from ccdtools.plants import LinearModel
 from mpc import lqr
 
 A = np.array([[1.0, 0.1], [0.0, 1.0]])

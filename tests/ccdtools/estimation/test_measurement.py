@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import Gaussian, InputError, LinearModel, Measurement, Scenario, Uniform
+from ccdtools import Gaussian, InputError, Measurement, Scenario
+from ccdtools.disturbances import Uniform
+from ccdtools.plants import LinearModel
 from invariant_sets import Polytope
 
 A, B, E = np.array([[1.0, 0.2], [0.0, 1.0]]), np.array([[0.0], [0.2]]), np.eye(2)

@@ -8,7 +8,8 @@ from gallery.measure import STUDIES as FILES
 from gallery.oracle.cost import linear_return
 from gallery.reference import reference, statement
 
-from ccdtools import CoDesignConfig, codesign, expert_dataset, saturated_lqr, simulate
+from ccdtools import CoDesignConfig, codesign, saturated_lqr, simulate
+from ccdtools.co_design import expert_dataset
 from ccdtools.studies import load_study
 from learning import CloningConfig, fit_actor_critic
 

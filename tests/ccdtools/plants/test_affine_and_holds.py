@@ -13,15 +13,13 @@ from ccdtools import (
     DesignSpace,
     InputError,
     LinearFeedback,
-    LinearModel,
     Plant,
     discretise,
-    first_order_hold,
-    noise_covariance,
     plant_from_matrices,
     plant_from_state_space,
     simulate,
 )
+from ccdtools.plants import LinearModel, first_order_hold, noise_covariance
 
 BOX = DesignSpace(["k", "d"], [20.0, 0.1], [200.0, 2.0])
 

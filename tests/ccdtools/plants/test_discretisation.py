@@ -15,11 +15,11 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
-    LinearModel,
     Plant,
     QuadraticObjective,
     discretise,
 )
+from ccdtools.plants import LinearModel
 from mpc import lqr
 
 START = np.array([27692.0, 1906.5])

@@ -6,7 +6,8 @@ import pytest
 from nonlinear_plants import GRAVITY, swing, tank_rates, tanks
 from scipy.optimize import approx_fprime, fsolve
 
-from ccdtools import DesignSpace, InputError, Plant, deviations, discretise, equilibrium, linearise
+from ccdtools import DesignSpace, InputError, Plant, discretise, equilibrium, linearise
+from ccdtools.plants import deviations
 
 NAN = np.nan
 

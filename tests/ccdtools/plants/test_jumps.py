@@ -6,17 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import (
-    DesignSpace,
-    InputError,
-    JumpWarning,
-    Plant,
-    discretise,
-    first_order_hold,
-    linearise,
-    noise_covariance,
-    simulate,
-)
+from ccdtools import DesignSpace, InputError, Plant, discretise, linearise, simulate
+from ccdtools.exceptions import JumpWarning
+from ccdtools.plants import first_order_hold, noise_covariance
 
 LIMITS = {"X": ([-1, -2], [1, 2]), "U": (-3, 3)}
 JUMPS = {

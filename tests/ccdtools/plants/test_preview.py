@@ -15,24 +15,19 @@ from ccdtools import (
     Gaussian,
     InputError,
     LinearFeedback,
-    LinearModel,
     OutputLimits,
     Plant,
-    Previewing,
     QuadraticObjective,
-    SampledModel,
     Scenario,
     compare,
     deploy,
     discretise,
-    expert_dataset,
-    previewed_limits,
-    previewed_objective,
-    previewed_problem,
     saturated_lqr,
     simulate,
-    with_preview,
 )
+from ccdtools.co_design import expert_dataset, previewed_limits, previewed_objective, previewed_problem
+from ccdtools.controllers import Previewing
+from ccdtools.plants import LinearModel, SampledModel, with_preview
 from ccdtools.plants.library import mass_chain, pendulum_on_cart, quarter_car
 from mpc import LinearMPC, lqr
 

@@ -10,18 +10,8 @@ import torch
 from nonlinear_plants import GRAVITY, hot_plate, stiff, stiff_rates, swing, swing_rates, tank_rates, tanks
 from scipy.integrate import solve_ivp
 
-from ccdtools import (
-    DesignSpace,
-    Gaussian,
-    InputError,
-    LinearFeedback,
-    Plant,
-    SampledModel,
-    deviations,
-    discretise,
-    equilibrium,
-    simulate,
-)
+from ccdtools import DesignSpace, Gaussian, InputError, LinearFeedback, Plant, discretise, equilibrium, simulate
+from ccdtools.plants import SampledModel, deviations
 
 SWING = {"X": ([-3.0, -6.0], [3.0, 6.0]), "U": (-5.0, 5.0), "W": (-1.0, 1.0)}
 STIFF = {"X": ([-1.5, -1.5], [1.5, 1.5]), "U": (-1.0, 1.0)}

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import DesignSpace, InputError, Plant, SampledModel
+from ccdtools import DesignSpace, InputError, Plant
+from ccdtools.plants import SampledModel
 
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import InputError, to_torch
+from ccdtools import InputError
+from ccdtools.plants import to_torch
 
 
 def random_function(seed):

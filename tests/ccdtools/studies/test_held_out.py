@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from small_runs import SPRING
 
-from ccdtools import Gaussian, InputError, RealPlant, Recorded, Sum, load_study
+from ccdtools import Gaussian, InputError, RealPlant, Recorded, load_study
+from ccdtools.disturbances import Sum
 
 
 @pytest.fixture(scope="module")

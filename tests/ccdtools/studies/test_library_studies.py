@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ccdtools import LinearFeedback, Study, codesign, depth_outside, expert_dataset, saturated_lqr, simulate
+from ccdtools import LinearFeedback, Study, codesign, depth_outside, saturated_lqr, simulate
 from ccdtools.cli import app
+from ccdtools.co_design import expert_dataset
 from ccdtools.plants import library
 from ccdtools.plants.library import full_car
 from ccdtools.studies import load_study, study_names

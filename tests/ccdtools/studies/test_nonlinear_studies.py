@@ -14,13 +14,13 @@ from ccdtools import (
     QuadraticObjective,
     RealPlant,
     Recorded,
-    SampledModel,
     Study,
     discretise,
     saturated_lqr,
     simulate,
 )
 from ccdtools.exceptions import SamplingWarning
+from ccdtools.plants import SampledModel
 
 NOISE = Gaussian([0.1])
 X = ([-2.0, -2.0], [2.0, 2.0])

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import Gaussian, InputError, Uniform
+from ccdtools import Gaussian, InputError
+from ccdtools.disturbances import Uniform
 from ccdtools.studies import Study, load_study
 from invariant_sets import Polytope
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy, free_running_bands
+from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy
+from ccdtools.twin import free_running_bands
 from learning import QuantileConfig
 from mpc import lqr
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import ISORoad
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles import ISORoad
 
 DT = 0.01
 SPEED = 20.0

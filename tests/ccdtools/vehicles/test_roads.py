@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ccdtools import road_disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles import road_disturbance
 
 DT = 0.05
 SLOPE = ([0.0, 100.0], [0.0, 10.0])  # a road that rises by one in ten

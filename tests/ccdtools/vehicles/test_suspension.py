@@ -9,8 +9,8 @@ import pytest
 from study_plants import quarter_car
 
 import ccdtools as cc
-from ccdtools import suspension_metrics
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles import suspension_metrics
 
 K_S, C_S = 2e4, 1500.0  # N/m, N s/m
 SPRUNG, UNSPRUNG, TYRE = 325.0, 65.0, 232.5e3  # kg, kg, N/m: of the paper's quarter car

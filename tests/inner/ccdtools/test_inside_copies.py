@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import LearnedCoDesign
+from ccdtools.co_design import LearnedCoDesign
 from ccdtools.co_design.expert import ExpertData
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.result import History

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import expert_dataset, feasible_sets, progress
-from ccdtools.co_design import set_choice
+from ccdtools import progress
+from ccdtools.co_design import expert_dataset, feasible_sets, set_choice
 from ccdtools.co_design.candidates import starts
 from ccdtools.co_design.expert_loops import ExpertLoops
 from ccdtools.co_design.lqr_regions import LQRRegions

@@ -17,13 +17,13 @@ from ccdtools import (
     QuadraticObjective,
     baselines,
     discretise,
-    expert_dataset,
-    replay_problem,
     saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.lqr_regions import times
 from ccdtools.comparison.pid_tuning import tuned_pid
+from ccdtools.twin import replay_problem
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import Residuals

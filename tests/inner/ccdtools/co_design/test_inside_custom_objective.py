@@ -18,9 +18,9 @@ from ccdtools import (
     QuadraticObjective,
     Trajectory,
     discretise,
-    expert_dataset,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
 from ccdtools.co_design.episodes import simulated
 from ccdtools.co_design.ppo_part import DesignEnv, loss_gradient

@@ -14,15 +14,8 @@ from actuated_plants import (
     room_of,
 )
 
-from ccdtools import (
-    InputError,
-    LearnedPolicy,
-    Scenario,
-    codesign,
-    compare,
-    expert_dataset,
-    simulate,
-)
+from ccdtools import InputError, LearnedPolicy, Scenario, codesign, compare, simulate
+from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.design_gradients import Differences
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
 from ccdtools.co_design.episodes import episode, episode_at

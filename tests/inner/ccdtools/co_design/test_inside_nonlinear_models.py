@@ -14,16 +14,16 @@ from ccdtools import (
     LearnedPolicy,
     Plant,
     QuadraticObjective,
-    SampledModel,
     codesign,
     discretise,
-    expert_dataset,
     saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.differentiable_model import Stepper, matrices
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.co_design.lqr_regions import LQRRegions
+from ccdtools.plants import SampledModel
 from ccdtools.plants.library import pendulum_on_cart
 from ccdtools.plants.pathwise_step import PathwiseStep
 from ccdtools.statistics import paired_difference

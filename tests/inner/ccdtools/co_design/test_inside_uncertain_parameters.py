@@ -7,32 +7,27 @@ import pytest
 from ccdtools import (
     CoDesignConfig,
     CoDesignProblem,
-    Constant,
     DesignSpace,
     DigitalTwin,
     FixedStart,
     Gaussian,
-    Mixture,
     Plant,
     QuadraticObjective,
     Recorded,
     Scenario,
-    Stacked,
-    Uniform,
     codesign,
     compare,
     deploy,
     discretise,
-    expert_dataset,
-    feasible_sets,
-    replay_problem,
     saturated_lqr,
     simulate,
-    updated_problem,
 )
+from ccdtools.co_design import expert_dataset, feasible_sets
 from ccdtools.comparison.pid_tuning import tuned_pid
+from ccdtools.disturbances import Constant, Mixture, Stacked, Uniform
 from ccdtools.studies.real_step import extent_of
 from ccdtools.studies.trust_region import attribute_errors
+from ccdtools.twin import replay_problem, updated_problem
 from ccdtools.twin.transport import check_disturbance_enters
 from learning import CloningConfig, NetworkConfig, fit_actor_critic
 from mpc import lqr

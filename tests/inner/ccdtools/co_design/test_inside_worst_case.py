@@ -7,21 +7,10 @@ import pytest
 import uncertain_plants
 from uncertain_plants import MASSES, exact_costs, problem
 
-from ccdtools import (
-    Cases,
-    Constant,
-    FixedStart,
-    Gaussian,
-    Mean,
-    Mixture,
-    RandomStarts,
-    Stacked,
-    Sum,
-    Uniform,
-    WorstCase,
-)
+from ccdtools import FixedStart, Gaussian, Mean, RandomStarts, WorstCase
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.landscape import Landscape
+from ccdtools.disturbances import Cases, Constant, Mixture, Stacked, Sum, Uniform
 from ccdtools.disturbances.combinations import cases_in
 from mpc import lqr
 

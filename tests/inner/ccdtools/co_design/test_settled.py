@@ -16,7 +16,6 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
-    JumpWarning,
     LinearFeedback,
     Nested,
     OutputLimits,
@@ -30,6 +29,7 @@ from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.exceptions import JumpWarning
 from mpc import lqr
 
 BEST = 0.357  # kg, of the mass

@@ -10,7 +10,6 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     LinearFeedback,
-    Passive,
     Plant,
     QuadraticObjective,
     discretise,
@@ -18,6 +17,7 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.comparison.pid_tuning import tuned_pid
+from ccdtools.controllers import Passive
 from mpc import lqr
 
 

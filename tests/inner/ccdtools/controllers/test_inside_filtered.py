@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import Filtered
+from ccdtools.controllers import Filtered
 from ccdtools.controllers.signals import needs_of
 from invariant_sets import AdmissibleInputs, Polytope
 from mpc import LinearMPC

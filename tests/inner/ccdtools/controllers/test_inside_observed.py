@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import InputError, KalmanFilter, LinearFeedback, Measurement, Observed
+from ccdtools import InputError, KalmanFilter, LinearFeedback, Measurement
+from ccdtools.controllers import Observed
 from ccdtools.controllers.signals import needs_of
 from ccdtools.estimation.belief import Belief
 from invariant_sets import Polytope

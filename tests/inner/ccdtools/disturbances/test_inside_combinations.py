@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ccdtools import Constant, Gaussian, Mixture, Recorded, Stacked, Sum, Uniform
+from ccdtools import Gaussian, Recorded
+from ccdtools.disturbances import Constant, Mixture, Stacked, Sum, Uniform
 from ccdtools.disturbances.combinations import is_recorded
 
 MASS = Constant(Uniform([-0.2], [0.4]))

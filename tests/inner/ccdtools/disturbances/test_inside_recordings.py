@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from ccdtools import read_road, read_speed, road_disturbance
+from ccdtools.vehicles import read_road, read_speed, road_disturbance
 from ccdtools.vehicles.roads import generate_road
 
 DT = 0.05

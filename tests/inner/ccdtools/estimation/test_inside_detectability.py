@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import ccdtools as cc
-from ccdtools import ExtendedKalmanFilter
+from ccdtools.estimation import ExtendedKalmanFilter
 from ccdtools.estimation.steady_state import Detectability
 from ccdtools.plants import library
 

@@ -4,17 +4,11 @@
 import numpy as np
 import pytest
 
-from ccdtools import (
-    LinearFeedback,
-    Plant,
-    Previewing,
-    QuadraticObjective,
-    discretise,
-    previewed_objective,
-    simulate,
-    with_preview,
-)
+from ccdtools import LinearFeedback, Plant, QuadraticObjective, discretise, simulate
+from ccdtools.co_design import previewed_objective
 from ccdtools.co_design.preview import shifted
+from ccdtools.controllers import Previewing
+from ccdtools.plants import with_preview
 from ccdtools.plants.library import mass_chain, pendulum_on_cart
 from ccdtools.plants.preview import previewed_state
 from mpc import lqr

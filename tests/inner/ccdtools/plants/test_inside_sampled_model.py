@@ -6,10 +6,8 @@ import pytest
 import torch
 from nonlinear_plants import hot_plate
 
-from ccdtools import (
-    deviations,
-    equilibrium,
-)
+from ccdtools import equilibrium
+from ccdtools.plants import deviations
 from ccdtools.plants.collocation import ImplicitStep
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import DesignSpace, Plant, SampledModel
+from ccdtools import DesignSpace, Plant
+from ccdtools.plants import SampledModel
 from ccdtools.plants.tolerances import FEW_ROWS, KEPT_SIZES
 
 RUNS = [1, 2, FEW_ROWS, FEW_ROWS + 1, 2500]

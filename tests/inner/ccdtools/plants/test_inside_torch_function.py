@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import torch
 
-from ccdtools import to_torch
+from ccdtools.plants import to_torch
 from ccdtools.plants.torch_function import TorchFunction
 
 

@@ -6,23 +6,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import (
-    DesignSpace,
-    Gaussian,
-    Plant,
-    QuadraticObjective,
-    RealPlant,
-    Study,
-    replay_problem,
-    saturated_lqr,
-    simulate,
-)
+from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, RealPlant, Study, saturated_lqr, simulate
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.evidence.evidence import Asked, Pairing
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.warm_up import warm_up
-from ccdtools.twin import distributions
+from ccdtools.twin import distributions, replay_problem
 from ccdtools.twin.residuals import residuals
 from invariant_sets import Polytope
 

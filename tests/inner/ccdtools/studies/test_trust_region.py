@@ -12,13 +12,13 @@ from ccdtools import (
     DigitalTwin,
     FixedStart,
     Gaussian,
-    LearnedCoDesign,
     LinearFeedback,
     Plant,
     QuadraticObjective,
     discretise,
     simulate,
 )
+from ccdtools.co_design import LearnedCoDesign
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.studies.tolerances import LEAST_RADIUS

@@ -8,7 +8,8 @@ import pytest
 import torch
 from deployments import DESIGN, ONLINE, deployed, disturbances, start, training_gives
 
-from ccdtools import InputError, LearnedPolicy, OnlineConfig, Passive, deploy, deploy_and_update, simulate
+from ccdtools import InputError, LearnedPolicy, OnlineConfig, deploy, deploy_and_update, simulate
+from ccdtools.controllers import Passive
 
 
 def test_a_deployment_is_a_simulation_as_long_as_its_disturbance(illustrative):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy, free_running_bands, simulate
+from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy, simulate
 from ccdtools.co_design.differentiable_model import Stepper
+from ccdtools.twin import free_running_bands
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.residuals import residuals

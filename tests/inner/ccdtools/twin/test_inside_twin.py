@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import InputError, LinearFeedback, Passive, Trajectory, simulate
+from ccdtools import InputError, LinearFeedback, Trajectory, simulate
+from ccdtools.controllers import Passive
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.residuals import block_parts, residuals, stacked
 from learning.quantile import QuantileNetwork

@@ -17,12 +17,12 @@ from ccdtools import (
     LinearFeedback,
     Plant,
     QuadraticObjective,
-    SampledModel,
     discretise,
-    replay_problem,
     simulate,
 )
 from ccdtools.co_design.differentiable_model import Stepper
+from ccdtools.plants import SampledModel
+from ccdtools.twin import replay_problem
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.transport import ErrorSplit, check_disturbance_enters
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from deployments import DESIGN, disturbances, start
 
-from ccdtools import InputError, LearnedPolicy, deploy, replay_problem, simulate
+from ccdtools import InputError, LearnedPolicy, deploy, simulate
+from ccdtools.twin import replay_problem
 from ccdtools.twin.replay import Replay
 from ccdtools.twin.residuals import residuals
 

@@ -15,15 +15,14 @@ from ccdtools import (
     Gaussian,
     InputError,
     LinearFeedback,
-    LinearModel,
     Plant,
     QuadraticObjective,
     discretise,
-    replay_problem,
     simulate,
-    updated_problem,
 )
 from ccdtools.co_design.differentiable_model import Stepper
+from ccdtools.plants import LinearModel
+from ccdtools.twin import replay_problem, updated_problem
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.transport import ErrorSplit, Transport, check_disturbance_enters, full_rank

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid, quad
 from scipy.stats import chi2
 
-from ccdtools import ISORoad
+from ccdtools.vehicles import ISORoad
 from ccdtools.vehicles.iso8608 import BAND
 from ccdtools.vehicles.roads import STYLES, generate_speed
 

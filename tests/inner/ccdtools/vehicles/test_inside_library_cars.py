@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from library_oracles import matrices
 
-from ccdtools import SamplingWarning, discretise
+from ccdtools import discretise
+from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.library import full_car, half_car, quarter_car
 from ccdtools.vehicles.corner import RealStrut
 from ccdtools.vehicles.quarter_car import PAPER_DT

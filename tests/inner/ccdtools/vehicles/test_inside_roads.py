@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from ccdtools import road_disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles import road_disturbance
 from ccdtools.vehicles.roads import FEATURES, STYLES, generate_road, generate_speed
 
 DT = 0.05

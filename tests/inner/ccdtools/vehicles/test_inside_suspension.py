@@ -9,10 +9,10 @@ from scipy.linalg import expm
 from study_plants import quarter_car
 
 import ccdtools as cc
-from ccdtools import suspension_metrics
+from ccdtools.vehicles import suspension_metrics
+from ccdtools.vehicles.car_metrics import actuator_energy, suspension_travel, tyre_load
 from ccdtools.vehicles.iso8608 import BAND, road_spectrum
 from ccdtools.vehicles.ride_comfort import frequency_weighting
-from ccdtools.vehicles.suspension_metrics import actuator_energy, suspension_travel, tyre_load
 
 K_S, C_S = 2e4, 1500.0  # N/m, N s/m
 SPRUNG, UNSPRUNG, TYRE = 325.0, 65.0, 232.5e3  # kg, kg, N/m: of the paper's quarter car

@@ -6,8 +6,8 @@ from scipy.integrate import quad
 from scipy.signal import StateSpace, lsim, zpk2ss
 
 import ccdtools as cc
-from ccdtools import comfort, weighted_acceleration
 from ccdtools.exceptions import InputError
+from ccdtools.vehicles import comfort, weighted_acceleration
 from ccdtools.vehicles.ride_comfort import frequency_weighting
 
 # ISO 2631-1:1997, table 3: factors times 1000 at the nominal third octaves.
