@@ -243,6 +243,7 @@ def verdict(tree: Path, reach: list[dict], mutant, options) -> dict:
     environment = {"NUMBA_CACHE_DIR": str(tree / ".numba")}
     if place.as_posix().startswith(COMPILED):
         environment = {"NUMBA_CACHE_DIR": str(tree / f".numba-{os.getpid()}-{time.monotonic_ns()}")}
+    saved = (tree / place).stat()
     (tree / place).write_text(text, encoding="utf-8")
     try:
         for name, quick in (("quick", True), ("others", False)):
@@ -255,6 +256,7 @@ def verdict(tree: Path, reach: list[dict], mutant, options) -> dict:
             found["types"] = bool(subprocess.run([mypy], cwd=tree, capture_output=True).returncode)
     finally:
         (tree / place).write_text(source, encoding="utf-8")
+        os.utime(tree / place, ns=(saved.st_atime_ns, saved.st_mtime_ns))  # what is compiled of it is as new
     return found
 
 

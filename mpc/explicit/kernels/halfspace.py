@@ -1,15 +1,11 @@
-"""Compiled geometry of half-spaces with unit rows: nearest point, interior point, facets, a point across a facet.
-
-numba's cache on disk notices a change of the file a function stands in, but not of the files it calls into, nor of the
-constants it takes from `tolerances.py` and `data.py` (kinds of sets and facets, positions in `Graph.counts`): after a
-change in any of them save every file of this folder.
-"""
+"""Compiled geometry of half-spaces with unit rows: nearest point, interior point, facets, a point across a facet."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from mpc.explicit.kernels import forget_stale
 from mpc.tolerances import (
     CROSSING,
     NO_STEP,
@@ -263,3 +259,6 @@ def across(A, b, facets, count, facet, start, margin, theta):
             return True
         margin *= 0.1
     return False
+
+
+forget_stale(project.stats.cache_path)  # all kernels keep theirs in one folder
