@@ -1,16 +1,18 @@
 """Compiled kernels of the exploration and of point location."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 SOURCES = (*Path(__file__).parent.glob("*.py"), Path(__file__).parents[2] / "tolerances.py")
 
 
-def forget_stale(cache: str) -> None:
-    """Remove what numba has kept in a folder from before the last change of any kernel or tolerance.
+def forget_stale(cache: str | None) -> None:
+    """Remove what numba has kept in a folder, if in any, from before the last change of any kernel or tolerance.
 
-    Numba itself notices a change of the file of a function, not of what that function calls and which constants it takes.
+    Numba itself notices a change in the file of a function, not in what it calls and in the constants that it takes.
     """
     changed = max(source.stat().st_mtime for source in SOURCES)
-    for kept in Path(cache).glob("*.nb[ci]"):
+    for kept in Path(cache).glob("*.nb[ci]") if cache else ():
         if kept.stat().st_mtime < changed:
             kept.unlink(missing_ok=True)
