@@ -1,6 +1,4 @@
-"""Inputs and white noise between samples, symbolic in the design.
-
-Inputs are held or straight.
+"""Held or straight inputs, and white noise, between samples; symbolic in the design.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""The quarter car with a spring that hardens and a damper that is stiffer in rebound, known to the model."""
+"""The quarter car with a hardening spring and a damper stiffer in rebound."""
 
 from ccdtools.studies.cases._quarter_cars import quarter_car_study
 
