@@ -1,4 +1,4 @@
-"""Output of the command line: errors on one line, characters that terminals show."""
+"""Output of the command line, on one line and in plain characters."""
 
 from __future__ import annotations
 

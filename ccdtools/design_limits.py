@@ -29,7 +29,7 @@ EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignLimits(Immutable):
-    """Box lower(p) ≤ x ≤ upper(p) with bounds that are functions of the design.
+    """Box with bounds that are functions of the design.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class DesignLimits(Immutable):
     def from_function(
         cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace
     ) -> DesignLimits:
-        """Limits on `size` numbers from a function of p, checked over the box.
+        """Limits on `size` numbers from a function of p, checked.
 
         Also where constraints forbid a design: the expert's data cover the box.
 

@@ -1,4 +1,4 @@
-"""Comparison of how runs of two controllers leave X or output limits."""
+"""Comparison of two controllers' violations of limits."""
 
 from __future__ import annotations
 

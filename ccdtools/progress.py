@@ -46,7 +46,7 @@ def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = F
 
 
 def at(text: str, part: float = 0.0) -> None:
-    """Record what the computation is at and the part done (0.2 for 20 %)."""
+    """Record what the computation is at, and the part done."""
     if part <= _where[1]:
         _where[2:] = time.perf_counter(), part
     _where[:2] = text, part

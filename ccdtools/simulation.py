@@ -54,7 +54,7 @@ class Simulable(Protocol):
         ...
 
     def stepper(self, p: Array, *, batch: int) -> Step:
-        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺ at one design."""
+        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
         ...
 
 
@@ -150,7 +150,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
-    """Controller's answer to the states x (n, nx); an `InputError` if it stops."""
+    """Controller's answer to the states x (n, nx), or an `InputError`."""
     try:
         return driver(k, x)
     except CCDError:

@@ -14,7 +14,7 @@ Line = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Table:
-    """Lines of cells below a head; shorter lines let their last cell run on."""
+    """Lines of cells below a head; shorter lines run on."""
 
     head: Line
     lines: Sequence[Line]

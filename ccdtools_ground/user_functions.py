@@ -36,7 +36,7 @@ def stopped(argument: str, given: Any, error: Exception, expected: str, cure: st
 
 
 def in_words(error: Exception) -> tuple[str, str]:
-    """Message of a CasADi error without file names, and its cure if known."""
+    """Message of a CasADi error without file names, and its cure."""
     text = " ".join(CASADI.sub("", str(error), count=1).split())
     for pattern, words, cure in KNOWN:
         found = re.search(pattern, text)

@@ -107,7 +107,7 @@ def _exchanged(margins: InnovationCopula, quantiles: Array, scores: Array) -> Ar
 
 
 def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
-    """Return the mean (m,) and a map (m, m) that narrows draws to the samples.
+    """Return mean (m,) and a map (m, m) that narrows draws.
 
     Directions are the principal ones of samples of variance 1; nothing is stretched, and wide ones stay as they are.
     """

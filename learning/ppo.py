@@ -144,7 +144,7 @@ def gae(
 
 
 def _check_experience(rewards: Tensor, **others: Tensor) -> None:
-    """Raise an `InputError` unless all are tensors of one shape and flags are Boolean."""
+    """Raise an `InputError` unless all tensors fit the rewards."""
     check_instance(rewards, "rewards", Tensor)
     if rewards.ndim == 0 or rewards.numel() == 0:
         raise InputError("rewards", f"shape {tuple(rewards.shape)}", "(T, n), neither of them 0")

@@ -39,7 +39,7 @@ class AllowedDesigns:
 
     @cached_property
     def width(self) -> Array:
-        """Divisor of each entry (np,): its range, or one where it is fixed."""
+        """Range of each entry (np,), or one where fixed."""
         width = self.upper - self.lower
         return np.where(width > 0, width, 1.0)
 
@@ -74,7 +74,7 @@ class AllowedDesigns:
         return np.vstack([points, corners])
 
     def where_not_finite(self) -> Array | None:
-        """Point of the unit box where a constraint is not finite; None without one."""
+        """Unit-box point where a constraint is not finite; None without one."""
         if self.limits is None or not self.limits.not_finite.any():
             return None
         return np.asarray(self._samples[int(np.argmax(self.limits.not_finite))])
@@ -121,7 +121,7 @@ class AllowedDesigns:
         return least
 
     def _by_whole_numbers(self, v: Array) -> Array:
-        """Copies (n, np) of `v` with other whole numbers, the nearest first."""
+        """Copies (n, np) of `v` with other whole numbers, nearest first."""
         lower, upper, width = (part[self.whole] for part in (self.lower, self.upper, self.width))
         numbers = nearest_whole(lower + v[self.whole] * width, lower, upper, width)
         points = np.tile(v, (len(numbers), 1))
@@ -129,7 +129,7 @@ class AllowedDesigns:
         return points
 
     def combinations(self) -> Array:
-        """Combinations of whole numbers (n, np) in the unit box; other entries are 0."""
+        """Combinations (n, np) of whole numbers in the unit box; others 0."""
         first = np.zeros(len(self.lower))
         return self._by_whole_numbers(self.rounded(first))
 
@@ -160,7 +160,7 @@ class AllowedDesigns:
         return best
 
     def near_with(self, v: Array, starts: Sequence[Array] = (), *, thorough: bool = False) -> Array | None:
-        """Nearest allowed point to `v` (np,) with its fixed entries; None without one.
+        """Nearest allowed point to `v` (np,), fixed entries unchanged; None without one.
 
         Its whole numbers are those of `v`.
 

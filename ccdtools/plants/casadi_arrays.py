@@ -132,7 +132,7 @@ class Vectorised:
         self.n_out = function.numel_out(0)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Values (..., n_out) at arguments of shape (..., n_i); leading shapes broadcast."""
+        """Values (..., n_out) at arguments (..., n_i); leading shapes broadcast."""
         shape = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in arguments))
         entries = [[a[..., i] for i in range(a.shape[-1])] for a in arguments]
         if all(isinstance(a, np.ndarray) for a in arguments):  # torch is then never imported
@@ -147,7 +147,7 @@ class Vectorised:
 
 
 def check_sizes(function: ca.Function, arguments: Sequence[Any]) -> None:
-    """Raise an `InputError` unless the last axes of (x, u, w, p) fit the function."""
+    """Raise an `InputError` unless last axes fit the function."""
     for i, (name, value) in enumerate(zip("xuwp", arguments)):
         size = function.numel_in(i)
         if len(value.shape) == 0 or value.shape[-1] != size:
@@ -175,7 +175,7 @@ def torch_operations(dtype: Any) -> Operations:
     import torch
 
     def together(call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call with numbers made tensors; one of the two is a tensor."""
+        """Call with numbers made tensors, given at least one tensor."""
 
         def both(a: Any, b: Any) -> Any:
             like = a if torch.is_tensor(a) else b

@@ -1,4 +1,4 @@
-"""Radau IIA collocation over one held sample, implicit and of fifth order."""
+"""Radau IIA collocation over one held sample."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, NEWTON_ITERATION
 
 
 class ImplicitStep:
-    """(x, u, w, p) → x⁺ by collocation, with Newton's method for all runs at once.
+    """Implicit step (x, u, w, p) → x⁺ by collocation, for all runs at once.
 
     Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` equal parts. A run for which Newton's method does not
     converge gets NaN. `scale` (nx,) is the extent of each state, for tolerances. Single precision is stepped in double.

@@ -1,4 +1,4 @@
-"""Constraints g(p) ≤ 0 on designs, in CasADi and over the unit box."""
+"""Constraints g(p) ≤ 0 on designs, also over the unit box."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def constraint_names(names: Any, count: int) -> tuple[str, ...]:
 
 
 class UnitConstraints:
-    """Constraints over the unit box, measured by the distance to their edges.
+    """Constraints over the unit box, by the distance to their edges.
 
     A constraint g ≤ 0 and a growing function of it, such as exp(40 g) − 1 or g³, leave the same designs. What is
     violated and by how much, and where a search goes, therefore rests on g/|∇g| at the point (Newton), which is close
@@ -168,7 +168,7 @@ class UnitConstraints:
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
-        """Prices of the edges that hold a point against a push; see `held`.
+        """Prices of edges that hold a point; see `held`.
 
         Here the edges are those of constraints and unit box at `u`.
 
@@ -187,7 +187,7 @@ class UnitConstraints:
         return constraints, high - low, np.where(free, push - paid @ normals, 0.0)
 
     def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
-        """Gradient (np,) at `v` of a function of its nearest allowed point `u`.
+        """Gradient (np,) at `v` of a function of its nearest allowed point.
 
         The nearest point moves along the constraints that hold it alone, and by less where they are curved away.
         """
@@ -213,7 +213,7 @@ def _beside(v: Array, off: Array | None) -> Array:
 
 
 def held(normals: Array, push: Array) -> Array:
-    """Prices ≥ 0 (m,) of edges with outward normals (m, np) that hold a push (np,).
+    """Prices ≥ 0 (m,) of edges with normals (m, np) against a push (np,).
 
     The rest, push − prices · normals, is the push's projection on the directions that cross no edge (Moreau).
     """

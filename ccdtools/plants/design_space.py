@@ -122,7 +122,7 @@ class DesignSpace(Immutable):
         return len(self.names)
 
     def check(self, p: ArrayLike, *, argument: str = "design") -> Array:
-        """`p` as an array (np,) or (n, np), checked to lie within the bounds."""
+        """`p` as an array (np,) or (n, np) within the bounds, checked."""
         array = self._sized(p, argument)
         outside = self._outside(array)
         if outside.any():
@@ -133,7 +133,7 @@ class DesignSpace(Immutable):
         return np.clip(array, self.lower, self.upper)
 
     def check_one(self, p: ArrayLike, *, argument: str = "design") -> Array:
-        """`p` as one design (np,), checked to lie within the bounds."""
+        """`p` as one design (np,) within the bounds, checked."""
         array = self.check(p, argument=argument)
         if array.ndim != 1:
             raise InputError(argument, f"shape {array.shape}", f"one design ({self.dim},)")
@@ -159,14 +159,14 @@ class DesignSpace(Immutable):
         return frozen(self.settled(self.to_unit(design))) if self.integer else design
 
     def constraint_values(self, p: ArrayLike) -> Array:
-        """Constraint values (ng,) at a design or (n, ng) at designs, each to be ≤ 0."""
+        """Constraint values (ng,) or (n, ng) at designs, each to be ≤ 0."""
         p = self._sized(p, "p")
         if self.constraints is None:
             return np.zeros((*p.shape[:-1], 0))
         return np.asarray(self.constraints(p.T), dtype=float).T.reshape(*p.shape[:-1], -1)
 
     def violation(self, p: ArrayLike) -> Any:
-        """Largest violation () or (n,): roughly the distance to the edge in the unit box.
+        """Largest violation () or (n,), about the distance to the edge.
 
         It is g/|∇g| in the unit box, or g in parts of how much g varies over the box if that is more: an edge is the
         same however the constraint is written, as g, as exp(40 g) − 1 or as g³.
@@ -219,18 +219,18 @@ class DesignSpace(Immutable):
 
     @property
     def whole(self) -> Any:
-        """Which entries are whole numbers, (np,) of bool."""
+        """Mask (np,) of whole-number entries."""
         return np.isin(self.names, self.integer)
 
     @property
     def outermost(self) -> tuple[Array, Array]:
-        """Least and largest design, (np,) each, with whole numbers inside the bounds."""
+        """Least and largest design, (np,) each, whole numbers within bounds."""
         lower = np.where(self.whole, np.ceil(self.lower - 1e-9), self.lower)
         return lower, np.where(self.whole, np.floor(self.upper + 1e-9), self.upper)
 
     @property
     def free(self) -> Any:
-        """Which entries are not fixed, (np,) of bool."""
+        """Mask (np,) of entries that are not fixed."""
         return self.upper > self.lower
 
     def _outside(self, p: Array) -> Any:
@@ -260,7 +260,7 @@ class DesignSpace(Immutable):
         return self.from_unit(np.full(self.dim, 0.5))
 
     def spread(self) -> Array:
-        """Corners of the box (at most 10 parameters), its centre and 64 seeded points, (n, np)."""
+        """Corners (at most 10 parameters), centre and 64 seeded points, (n, np)."""
         if not self.free.any():
             return self.centre[None]
         moving = np.flatnonzero(self.free)[:MAX_CORNERS]
@@ -276,7 +276,7 @@ class DesignSpace(Immutable):
         return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n) if self.dim else np.zeros((n, 0)))
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
-        """Names of parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
+        """Parameters within `tol` (of the range) of a bound, "lower" or "upper"."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         lower, upper = self.outermost
         width = upper - lower
@@ -332,7 +332,7 @@ def sample_designs(design: DesignSpace | None) -> Array:
 
 
 def check_finite(function: Callable[[Array], Any], design: DesignSpace | None, what: str) -> None:
-    """Raise an `InputError` if `function` is not finite at some sample design."""
+    """Raise an `InputError` unless `function` is finite at sample designs."""
     for p in sample_designs(design):
         if not np.isfinite(np.asarray(function(p), dtype=float)).all():
             where = design.describe(p) if design is not None else "the only design"

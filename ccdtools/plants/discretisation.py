@@ -37,7 +37,7 @@ def discretise(
     W: Any = None,
     sampling_guard: str = "warn",
 ) -> LinearModel | SampledModel:
-    """Discrete model of a plant with inputs and disturbances held over a sample.
+    """Discrete model of a plant, inputs and disturbances held over a sample.
 
     A plant that is linear in x, u and w, with or without a constant term, has an exact one, symbolic in its design. Any
     other is integrated: by as few Runge–Kutta steps a sample as keep the accuracy over the limits X, U and W and all
@@ -108,7 +108,7 @@ def discretise(
 
 
 def _jump(plant: Plant, region: Region | None) -> Jump | None:
-    """Jump of the right-hand side within the region, or anywhere; None without one."""
+    """Jump of the right-hand side within the region; None without one."""
     boxes = () if region is None else region.boxes[:3]
     return plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
 
@@ -125,7 +125,7 @@ def _jump_text(plant: Plant, jump: Jump) -> str:
 
 
 def _exact(plant: Plant, dt: float) -> LinearModel:
-    """Model of a plant that is linear in x, u and w."""
+    """Model of a linear plant."""
     A, B, E, constant = linear_matrices(plant)
     if not plant.continuous:
         return LinearModel(plant.p, A, B, E, dt, plant.design, constant)
@@ -137,7 +137,7 @@ def _exact(plant: Plant, dt: float) -> LinearModel:
 
 
 def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
-    """Region where a nonlinear plant is to be accurate; None if nothing is stated."""
+    """Region where a nonlinear plant is to be accurate; None if unstated."""
     if X is None:
         if U is not None or W is not None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
@@ -156,7 +156,7 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
 
 
 def _over_designs(name: str, value: Any, plant: Plant) -> Any:
-    """Widest bounds over the designs of a function of p; others as given."""
+    """Widest bounds of a function of p; others as given."""
     if not callable(value) or isinstance(value, type):
         return value
     try:

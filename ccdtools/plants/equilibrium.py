@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equilibrium(Immutable):
-    """State and input at which a plant rests, with their design derivatives.
+    """State and input at rest, with their design derivatives.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Equilibrium(Immutable):
 
     @cached_property
     def function(self) -> ca.Function:
-        """Expression p → (x, u) at rest, by Newton's method from this design.
+        """Expression p → (x, u) at rest, by Newton's method.
 
         The way has as few stations, and each as few steps, as the box of designs needs: one step where the plant is
         linear. It ends where the longest way ends, so that no step leaps to another rest.
@@ -115,7 +115,7 @@ class Equilibrium(Immutable):
 
 
 def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, steps: int) -> Any:
-    """Ends (nx + nu, n) of Newton steps from `p0` to designs `p` (np, n).
+    """Ends (nx + nu, n) of Newton steps from `p0` to `p` (np, n).
 
     Stations are denser at both ends, where a rest may be about to vanish at a bound of the box.
     """

@@ -1,4 +1,4 @@
-"""Held or straight inputs, and white noise, between samples; symbolic in the design.
+"""Held or straight inputs and white noise between samples.
 
 References
 ----------
@@ -39,7 +39,7 @@ def zero_order_hold(
 
 
 def exponential(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> ca.SX:
-    """exp(M) of a matrix symbolic in the design, accurate over its box."""
+    """exp(M) of a matrix symbolic in the design."""
     scale, squarings = balanced(M, symbols=symbols, design=design)
     D = ca.diag(ca.DM(scale))
     D_inv = ca.diag(ca.DM(1 / scale))
@@ -47,7 +47,7 @@ def exponential(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> ca.S
 
 
 def balanced(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> tuple[Array, int]:
-    """Diagonal similarity d (n,) and number of halvings for ‖D⁻¹ M D‖ ≤ 1/2.
+    """Diagonal similarity d (n,) and halvings for ‖D⁻¹ M D‖ ≤ 1/2.
 
     One fixed similarity for the whole box is symbolic in p, and keeps the norm, hence the rounding, small.
     """
@@ -72,7 +72,7 @@ def expm(M: ca.SX, *, squarings: int) -> ca.SX:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FirstOrderHold:
-    """Exact model of a plant whose u and w are linear over each sample.
+    """Exact model for u and w linear over each sample.
 
     x⁺ = A(p) x + B₀(p) u + B₁(p) u⁺ + E₀(p) w + E₁(p) w⁺ + c(p). Made by `first_order_hold`.
 
@@ -114,7 +114,7 @@ class FirstOrderHold:
 
 
 def first_order_hold(plant: Plant, dt: float | None = None) -> FirstOrderHold:
-    """Exact model of a linear plant with straight inputs and disturbances between samples.
+    """Exact model of a linear plant, its inputs straight between samples.
 
     A recorded road, sampled, is nearer to that than to steps. A controller cannot know u⁺; `discretise` holds u.
 
@@ -154,7 +154,7 @@ def first_order_hold(plant: Plant, dt: float | None = None) -> FirstOrderHold:
 
 
 def noise_covariance(plant: Plant, intensity: ArrayLike, dt: float | None = None) -> ca.Function:
-    """Covariance ∫₀^dt e^{Aτ} E S Eᵀ e^{Aᵀτ} dτ of continuous white noise over a sample.
+    """Covariance ∫₀^dt e^{Aτ} E S Eᵀ e^{Aᵀτ} dτ of white noise over a sample.
 
     A disturbance that is held over a sample adds E(p) W E(p)ᵀ instead, with the discrete E and its covariance W.
 

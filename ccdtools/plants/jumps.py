@@ -40,7 +40,7 @@ class Jump(Immutable):
 
 
 class Switches:
-    """Switches of f(x, u, w, p) that x, u or w throw.
+    """Operations of f(x, u, w, p) that may jump in x, u or w.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Switches:
         return any(self.names)
 
     def within(self, boxes: Sequence[tuple[Array, Array]], design: tuple[Array, Array]) -> Jump | None:
-        """Jump within bounds of x, u and w, anywhere without; None if none."""
+        """Jump within bounds of x, u and w; None without one."""
         if not self:
             return None
         rng = np.random.default_rng(0)
@@ -111,14 +111,14 @@ class Switches:
         return self._between(ends[0], ends[1], rng.uniform(*design, (n, self.sizes[3])), JUMP_WIDTH)
 
     def at(self, z: Array, p: Array) -> Jump | None:
-        """A jump at a point z = (x, u, w) and a design."""
+        """Jump at a point z = (x, u, w) and a design."""
         if not self:
             return None
         away = AT_POINT * np.maximum(np.abs(z), 1.0) * np.random.default_rng(0).uniform(-1, 1, (JUMP_LINES, len(z)))
         return self._between(z - away, z + away, np.tile(p, (JUMP_LINES, 1)), 1.0)
 
     def _between(self, start: Array, end: Array, p: Array, near: float) -> Jump | None:
-        """Largest jump on lines (n, ·) from `start` to `end`; None without one."""
+        """Largest jump on lines (n, ·); None without one."""
         positions, f = Vectorised(self._positions), Vectorised(self.f)
         parts = np.cumsum(self.sizes[:3])[:-1]
 

@@ -22,7 +22,7 @@ from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearModel:
-    """x⁺ = A(p) x + B(p) u + E(p) w + c(p), exact and symbolic in p.
+    """Exact model x⁺ = A(p) x + B(p) u + E(p) w + c(p).
 
     Made by `discretise` or `LinearModel.from_state_space`.
 
@@ -145,7 +145,7 @@ class LinearModel:
 
     @property
     def affine(self) -> bool:
-        """Whether a constant term moves the equilibrium from x = 0, u = 0."""
+        """Whether a constant term moves the equilibrium from 0."""
         return not self._c.is_zero()
 
     @property

@@ -32,7 +32,7 @@ def plant_from_matrices(
     D: Any = None,
     **options: Any,
 ) -> Plant:
-    """Plant dx/dt or x⁺ = A(p) x + B(p) u + E(p) w + c(p), y = C(p) x + D(p) u.
+    """Plant with dynamics A(p) x + B(p) u + E(p) w + c(p) and linear outputs.
 
     Parameters
     ----------

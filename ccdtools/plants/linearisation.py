@@ -18,7 +18,7 @@ from ccdtools.plants.plant import Plant
 def linearise(
     plant: Plant, about: Equilibrium | ArrayLike, u: ArrayLike | None = None, w: ArrayLike | None = None
 ) -> Plant:
-    """Linear plant near a point of a plant, symbolic in the design.
+    """Linear plant near a point, symbolic in the design.
 
     About an `Equilibrium` it is in deviations from the state and input at rest, x_e(p) and u_e(p), which follow the
     design; there is no constant term. About any other point it is in x, u and w themselves, with a constant term.
@@ -67,7 +67,7 @@ def linearise(
 
 
 def deviations(plant: Plant, about: Equilibrium) -> Plant:
-    """Plant in deviations from its rest x_e(p), u_e(p), at rest at 0.
+    """Plant in deviations from its rest x_e(p), u_e(p).
 
     A disturbance at rest that is not 0 is counted from, too: w = 0 is then that one.
     Outputs remain those of the plant, y = h(x_e + x, u_e + u, p), and their limits hold as they are.

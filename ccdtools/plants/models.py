@@ -57,7 +57,7 @@ def as_model(argument: str, value: Any) -> Model:
 
 
 def as_regulated_model(argument: str, value: Any) -> Model:
-    """`value`, if it is a model at rest at 0 at every design."""
+    """`value`, if it is a model that rests at 0 at every design."""
     model = as_model(argument, value)
     if isinstance(model, LinearModel):
         if model.affine:

@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import EXACT, NEAREST
 def nearest(
     limits: UnitConstraints, v: Array, *, free: Array, starts: Iterable[Array] = (), thorough: bool = False
 ) -> Array | None:
-    """Allowed point nearest to `v`, held entries unchanged; None if none is found.
+    """Nearest allowed point to `v`, held entries unchanged; None if none is found.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Ar
 
 
 def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array | None = None) -> Array:
-    """Nearest allowed point to a target; without one, that of least violation."""
+    """Nearest allowed point to a target, or the least violated one."""
     size = int(free.sum())
     u = start.copy()
     if not size:

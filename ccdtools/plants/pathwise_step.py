@@ -25,7 +25,7 @@ from ccdtools.plants.tolerances import FEW_ROWS
 
 
 class PathwiseStep:
-    """(x, u, w, p) → x⁺ of torch tensors (n, ·), in double precision inside.
+    """Step (x, u, w, p) → x⁺ of torch tensors (n, ·), in double precision.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class PathwiseStep:
         return out
 
     def advanced(self, x: Array, held: tuple[Array, ...]) -> tuple[Array, list[Array]]:
-        """x⁺ (n, nx), and for many runs the states (nx, n) around each part."""
+        """x⁺ (n, nx), and for many runs the states (nx, n) between parts."""
         if len(x) <= FEW_ROWS:
             return self._step.rows(x, held), []
         states = self._step.path(x, held)
@@ -76,7 +76,7 @@ class PathwiseStep:
         return np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
 
     def _back(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> Array:
-        """Slopes of many runs, part by part from the end of the sample."""
+        """Slopes of many runs, part by part backwards."""
         state = np.empty_like(states[0])
         factor = as_rows(multiplier)
         part = InPlace(self._of_part, [state, *map(as_rows, held), factor])
@@ -112,7 +112,7 @@ class _Taken(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        """Slopes by x, u, w and p; summed over what all runs share."""
+        """Slopes by x, u, w and p, summed where shared."""
         return None, *_Slopes.apply(ctx.step, ctx.states, gradient, *ctx.saved_tensors)
 
 
@@ -129,7 +129,7 @@ class _Slopes(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, ...]:
-        """Raise: zero would be wrong."""
+        """Raise, as zero would be wrong."""
         raise RuntimeError("`pathwise` is differentiable once; `advance` of the model has second derivatives")
 
 

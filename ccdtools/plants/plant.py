@@ -180,7 +180,7 @@ class Plant:
 
     @cached_property
     def switches(self) -> Switches:
-        """Operations of the dynamics that may jump in x, u or w."""
+        """Operations that may jump in x, u or w."""
         return Switches(self.right_hand_side)
 
     @property

@@ -153,7 +153,7 @@ def _padded(w: Array, size: int) -> Array:
 
 
 def _plant(plant: Plant, step: ca.Function, nw: int, steps: int, known: tuple[int, ...]) -> Plant:
-    """Plant of a step (x, u, w, p) → x⁺ with the register."""
+    """Plant of a step with the register."""
     q = len(known)
     x, u = ca.SX.sym("x", plant.nx + q * steps), ca.SX.sym("u", plant.nu)
     w, p = ca.SX.sym("w", nw), ca.SX.sym("p", plant.design.dim)

@@ -51,7 +51,7 @@ class WithErrors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledModel:
-    """Model x⁺ = f(x, u, w, p) of a nonlinear plant, u and w held.
+    """Model x⁺ = f(x, u, w, p) of a nonlinear plant.
 
     Made by `discretise`.
 

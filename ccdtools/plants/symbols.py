@@ -55,7 +55,7 @@ def check_distinct(**symbols: ca.SX) -> None:
 
 
 def check_known(argument: str, expression: ca.SX, **symbols: ca.SX) -> None:
-    """Raise an `InputError` if `expression` has symbols of none of the columns."""
+    """Raise an `InputError` if `expression` has symbols outside the columns."""
     known = {symbol.element_hash() for column in symbols.values() for symbol in elements(column)}
     foreign = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
     if foreign:

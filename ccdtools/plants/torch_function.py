@@ -168,7 +168,7 @@ def _shaped(flat: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 class _Called(torch.autograd.Function):
-    """CasADi function at every row of its inputs (n, entries), differentiable by CasADi."""
+    """CasADi function at every row of its inputs (n, entries)."""
 
     @staticmethod
     def forward(ctx: Any, f: ca.Function, *columns: Tensor) -> tuple[Tensor, ...]:

@@ -122,7 +122,7 @@ def _kept(delivery: Values, accepted: int) -> str:
 
 
 def _updates(accepted: int, updates: Sequence[Any], consequence: str) -> str:
-    """Clause on the number of accepted updates, and the consequence of none."""
+    """Clause on the number of accepted updates."""
     if not updates:
         return f"no update was tried; {consequence}"
     said = f"{accepted} of {len(updates)} updates accepted"

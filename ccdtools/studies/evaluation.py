@@ -70,7 +70,7 @@ class Evaluation:
         return steps
 
     def check_recording(self) -> None:
-        """Raise if LQR at the start design cannot keep the plant near X.
+        """Raise if LQR at the start design leaves X too much.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class Evaluation:
 
     @cached_property
     def split(self) -> ErrorSplit:
-        """Split of logged errors into a part through E(p) and the rest."""
+        """Split of logged errors into disturbances and the rest."""
         return ErrorSplit(self.study.model, self.problem.state_scale)
 
     @property
@@ -150,7 +150,7 @@ class Evaluation:
         return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
-        """Scenario of many runs that predicts a deployment on the nominal model."""
+        """Scenario that predicts a deployment on the nominal model."""
         real = self.study.real
         runs = min(self.config.model_runs, max(16, 250_000 // self.deployment_steps))  # samples
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
@@ -178,7 +178,7 @@ class Evaluation:
         return Scenario(plant, self.study.model_starts(n, rng), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
-        """Scenario of the deployment if one long run, else of many like it."""
+        """Scenario of a single long deployment, or of many like it."""
         real = self.study.real
         runs = 1 if real.runs == 1 else self.config.real_runs
         w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
@@ -186,7 +186,7 @@ class Evaluation:
 
     @cached_property
     def held_out(self) -> dict[str, Scenario]:
-        """Fresh runs of the real plant, by the name of their disturbance."""
+        """Fresh runs of the real plant, by disturbance name."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
@@ -247,7 +247,7 @@ class Evaluation:
         return Stage({"rows": rows}, arrays)
 
     def _shown_risk(self, plant: str, judged_on: Sequence[Residuals]) -> Risk | None:
-        """Worst case if the study asks for it and the runs have cases; else None."""
+        """Worst case, if asked for and the runs have cases; else None."""
         asked = self.study.risk
         if not isinstance(asked, WorstCase) or (plant == "model" and judged_on):
             return None
@@ -264,7 +264,7 @@ class Evaluation:
         return self._filters[key]
 
     def can_serve(self, design: Array) -> bool:
-        """Whether the filter has a set at a design; True without a filter."""
+        """Whether the filter has a set at a design, or is absent."""
         try:
             self.admissible(design)
         except InputError:
@@ -310,13 +310,13 @@ class Evaluation:
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
-        """Return statistics of the runs that did not diverge, and the diverged fraction."""
+        """Return statistics of undiverged runs, and the diverged fraction."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
         rewards = run.rewards(self.study.objective)[~run.diverged]
         return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
-        """Edges and mean (3, T, ·) of the 95 % band of states and inputs."""
+        """Edges and mean (3, T, ·) of the 95 % band of signals."""
         shown = scenario.first(min(500, len(scenario.x0)), min(1000, scenario.steps))
         bands = {}
         for name, controller in controllers.items():

@@ -93,7 +93,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
 
 
 def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[Step]:
-    """Steps from LQR at the first design to the last deployed, with sources.
+    """Steps from LQR at the first design to the last deployed.
 
     The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
     one that stayed brings its redesign; updates while deployed come last. One that was rolled back brings nothing.

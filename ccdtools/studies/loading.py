@@ -78,7 +78,7 @@ def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
 
 @contextmanager
 def blamed_on_source(study: str) -> Iterator[None]:
-    """Turn an exception in the user's study file into an `InputError` with its line."""
+    """Turn an exception in the user's study file into an `InputError`."""
     try:
         yield
     except InputError:
@@ -93,7 +93,7 @@ def blamed_on_source(study: str) -> Iterator[None]:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[list[ModuleType]]:
-    """Put `folder` first on the path; list and forget what is imported from it."""
+    """Put `folder` first on the path and list its imports."""
     before = set(sys.modules)
     imported: list[ModuleType] = []
     sys.path.insert(0, str(folder))

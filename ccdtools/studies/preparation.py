@@ -42,7 +42,7 @@ class PreparedRun:
 
 
 def prepare(options: Options, asked: LoadedStudy | None = None) -> PreparedRun:
-    """Run that the options ask for; `asked` is its study if already made.
+    """Run that the options ask for; `asked` is its study if made.
 
     Raises
     ------

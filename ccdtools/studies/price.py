@@ -53,7 +53,7 @@ class RedesignPrice:
         return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
 
     def needed(self, size: float, part: float) -> float:
-        """Needed gain for a return of `size`, over `part` of an evaluation's length."""
+        """Needed gain for a return of `size` over `part` of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
 
 

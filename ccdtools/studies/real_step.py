@@ -18,7 +18,7 @@ from invariant_sets import Polytope
 
 
 def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
-    """Warn if a real plant's sample may be wrong by a tenth of X.
+    """Warn if a real plant's sample may be wrong by 0.1 of X.
 
     A sample in `plant.substeps` parts is compared with one of twice as many, within X, U and W and at all designs. A
     disturbance that no plant bears is left to the check of the disturbance.

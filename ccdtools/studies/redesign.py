@@ -49,7 +49,7 @@ class RedesignJudge:
         )
 
     def price(self, candidate: Deployable) -> Callable[[float, int], float]:
-        """Needed gain of a candidate as a function of a return's size and its steps."""
+        """Needed gain of a candidate, as a function of size and steps."""
         study = self.evaluation.study
         asked = study.price
         policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
@@ -101,7 +101,7 @@ class RedesignJudge:
 
     @cached_property
     def _others(self) -> list[Distribution]:
-        """Other distributions a deployable serves, on the model updated by all logs."""
+        """Other distributions a deployable serves, on the updated model."""
         evaluation = self.evaluation
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
@@ -123,7 +123,7 @@ def described(proposed: str, decision: Mapping[str, Any]) -> str:
 def predicted(
     evaluation: Evaluation, choice: Deployable, logs: Sequence[Residuals], steps: int | None = None
 ) -> Summary:
-    """Predicted return of a deployment, on the newest log's errors or the model.
+    """Predicted return of a deployment.
 
     `steps` are its first ones, by default all.
     """
@@ -136,5 +136,5 @@ def predicted(
 
 
 def same_design(space: DesignSpace, one: Array, other: Array) -> bool:
-    """Whether two designs differ by under a thousandth of every parameter's range."""
+    """Whether two designs differ by under 0.001 of every range."""
     return bool(np.abs(space.to_unit(one) - space.to_unit(other)).max() <= SAME_DESIGN)

@@ -63,7 +63,7 @@ class RunFolder:
         return folder
 
     def check_new(self, *, overwrite: bool = False, argument: str = "path", mark: str = "run.json") -> None:
-        """Raise unless the path is free, or to be overwritten with its `mark`."""
+        """Raise unless the path is free or may be overwritten."""
         if not os.path.lexists(self.path) or self._was_never_begun():
             return
         if not overwrite:

@@ -73,7 +73,7 @@ class Deployed:
         return (0, 0)
 
     def part(self, first: int, last: int, *, common: bool = False) -> Trajectory:
-        """Log from one sample to another, in whole runs if several."""
+        """Log between two samples, in whole runs if several; `common` ones on request."""
         log = self.log
         runs, steps = log.inputs.shape[:2]
         chosen: Any = slice(None)
@@ -135,7 +135,7 @@ def measured(
     pairing: Pairing, candidate: Deployable, deployed: Deployed, current: Deployable, former: Deployed, asked: Asked,
     limits: Limits | None = None,
 ) -> Evidence | None:  # fmt: skip
-    """Comparison of two policies on samples under the same disturbance; None without any.
+    """Comparison of two policies on samples with equal disturbances; None without any.
 
     Of several runs these are common runs, of a single one the same stretch of time.
     """

@@ -30,7 +30,7 @@ class Stage:
 
 
 def write_stage(folder: Path, stage: Stage, run: str) -> None:
-    """Write a stage of the run `run`, moved into place when whole."""
+    """Write a stage with the identity `run`, moved into place when whole."""
     from learning import checkpoint  # loads torch, which a wrong option need not wait for
 
     partial = folder.with_name(f"{folder.name}.partial")
@@ -46,7 +46,7 @@ def write_stage(folder: Path, stage: Stage, run: str) -> None:
 
 
 def read_stage(folder: Path, run: str) -> Stage:
-    """Finished stage of the run `run`.
+    """Finished stage with the identity `run`.
 
     Raises
     ------

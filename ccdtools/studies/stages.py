@@ -132,7 +132,7 @@ class LoopStages:
         return proposals | {FORMER + name: service for name, service in formerly_deployed(history, current).items()}
 
     def _verdicts(self, proposals: Mapping[str, Deployable], judge: RedesignJudge) -> dict[str, Verdict]:
-        """Verdicts by name; a policy alone is judged if its redesign is refused."""
+        """Verdicts by name; a policy is judged alone after a refusal."""
         verdicts: dict[str, Verdict] = {}
         for name, proposal in proposals.items():
             if name != POLICY_ALONE or not verdicts["redesign"].replaces:
@@ -278,7 +278,7 @@ class LoopStages:
 
 
 def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:
-    """How a co-design kept its state limits; None if switched off."""
+    """Record of the state limits in a co-design; None if switched off."""
     if result.limits is None:
         return None
     return asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}

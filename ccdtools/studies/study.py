@@ -310,7 +310,7 @@ class Study(Immutable):
         return scenarios.states(runs, rng) if isinstance(scenarios, RandomStarts) else np.tile(self.x0, (runs, 1))
 
     def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
-        """This study from another state or design, with an equal real start moved."""
+        """This study from another state or design."""
         if x0 is None:
             return self if p0 is None else replace(self, p0=p0)
         x0 = as_vector("x0", x0, self.plant.nx, of="one per state")

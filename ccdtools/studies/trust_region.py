@@ -50,7 +50,7 @@ class Trust:
     betrayed: bool = False
 
     def after(self, kept: bool | None) -> Trust:
-        """Trust after a deployment that kept its prediction or not; None for neither."""
+        """Trust after a deployment that kept its prediction (None if undecided)."""
         if kept is None:
             return self
         if kept:
@@ -63,7 +63,7 @@ class Trust:
 
 
 def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
-    """Parts of a twin's errors unknown at another design; `scale` (nx,) of the states."""
+    """Parts of a twin's errors unknown at another design."""
     logs = twin.carried()
     whole = rest = entering = 0.0
     for log, left in zip(logs, twin.innovations()):
@@ -112,7 +112,7 @@ def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpac
 
 
 def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
-    """Split of a log at the newest design into errors through w and the rest, (n, T, nx)."""
+    """Split of a log at the newest design into two parts, (n, T, nx) each."""
     newest = twin.logs[-1].p
     if isinstance(twin.model, SampledModel):
         rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))
@@ -122,7 +122,7 @@ def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Arra
 
 
 def _identified(twin: DigitalTwin, scale: Array) -> bool:
-    """Whether E is constant over the box, or has full column rank there."""
+    """Whether E is constant or of full column rank over the box."""
     space = twin.model.design
     if space is None:
         return True

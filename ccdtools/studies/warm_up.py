@@ -19,7 +19,7 @@ from mpc import MPCError
 
 
 def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
-    """Steps before a window after which the logged loop no longer matters.
+    """Steps before a window until the logged loop no longer matters.
 
     A window starts at a state of the logged loop. Where that costs a design more, or less, than its own states would,
     and the loop settles slowly, the start outweighs the disturbance. LQR is run over windows of the logged errors at

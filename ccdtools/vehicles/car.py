@@ -1,4 +1,4 @@
-"""Half car and full car; springs and dampers of both axles are the design.
+"""Half car and full car; springs and dampers are the design.
 
 The wheels are numbered front left, front right, rear left, rear right. Seven degrees of freedom have 14 states where
 the road is given by its heights. Where it is given by its speeds, as elsewhere in this library, the states are

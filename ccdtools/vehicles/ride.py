@@ -72,9 +72,9 @@ class Ride(Immutable):
         set_(self, "stop", as_positive("stop", self.stop, unit="m"))
 
     def __call__(self, run: Trajectory) -> dict[str, float]:
-        """Means over runs and wheels; travel and power are not over wheels.
+        """Means over runs and wheels, by metric name.
 
-        The power is that of what the actuators do on the suspension, without what comes back from braking.
+        Travel is the largest over the wheels; power is the sum over the actuators, without what braking gives back.
 
         Raises
         ------

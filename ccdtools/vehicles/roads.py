@@ -231,7 +231,7 @@ STYLES: dict[str, Style] = {
 def generate_speed(
     duration: float, *, rng: np.random.Generator, driver: Driver = "mild", dt: float = 0.05
 ) -> tuple[Array, Array]:
-    """Speed of a driver who accelerates from one random speed to another.
+    """Speed of a driver with random aims.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Arra
 
 @dataclass(frozen=True)
 class GeneratedRoad:
-    """Disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
+    """Disturbance ż₀ [m/s] of a fresh road and drive per run.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True)
 class Servo(Parameters):
-    """Motor and load; the last five fields are of the real one alone.
+    """Motor and load; the last five fields are of the real one.
 
     Attributes
     ----------

@@ -66,7 +66,7 @@ def mass_chain(n: int = 10, *, mass: float = 1.0, walls: int = 2, driven: Sequen
 
 
 def _links(q: ca.SX, v: ca.SX, p: ca.SX, walls: int, *, real: bool) -> ca.SX:
-    """Tensions (n + 1, 1) of the links; the last is zero without a wall."""
+    """Tensions (n + 1, 1) of the links; 0 without a second wall."""
     ends = ca.SX(1, 1)
     stretch = ca.vertcat(q, ends) - ca.vertcat(ends, q)
     rate = ca.vertcat(v, ends) - ca.vertcat(ends, v)

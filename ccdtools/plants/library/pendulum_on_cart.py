@@ -1,4 +1,4 @@
-"""Pole on a cart, upright at x = 0; pole length and cart mass are the design."""
+"""Pole on a cart, upright at x = 0; pole length and cart mass designed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True)
 class CartPole(Parameters):
-    """Uniform pole on a cart; the last five fields are of the real one alone.
+    """Uniform pole on a cart; the last five fields are of the real one.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ ROUNDING = 0.02  # V, over which the limits of the real pump are rounded
 
 @dataclass(frozen=True)
 class Tanks(Parameters):
-    """Pump, outlet and operating point; the last three fields are of the real tanks alone.
+    """Pump, outlet and operating point; the last three fields are of the real tanks.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Tanks(Parameters):
 
 def two_tanks(*, linear: bool = False, real: bool = False, absolute: bool = False, tanks: Tanks | None = None,
               dt: float = 1.0) -> Plant:  # fmt: skip
-    """Two tanks: a pump fills the upper one, which drains into the lower one.
+    """Two tanks, the upper one filled by a pump.
 
     A hole of area a lets out a √(2g) h / (h² + ε²)^¼, which is Torricelli's a √(2gh) but for a part ε²/(4h²) of it, and
     is smooth where a tank is empty; ε is `Tanks.near_empty`.
@@ -108,7 +108,7 @@ def two_tanks(*, linear: bool = False, real: bool = False, absolute: bool = Fals
 
 
 def operating_point(tanks: Tanks, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Steady-state levels (2, 1) [cm] and voltage [V] at design p, with `Tanks.level`."""
+    """Steady-state levels (2, 1) [cm] and voltage [V] at design p."""
     outflow = tanks.outlet * _torricelli(tanks, ca.SX(tanks.level))
     root = (outflow / p[2]) ** 2 / (2 * tanks.gravity)  # h² / √(h² + ε²) of the upper level h
     upper = ca.sqrt((root**2 + root * ca.sqrt(root**2 + 4 * tanks.near_empty**2)) / 2)

@@ -1,4 +1,4 @@
-"""Drivetrain of a wind turbine in strong wind; shaft and gear are the design."""
+"""Drivetrain of a wind turbine; shaft and gear are the design."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PITCHES = (0.0, 40.0)  # °, among which the operating point is looked for
 
 @dataclass(frozen=True)
 class Turbine(Parameters):
-    """Turbine of 5 MW; the last two fields are of the real one alone.
+    """Turbine of 5 MW; the last two fields are of the real one.
 
     Attributes
     ----------

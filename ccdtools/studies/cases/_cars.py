@@ -40,7 +40,7 @@ def study_on_roads(
     name: str, title: str, nominal: Plant, real: Plant, X: Polytope, Q: Array, metrics: Metrics, *,
     track: float | None = None, heights: bool = False,
 ) -> Study:  # fmt: skip
-    """Study of a car on an average road, within X and at state cost Q."""
+    """Study of a car on an average road, with limits X and cost Q."""
     start = np.zeros(nominal.nx)
 
     def road(road_class: RoadClass) -> ISORoad:
@@ -68,7 +68,7 @@ def study_on_roads(
 
 
 def _ride(plant: Plant) -> Ride:
-    """Ride of a car at its centre of mass and on its wheels."""
+    """Ride of a car."""
     names = plant.state_names
     tyres, travels = ([i for i, name in enumerate(names) if kind in name] for kind in ("tyre", "travel"))
     front, rear = CAR.loads

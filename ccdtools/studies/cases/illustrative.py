@@ -1,4 +1,4 @@
-"""The example of Tsai et al.: an unstable system with its input matrix as design."""
+"""The example of Tsai et al., an unstable system; its input matrix is the design."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The quarter car with a hardening spring and a damper stiffer in rebound."""
+"""The quarter car with hardening spring and asymmetric damper."""
 
 from ccdtools.studies.cases._quarter_cars import quarter_car_study
 

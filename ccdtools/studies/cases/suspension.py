@@ -20,7 +20,7 @@ HARDENING = 0.01  # Part of k_s [1/m²] and of c_s [s/m] in the real spring and 
 
 
 def quarter_car(*, nonlinear: bool = False) -> Plant:
-    """Quarter car at the paper's sampling time, with its real spring and damper if `nonlinear`."""
+    """Quarter car at the paper's sampling time, nominal or nonlinear."""
     car = library.QuarterCar()
     plant = library.quarter_car(car=car, dt=PAPER_DT)
     if not nonlinear:

@@ -37,7 +37,7 @@ def figures(run: FinishedRun) -> Iterator[ReportFigure]:
 
 
 def _changes(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of the changes from LQR at the start design, and their sources."""
+    """Figure of the changes from LQR at the start, and their sources."""
     rows = in_first_place(run.results)
     places = run.results["gains"]
     figure = style.blank(11, 1.0 + 0.36 * max(len(rows), 2 * len(places)), quick=run.quick)
@@ -112,7 +112,7 @@ def _trajectories(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
-    """Figure of states and inputs at the start design and the final one."""
+    """Figure of states and inputs at the start and final design."""
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
@@ -144,14 +144,14 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
 
 
 def _signals(arrays: dict[str, Array], name: str, window: slice) -> Array:
-    """States and inputs of a controller: low, mean and high, (3, T, nx + nu)."""
+    """States and inputs of a controller, (3, T, nx + nu): low, mean, high."""
     states = arrays[f"{name}_states"]
     inputs = arrays[f"{name}_inputs"]
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 
 def _active_part(states: Array, scale: Array) -> slice:
-    """Part of a long run with the largest mean square of scaled states."""
+    """Liveliest part of a long run, by scaled states."""
     steps = len(states) - 1
     if steps <= SHOWN_STEPS:
         return slice(0, None)

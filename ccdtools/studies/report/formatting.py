@@ -33,7 +33,7 @@ def capitalised(text: str) -> str:
 
 
 def limits_of(results: Mapping[str, Any]) -> str:
-    """Name of the limits that count: "X", or "the limits" with outputs."""
+    """Name of the limits: "X", or "the limits" with outputs."""
     return str(results.get("limits", "X"))
 
 

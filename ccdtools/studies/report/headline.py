@@ -143,7 +143,7 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
 
 
 def _policy(results: Results, last: int) -> str:
-    """Comparison of policy and LQR at the same design, in every place."""
+    """Comparison of policy and LQR in every place."""
     rows = [row for row in results.get("held_out", ()) if row["generation"] == last]
     words: dict[str, list[str]] = {}
     for row in rows:
@@ -160,7 +160,7 @@ def _policy(results: Results, last: int) -> str:
 
 
 def _where_deployed(results: Results, last: int) -> str:
-    """Comparison of policy and LQR at the same design, where deployed."""
+    """Comparison of policy and LQR where deployed."""
     row = _row(results, last, "learned")
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
@@ -192,7 +192,7 @@ def _limits(results: Results, last: int) -> str:
 
 
 def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
-    """How the deployed policy's co-design kept its limits; None if unstated."""
+    """Record of the deployed co-design's limits; None if unstated."""
     found = deployed_codesign(results)
     return None if found is None else found.get("limits")
 

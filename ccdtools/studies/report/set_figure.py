@@ -88,7 +88,7 @@ class _ShownSets:
 
 
 def _shown_sets(run: FinishedRun) -> _ShownSets:
-    """Sets X_fea of up to four designs: last generation, start, corners, middle."""
+    """Sets X_fea of up to four designs."""
     space = run.problem.design
     places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
     candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
@@ -132,7 +132,7 @@ def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int,
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
     def spread(pair: tuple[int, int]) -> float:
-        """Difference of the areas of projected and sliced sets, relative to the largest."""
+        """Relative difference of the areas of projected and sliced sets."""
         total = 0.0
         for cut, _ in _cuts(nx):
             areas = [cut(S, pair).volume for S in sets.values()]

@@ -1,4 +1,4 @@
-"""Gains and losses from LQR at the start design to the last deployed."""
+"""Gains and losses from the start to the last deployed."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Change:
 
     @property
     def label(self) -> str:
-        """Label of a metric by name, of a cost by place and steps."""
+        """Label: the name of a metric, place and steps of a cost."""
         return f"cost of {self.steps} steps, {self.place}" if self.name == COST else self.name
 
     @property

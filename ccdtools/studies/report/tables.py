@@ -115,7 +115,7 @@ def generation_rows(results: Mapping[str, Any]) -> list[Row]:
 
 
 def _free_running_columns(bands: Mapping[str, Any] | None) -> Row:
-    """Coverage and spread of free-running bands per step count and state; may be empty."""
+    """Coverage and spread of free-running bands, if measured."""
     return {
         f"free_running_{name}_{step}_{i + 1}": value
         for name in ("coverage", "spread") if bands is not None
@@ -163,7 +163,7 @@ def console_table(results: Mapping[str, Any]) -> str:
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Notes on controllers with fewer runs than LQR, or that are no baseline."""
+    """Notes on controllers with fewer runs than LQR, or with remarks."""
     notes: dict[tuple[str, int], list[str]] = {}
     for row in rows:
         reference = reference_of(rows, row)

@@ -1,4 +1,4 @@
-"""Comparison of a controller with LQR, in a word and in per cent."""
+"""Comparison of a controller with LQR."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _tried(row: Row) -> float:
 
 
 def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float, float] | None:
-    """Paired difference of a row and its interval in per cent of |LQR|; None without one.
+    """Paired difference and its interval in per cent of |LQR|; None without one.
 
     The cost of the design, which both pay, is no part of it.
     """
@@ -85,7 +85,7 @@ def _verdict_on_return(row: Row, reference: Row | None) -> str:
 
 
 def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
-    """Whether a verdict on the return hides that one leaves X further."""
+    """Whether a verdict on the return hides a violation of X."""
     if reference is None or row is reference:
         return False
     if word == "worse":
@@ -123,7 +123,7 @@ def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """Verdict without a comparison: zero return of LQR, no interval or no pairs."""
+    """Verdict without a comparison."""
     if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
     if row["lqr_mean"] != 0:
@@ -132,7 +132,7 @@ def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
 
 
 def difference_text(row: Row) -> tuple[str, str]:
-    """Paired difference of a row and its interval as text, without rounding."""
+    """Paired difference and its interval as text; rounding errors are zero."""
     gain = row["paired_to_lqr"]
     if gain["mean"] is None or None in gain["ci95"]:
         return number(gain["mean"], 3), "n/a"
