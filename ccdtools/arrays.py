@@ -1,4 +1,4 @@
-"""Array types, what keeps the arrays of an object from being changed, and values as a file takes them."""
+"""Array types, immutable dataclasses and values for JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ArrayField: TypeAlias = Any
 
 
 class Immutable:
-    """Base of the frozen dataclasses. Copies and unpickled objects have read-only arrays too, and no stale caches."""
+    """Base of the frozen dataclasses; copies have read-only arrays too."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
@@ -30,7 +30,7 @@ class Immutable:
 
 
 def jsonable(value: Any) -> Any:
-    """`value` with plain Python types only; what is not finite becomes None."""
+    """`value` with plain Python types only; non-finite numbers become None."""
     if isinstance(value, dict):
         return {str(key): jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

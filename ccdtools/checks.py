@@ -1,4 +1,4 @@
-"""Checks of arguments at the public door: each returns the value in its final type, or raises an `InputError`."""
+"""Checks of arguments that return the value or raise an `InputError`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TOLERANCES = ("mpc", "off")  # of the state limits, in words
 
 
 def as_array(argument: str, value: Any, *shapes: tuple[int | str, ...]) -> Array:
-    """Read-only float64 array of finite numbers in one of `shapes`. A word in a shape stands for any length ≥ 1."""
+    """Read-only float64 array of finite numbers in one of `shapes`; words match any length ≥ 1."""
     wanted = " or ".join(_shape_text(shape) for shape in shapes)
     array = as_floats(argument, value, expected=f"numbers of shape {wanted}" if shapes else "numbers")
     if shapes and not any(_fits(array.shape, shape) for shape in shapes):
@@ -34,7 +34,7 @@ def finite(argument: str, array: Array) -> Array:
 
 
 def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "") -> Array:
-    """Read-only vector of `size` finite numbers. A single number is a vector of one."""
+    """Read-only vector of `size` finite numbers; a single number counts as one."""
     array = np.atleast_1d(as_floats(argument, value))
     if array.ndim != 1 or (size is not None and len(array) != size):
         one = f"{size} number{'' if size == 1 else 's'}" if size is not None else "a vector of numbers"
@@ -43,7 +43,7 @@ def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "
 
 
 def as_weight(argument: str, value: Any, size: int | None = None, *, definite: bool = False) -> Array:
-    """Read-only symmetric positive semidefinite (or definite) matrix. A single number is a matrix of one."""
+    """Read-only symmetric positive semidefinite (or definite) matrix; a number is 1 × 1."""
     M = np.atleast_2d(as_floats(argument, value))
     n = len(M) if size is None else size
     if M.shape != (n, n):
@@ -60,12 +60,12 @@ def as_weight(argument: str, value: Any, size: int | None = None, *, definite: b
 
 
 def as_positive(argument: str, value: Any, *, unit: str = "") -> float:
-    """A finite number above zero."""
+    """Finite number above zero."""
     return as_number(argument, value, expected=f"a positive number{unit and f' [{unit}]'}", low=0.0, strict=True)
 
 
 def as_share(argument: str, value: Any) -> float:
-    """A fraction between 0 and 1, both excluded."""
+    """Fraction between 0 and 1, both excluded."""
     return as_number(argument, value, expected="a fraction between 0 and 1", low=0.0, high=1.0, strict=True)
 
 
@@ -84,14 +84,14 @@ def as_choice(argument: str, value: Any, choices: Sequence[str]) -> str:
 
 
 def nearest(value: Any, choices: Sequence[str]) -> str:
-    """The choice that a word may have meant, as a question. Empty where none is like it."""
+    """Question for a word like the given one; empty if none."""
     words = {choice.lower(): choice for choice in choices}
     found = get_close_matches(value.lower(), words, n=1) if isinstance(value, str) else []
     return f"Did you mean {words[found[0]]}?" if found else ""
 
 
 def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
-    """Tolerance of limits: "mpc", "off", or a fraction of the states and a depth in half-widths, both ≥ 0."""
+    """Tolerance of limits: "mpc", "off", or (fraction of states, depth in half-widths) ≥ 0."""
     expected = "mpc, off, or (fraction of the states outside X, peak depth in half-widths of X), both ≥ 0"
     if isinstance(value, str):
         if value not in TOLERANCES:
@@ -117,21 +117,21 @@ def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
 
 
 def as_mapping(argument: str, value: Any, expected: str) -> dict[str, Any]:
-    """A new dictionary of a mapping from names."""
+    """New dictionary of a mapping from names."""
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise InputError(argument, shown(value), expected)
     return dict(value)
 
 
 def has_method(argument: str, value: Any, method: str, expected: str) -> Any:
-    """`value`, if it is an object (not a class) with that method."""
+    """`value`, if it is an object with that method."""
     if isinstance(value, type) or not callable(getattr(value, method, None)):
         raise InputError(argument, shown(value), expected)
     return value
 
 
 def writable_path(argument: str, value: Any) -> Path:
-    """The path of a file to write, if its folder exists."""
+    """Path of a file to write, in an existing folder."""
     if not isinstance(value, str | os.PathLike) or not str(value):
         raise InputError(argument, shown(value), "the path of a file")
     path = Path(value)
@@ -150,5 +150,5 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
 
 
 def _shape_text(shape: tuple[int | str, ...]) -> str:
-    """The shape as it is written in a docstring."""
+    """Shape as written in a docstring."""
     return f"({shape[0]},)" if len(shape) == 1 else f"({', '.join(str(length) for length in shape)})"

@@ -1,4 +1,4 @@
-"""The command line: ``ccdtools run STUDY``, ``resume FOLDER``, ``codesign STUDY``, ``new NAME``, ``studies``."""
+"""Command line of the package."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def run(
 
 
 def _begin(options: Options, name: str, output: str | None, *, overwrite: bool) -> None:
-    """Run a study in a new folder. An interruption says how to go on."""
+    """Run a study in a new folder; tell how to resume if interrupted."""
     if output is not None:
         _output(output).check_new(overwrite=overwrite, argument="--output")
     folder = None
@@ -188,7 +188,7 @@ def codesign(
     ended: list[MethodComparison] = []
 
     def keep(found: MethodComparison) -> None:
-        """Keep what is there by now."""
+        """Keep the methods compared so far."""
         ended[:] = [found]
         if folder is not None:
             write_table(found, folder)
@@ -230,7 +230,7 @@ def studies() -> None:
 
 
 def main() -> None:
-    """Entry point: misuse is one line and exit code 2, an interruption is exit code 130."""
+    """Entry point; misuse exits with code 2, an interruption with 130."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: threads of BLAS would only wait for each other
     plain_where_needed()
     code = _run(sys.argv[1:] or ["--help"])
@@ -243,7 +243,7 @@ def main() -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    """Carry out the command; the exit code."""
+    """Run the command and return the exit code."""
     try:
         with warnings_on_one_line():
             return app(arguments, standalone_mode=False) or 0
@@ -270,7 +270,7 @@ def _stop(folder: RunFolder | None) -> NoReturn:
 
 
 def _program() -> list[str]:
-    """Name of this program, as a shell can call it again."""
+    """Command of this program, as a shell can call it again."""
     called = sys.argv[0]
     if called.endswith(".py"):
         return [sys.executable, "-m", "ccdtools"]
@@ -314,14 +314,14 @@ def _new_folder(output: str | None, name: str, overwrite: bool) -> RunFolder:
 
 
 def _output(path: str) -> RunFolder:
-    """The output folder, not made yet."""
+    """Output folder, not made yet."""
     if not path.strip():
         raise InputError("--output", repr(path), "the path of a new folder")
     return RunFolder(path)
 
 
 def _single_thread() -> None:
-    """Use as many threads of torch as OMP_NUM_THREADS says, else one."""
+    """Limit torch to OMP_NUM_THREADS threads, or one."""
     import torch
 
     asked = os.environ.get("OMP_NUM_THREADS", "")

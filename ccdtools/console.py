@@ -1,4 +1,4 @@
-"""Output of the command line: errors on one line, and characters that the terminal can show."""
+"""Output of the command line, on one line and in plain characters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ EXPECTED = {
 
 
 def plain_where_needed() -> None:
-    """Make standard output and error replace what their encoding lacks, instead of failing on it."""
+    """Make standard streams replace characters that their encoding lacks."""
     codecs.register_error("ccdtools.plain", _in_plain)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
@@ -37,7 +37,7 @@ def plain_where_needed() -> None:
 
 @contextmanager
 def warnings_on_one_line() -> Iterator[None]:
-    """Print warnings like errors. One line each, once, without the place in the source that issued them."""
+    """Print each warning once, on one line, without its place in the source."""
     printed: set[str] = set()
 
     def show(message: Warning | str, *place: Any) -> None:
@@ -52,7 +52,7 @@ def warnings_on_one_line() -> Iterator[None]:
 
 
 def one_line_of(error: Exception) -> str | None:
-    """Text to print of an error that the user can mend. None for a defect of this program."""
+    """Text of an error that the user can mend; None for a defect."""
     if callable(getattr(error, "format_message", None)):
         return _of_usage(error)
     if isinstance(error, CCDError):
@@ -90,13 +90,13 @@ def _of_usage(error: Any) -> str:
 
 
 def _quoted_word(error: Any) -> str:
-    """The first word in quotation marks of a message."""
+    """First quoted word of a message."""
     parts = error.format_message().split("'")
     return repr(parts[1]) if len(parts) > 1 else "nothing"
 
 
 def _in_plain(error: UnicodeError) -> tuple[str, int]:
-    """ASCII replacement for the characters that an encoding lacks."""
+    """ASCII replacement for characters that an encoding lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text = error.object
@@ -104,7 +104,7 @@ def _in_plain(error: UnicodeError) -> tuple[str, int]:
 
 
 def _plain(letter: str, before: str) -> str:
-    """ASCII form of one character. A power begins with ^."""
+    """ASCII form of one character; a power begins with ^."""
     if letter in SUPERSCRIPTS:
         return ("" if before in SUPERSCRIPTS else "^") + SUPERSCRIPTS[letter]
     return PLAIN.get(letter, "?")

@@ -1,4 +1,4 @@
-"""Limits of states or inputs that depend on the design: lower(p) ≤ x ≤ upper(p)."""
+"""Limits of states or inputs that depend on the design."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignLimits(Immutable):
-    """Box whose bounds are functions of the design. `CoDesignProblem` and `Study` make it of a function of p.
+    """Box with bounds that are functions of the design.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class DesignLimits(Immutable):
     def from_function(
         cls, argument: str, given: Callable[..., Any], size: int, of: str, space: DesignSpace
     ) -> DesignLimits:
-        """Limits on `size` numbers from a function of p, checked over the whole box of designs.
+        """Limits on `size` numbers from a function of p, checked.
 
         Also where constraints forbid a design: the expert's data cover the box.
 
@@ -84,11 +84,11 @@ class DesignLimits(Immutable):
         return f"DesignLimits({self.argument}, {self.dim} numbers)"
 
     def __str__(self) -> str:
-        """Lower bounds, then upper ones, as expressions of p."""
+        """Lower, then upper bounds as expressions of p."""
         return str(self.both)
 
     def __deepcopy__(self, memory: Any) -> DesignLimits:
-        """This object itself, because it never changes."""
+        """This object itself, which never changes."""
         return self
 
     @property
@@ -112,12 +112,12 @@ class DesignLimits(Immutable):
         return Polytope.from_bounds(self.lower, self.upper)
 
     def bounds(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper bounds (..., n) at designs (..., np), arrays or tensors. Differentiable in tensors."""
+        """Bounds (..., n) at designs (..., np), arrays or tensors; differentiable in tensors."""
         both = self.both.vector(self.entries)(p)
         return both[..., : self.dim], both[..., self.dim :]
 
     def at(self, p: ArrayLike) -> Polytope:
-        """The box at one design (np,).
+        """Box at one design (np,).
 
         Raises
         ------
@@ -133,7 +133,7 @@ class DesignLimits(Immutable):
         return Polytope.from_bounds(lower, upper)
 
     def depths(self, x: Any, p: Any) -> Any:
-        """Violations (..., 2 n) of the bounds by (..., n) at designs (np,) or (..., np), in half-widths.
+        """Violations (..., 2 n) of the bounds by x (..., n), in half-widths.
 
         Of arrays or torch tensors; negative within.
         """
@@ -147,11 +147,11 @@ class DesignLimits(Immutable):
         return torch.cat([above, below], dim=-1)
 
     def contains(self, x: Array, p: Array) -> Mask:
-        """Whether (n, ·) lie within the bounds at designs (n, np) or (np,)."""
+        """Whether x (n, ·) lie within the bounds at designs (n, np) or (np,)."""
         return np.asarray((self.depths(x, p) <= ON_LIMIT).all(axis=-1))
 
     def followed_by(self, lower: Array, upper: Array) -> DesignLimits:
-        """These limits with further numbers appended, whose bounds (m,) do not depend on the design."""
+        """These limits, with further fixed bounds (m,) appended."""
         p = ca.SX.sym("p", self.entries)
         own = self.both.function(self.entries)(p)
         both = ca.vertcat(own[: self.dim], ca.DM(lower), own[self.dim :], ca.DM(upper))
@@ -161,14 +161,14 @@ class DesignLimits(Immutable):
         return DesignLimits(self.argument, function, self.names, *wider)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values from which `from_dict` makes the limits again."""
+        """Plain values for `from_dict`."""
         function = self.both.function(self.entries).serialize()
         plain = {"lower": self.lower.tolist(), "upper": self.upper.tolist(), "names": list(self.names)}
         return {"argument": self.argument, "function": function, **plain}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> DesignLimits:
-        """Limits from what `as_dict` gave."""
+        """Limits from the values of `as_dict`."""
         both = SymbolicFunction(values["argument"], ca.Function.deserialize(values["function"]), ("p",))
         both.function(len(values["names"]))
         lower, upper = (frozen(np.array(values[name], dtype=float)) for name in ("lower", "upper"))
@@ -179,7 +179,7 @@ Limits: TypeAlias = Polytope | DesignLimits
 
 
 def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """Limits on `size` numbers. A Polytope, bounds, or a function of p that gives bounds."""
+    """Limits on `size` numbers from a Polytope, bounds, or a function of p."""
     if isinstance(value, DesignLimits):
         if (value.dim, value.names) != (size, tuple(space.names)):
             got = f"limits of {value.dim} numbers over designs {', '.join(value.names)}"
@@ -196,24 +196,24 @@ def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
 
 
 def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
-    """Bounds (n,) of fixed limits. Bounds (..., n) at designs (..., np) of those that depend on the design."""
+    """Bounds (n,) of fixed limits, or (..., n) at designs (..., np)."""
     return limits.bounds(p) if isinstance(limits, DesignLimits) else limits.bounding_box()
 
 
 def widest(limits: Limits) -> Polytope:
-    """Fixed limits as they are. Limits that depend on the design as the box of their widest bounds."""
+    """Fixed limits, or the box of the widest bounds."""
     return limits.widest if isinstance(limits, DesignLimits) else limits
 
 
 def _cure(space: DesignSpace, p: Array) -> str:
-    """Advice about bounds that are wrong at a design that constraints forbid."""
+    """Advice about wrong bounds at a design that constraints forbid."""
     if space.violation(p[None])[0] <= FEASIBLE:
         return ""
     return "No such design may be built, but data are drawn over the whole box: hold the bounds apart with ca.fmax."
 
 
 def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, designs: int) -> ca.Function:
-    """Compiled function from p to lower and upper bounds in one column."""
+    """Function from p to lower and upper bounds in one column."""
     p = ca.SX.sym("p", designs)
     try:
         pair = given(p)

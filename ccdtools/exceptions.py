@@ -1,4 +1,4 @@
-"""The exceptions of `ccdtools`; the base of them all and `InputError` are those of the other packages."""
+"""Exceptions and warnings of `ccdtools`."""
 
 from ccdtools_ground.errors import CCDError, InputError
 
@@ -6,7 +6,7 @@ __all__ = ["CCDError", "InputError", "JumpWarning", "LimitWarning", "NotDetectab
 
 
 class NotDetectableError(CCDError, ValueError):
-    """No steady estimator exists: a mode that does not decay is not seen, or no noise reaches it.
+    """No steady estimator exists: a persistent mode is unseen or noiseless.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class NotDetectableError(CCDError, ValueError):
 
 
 class SamplingWarning(UserWarning):
-    """A plant has a mode that its sampling time hardly resolves, or not at all, at some design."""
+    """A sampling time hardly resolves a mode of the plant, or not at all."""
 
 
 class JumpWarning(UserWarning):
-    """The dynamics of a plant jump. There integration is of first order, and derivatives say nothing."""
+    """The dynamics of a plant jump, which limits integration and derivatives there."""
 
 
 class LimitWarning(UserWarning):

@@ -1,4 +1,4 @@
-"""How every figure looks: colours, lines, sizes; and a return over two design parameters as a map."""
+"""Style of every figure, and maps of a return."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def styled() -> AbstractContextManager[None]:
 
 
 class Picture(Figure):
-    """Figure that a notebook shows. It shows also before pyplot has made its first one and told the notebook how."""
+    """Figure that a notebook shows by itself."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
 
 
 def blank(width: float, height: float, *, quick: bool = False) -> Figure:
-    """Empty figure of that size [inch], marked in its corner if the run was quick."""
+    """Empty figure of that size [inch], marked if the run was quick."""
     figure = Picture(figsize=(width, height), layout="constrained")
     if quick:
         figure.text(0.003, 0.003, "QUICK", ha="left", va="bottom", fontsize=8, weight="bold", color="#B00020")
@@ -66,7 +66,7 @@ def blank(width: float, height: float, *, quick: bool = False) -> Figure:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
+    """Figure as a PNG file."""
     buffer = io.BytesIO()
     with styled():
         figure.savefig(buffer, format="png", dpi=130)  # dots per inch
@@ -74,12 +74,12 @@ def png(figure: Figure) -> bytes:
 
 
 def label(text: str) -> str:
-    """Name of a vertical axis in as many lines as a low one needs."""
+    """Name of a vertical axis, wrapped."""
     return textwrap.fill(text, 20, break_long_words=False)  # characters beside a low axis
 
 
 def title(text: str) -> str:
-    """Title of a column, broken between the values of a design. It takes as many lines as half a page needs."""
+    """Title of a column, wrapped between the values of a design."""
     return textwrap.fill(INSIDE.sub("\N{NO-BREAK SPACE}", text), 64, break_long_words=False)  # characters
 
 
@@ -90,7 +90,7 @@ def controller_colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def generation_colour(generation: int) -> str:
-    """Colour of every generation, the same in every figure. 0 is the start."""
+    """Colour of a generation, the same in every figure; 0 is the start."""
     return GENERATIONS[generation % len(GENERATIONS)]
 
 
@@ -104,7 +104,7 @@ def without_grid(ax: Axes) -> Axes:
 def draw_map(
     ax: Axes, x: Array, y: Array, mean: Array, fine: NDArray[np.bool_], *, label: str, whole: bool = False
 ) -> list[Any]:
-    """Draw levels of a return, with a circle about the best of the grid. Designs that are not fine stay blank.
+    """Draw levels of a return and mark the best of the grid.
 
     Parameters
     ----------
@@ -140,6 +140,6 @@ def draw_map(
 
 
 def _even_levels(values: Array) -> Array:
-    """Levels, about a dozen, at equal steps from the worst of the better designs to the best."""
+    """About a dozen equally spaced levels, without the worst designs."""
     low, high = np.quantile(values, [1 - 0.9, 1.0])  # the worst tenth has one colour
     return np.asarray(MaxNLocator(12).tick_values(float(low), float(high)))

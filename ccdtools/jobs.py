@@ -1,4 +1,4 @@
-"""One computation for many things, in one process or in several, and how Ctrl-C stops it."""
+"""One computation for many items, in processes, and its interruption."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _felt: list[int] = []  # signals since the last `insisting` began
 
 
 def as_jobs(value: Any, argument: str = "jobs") -> int:
-    """Number of processes: at least one, or −1 for as many as there are cores."""
+    """Number of processes: at least one, or −1 for all cores."""
     if isinstance(value, int) and not isinstance(value, bool) and value == -1:
         return -1
     try:
@@ -28,7 +28,7 @@ def as_jobs(value: Any, argument: str = "jobs") -> int:
 def in_processes(
     function: Callable[[Any], Any], items: Sequence[Any], *, jobs: int, label: str, progress: bool = False
 ) -> list[Any]:
-    """Values of a function at all items, in their order. Arguments are as of `as_they_end`."""
+    """Values of a function at all items, in order; see `as_they_end`."""
     return list(as_they_end(function, items, jobs=jobs, label=label, progress=progress))
 
 
@@ -41,7 +41,7 @@ def as_they_end(
     names: Sequence[str] = (),
     progress: bool = False,
 ) -> Iterator[Any]:
-    """Values of a function at all items, in their order, each as soon as it is there.
+    """Values of a function at all items, in order, each once available.
 
     Parameters
     ----------
@@ -74,13 +74,13 @@ def as_they_end(
 
 
 def interrupted() -> bool:
-    """Whether Ctrl-C was pressed within the last `insisting`. An error that follows may be no error."""
+    """Whether Ctrl-C was pressed within the last `insisting`."""
     return bool(_felt)
 
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Hold Ctrl-C back. An import or a folder interrupted half-way could not be continued."""
+    """Hold Ctrl-C back until the end of the block."""
     caught: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: caught.append(number))
     try:
@@ -93,7 +93,7 @@ def held_back() -> Iterator[None]:
 
 @contextmanager
 def insisting() -> Iterator[None]:
-    """Let Ctrl-C arrive. CasADi swallows every second exception that is raised while it reads its arguments.
+    """Let Ctrl-C arrive even if CasADi swallows an exception.
 
     What it does not swallow it may turn into an error of its own, which is then no error.
     """

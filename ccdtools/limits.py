@@ -1,4 +1,4 @@
-"""Limits of states, and how far and how often they are violated."""
+"""Limits of states, and frequency and depth of violations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from invariant_sets.system_checks import as_set
 
 
 def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
-    """Set of limits on `size` numbers, from a Polytope or from bounds as `invariant_sets` takes them."""
+    """Set of limits on `size` numbers, from a Polytope or from bounds."""
     if isinstance(value, Polytope) and value.dim != size:
         raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
     return as_set(value, argument, size)
@@ -27,7 +27,7 @@ def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StateLimits(Immutable):
-    """Rows of X, each divided by the half-width of X along it: rows·x ≤ bounds. Units do not matter.
+    """Rows of X scaled by its half-widths: rows·x ≤ bounds.
 
     Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
     half-width.
@@ -67,7 +67,7 @@ class StateLimits(Immutable):
         return f"StateLimits({self.rows.shape[1]} states, {len(self.bounds)} rows)"
 
     def depths(self, x: Array) -> Array:
-        """Violation of each row in states (..., nx), as (..., m). Negative within, 0 for points of X."""
+        """Violation of each row by states (..., nx), as (..., m); negative within."""
         with np.errstate(over="ignore", invalid="ignore"):
             beyond = x @ self.rows.T - self.bounds
         beyond = np.where(np.isnan(beyond), np.inf, beyond)
@@ -75,7 +75,7 @@ class StateLimits(Immutable):
         return np.where(inside[..., None], np.minimum(beyond, 0.0), beyond)
 
     def row_text(self, row: int, names: Sequence[str]) -> str:
-        """Meaning of exceeding a row, in the names of the states: "velocity [m/s] > 0.5"."""
+        """Text of exceeding a row, such as "velocity [m/s] > 0.5"."""
         terms = np.flatnonzero(np.abs(self.rows[row]) > FLAT_ROW * np.abs(self.rows[row]).max())
         if len(terms) > 3:  # a longer row is named by its number
             return f"row {row + 1} of X"
@@ -88,7 +88,7 @@ class StateLimits(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excursions(Immutable):
-    """Frequency and depth of violations of X. Depths are in half-widths of X along the row that is exceeded most.
+    """Frequency and depth of violations of X, in half-widths of X.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class Excursions(Immutable):
 
 
 def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
-    """Largest violation of a row by states (..., nx), as (...,). In half-widths of X along the row.
+    """Largest violation of a row by states (..., nx), as (...,), in half-widths.
 
     0 inside, to the tolerance of `X.contains`; 1 is one half-width beyond the limit.
 
@@ -147,7 +147,7 @@ def depth_outside(x: ArrayLike, X: Polytope | StateLimits) -> Array:
 
 
 def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[str] | None = None) -> Excursions:
-    """Frequency and depth of violations of X by runs. States are (n, T, nx), or (T, nx) of one run.
+    """Frequency and depth of violations of X by runs.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
 
 
 def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "X") -> Excursions:
-    """Violations of runs that exceed each limit by so much, (n, T, m). `row_text` says what exceeding one means."""
+    """Violations of runs from their depths (n, T, m) by limit."""
     if not len(by_row):
         return Excursions(np.zeros(0), np.zeros(0), np.zeros(0), limits=limits)
     depth = np.maximum(by_row.max(axis=-1), 0.0)
@@ -180,7 +180,7 @@ def excursions_of(by_row: Array, row_text: Callable[[int], str], limits: str = "
 
 
 def further_outside(own: Excursions, other: Excursions, *, stretches: bool = False) -> bool:
-    """Whether runs leave X deeper, or more often, than another controller's. Both meet the same disturbances.
+    """Whether runs leave X deeper or more often than another controller's.
 
     With `stretches` they are consecutive stretches of one run, and their differences a correlated series.
 
@@ -198,7 +198,7 @@ def further_outside(own: Excursions, other: Excursions, *, stretches: bool = Fal
 
 
 def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
-    """Half-width of X along each row. Never zero."""
+    """Half-width of X along each row, never zero."""
     low = -np.asarray(X.support(-rows))
     high = np.asarray(X.support(rows))
     lower, upper = X.bounding_box()

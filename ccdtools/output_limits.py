@@ -1,4 +1,4 @@
-"""Limits on outputs: stress, tyre load, power, a stop that depends on the design; any h(x, u, p) ≤ 0."""
+"""Limits on outputs: any h(x, u, p) ≤ 0, such as stress or power."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from invariant_sets import Polytope
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OutputLimits(Immutable):
-    """Limits lower ≤ h(x, u, p) ≤ upper at every sample. x and u are the state and input of that sample.
+    """Limits lower ≤ h(x, u, p) ≤ upper at every sample's x and u.
 
     How far a limit is exceeded is told in half-widths of its range; of a limit on one side, in its distance from 0; and
     of h ≤ 0 in the units of h, which is best stated relative, as ``stress / strength - 1``.
@@ -61,7 +61,7 @@ class OutputLimits(Immutable):
 
     @classmethod
     def of(cls, plant: Plant) -> OutputLimits | None:
-        """Limits that a plant states for its outputs. None where it states none."""
+        """Limits that a plant states for its outputs; None without any."""
         low, high = plant.output_limits
         if plant.ny == 0 or not (np.isfinite(low) | np.isfinite(high)).any():
             return None
@@ -71,7 +71,7 @@ class OutputLimits(Immutable):
         return f"OutputLimits({self.outputs})"
 
     def check(self, nx: int, nu: int, designs: int) -> None:
-        """Raise an `InputError` unless there is a limit, and a name, for every output."""
+        """Raise an `InputError` unless every output has a limit and a name."""
         ny = self.outputs.function(nx, nu, designs).numel_out(0)
         if ny == 0:
             raise InputError("output_limits", "a function without a value", "one of at least one output")
@@ -81,7 +81,7 @@ class OutputLimits(Immutable):
             as_names("output_limits, names", self.names, ny)
 
     def depths(self, x: Any, u: Any, p: Any) -> Any:
-        """Violation of each limit, (..., m). Negative within, infinite where an output is no number.
+        """Violation of each limit, (..., m); negative within, infinite for NaN.
 
         Of arrays or torch tensors.
 
@@ -99,7 +99,7 @@ class OutputLimits(Immutable):
         return beyond.masked_fill(beyond.isnan(), np.inf)
 
     def broken_at(self, x: Array, nu: int, designs: Array) -> list[str]:
-        """Limits that a state (nx,) exceeds at designs (n, np), whatever the input does. "" for none.
+        """Limits that a state (nx,) exceeds at designs (n, np) for any input.
 
         Only limits of outputs that do not depend on the input say so.
         """
@@ -113,14 +113,14 @@ class OutputLimits(Immutable):
         return [self.row_text(row) if depth[row] > ON_LIMIT else "" for row, depth in zip(worst, depths)]
 
     def row_text(self, row: int) -> str:
-        """Meaning of exceeding one of the limits that `depths` gives: "tyre load [N] > 500"."""
+        """Text of exceeding one of the limits, such as "tyre load [N] > 500"."""
         index, sign, bound, _ = self._sides(self.outputs.values)
         i = int(index[row])
         name = self.names[i] if len(self.names) else f"y{i + 1}"
         return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
 
     def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
-        """Half-spaces F x ≤ g of outputs of the state alone, at a design. Those that hold there, linearised at rest."""
+        """Half-spaces F x ≤ g of state-only outputs at a design, linearised at rest."""
         value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
         index, sign, bound, unit = self._sides(len(value))
         F = sign[:, None] * J[index] / unit[:, None]
@@ -130,7 +130,7 @@ class OutputLimits(Immutable):
         return F[alone, :nx], g[alone]
 
     def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
-        """States of X that keep these limits. As far as they are linear in the state alone."""
+        """States of X that keep these limits, where linear in the state alone."""
         F, g = self.half_spaces(X.dim, nu, p)
         return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
 

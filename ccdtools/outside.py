@@ -1,4 +1,4 @@
-"""Frequency and depth with which runs of one controller leave X, or the limits of outputs, beside those of another."""
+"""Comparison of two controllers' violations of limits."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ccdtools.trajectory import Trajectory
 
 
 def limits_in_words(outputs: OutputLimits | None) -> str:
-    """Name of what a controller leaves: X, or the limits, where those of outputs count beside it."""
+    """Name of the limits that count: X, or the limits with outputs."""
     return "X" if outputs is None else "the limits"
 
 
 @dataclass(frozen=True, eq=False)
 class RunViolations:
-    """Frequency and depth with which the runs of one controller leave X.
+    """Frequency and depth with which one controller's runs leave X.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class RunViolations:
     def from_trajectory(
         cls, run: Trajectory, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None
     ) -> RunViolations:
-        """Violations of a trajectory: of states, and of outputs that have limits."""
+        """Violations of a trajectory, by states and limited outputs."""
         n, steps, nx = run.states[:, 1:].shape
         names = getattr(plant, "state_names", None) or tuple(f"x{i + 1}" for i in range(nx))
         by_row = limits.depths(run.states[:, 1:])
@@ -54,7 +54,7 @@ class RunViolations:
             by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
 
         def text(row: int) -> str:
-            """Meaning of exceeding a limit."""
+            """Text of exceeding a limit."""
             return limits.row_text(row, names) if row < rows or outputs is None else outputs.row_text(row - rows)
 
         left = limits_in_words(outputs)

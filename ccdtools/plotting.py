@@ -1,4 +1,4 @@
-"""The picture of a simulation."""
+"""Picture of a simulation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ccdtools.checks import has_method
 
 
 def plot_trajectory(run: Any, figure: Any = None) -> Any:
-    """Plot states and inputs over time, one row each, and of many runs the first 50.
+    """Plot states and inputs over time, at most the first 50 runs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far a long computation is: a bar on a terminal, plain lines of text every ten seconds elsewhere."""
+"""Progress of a long computation: a bar or lines of text."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _where: list[Any] = ["", 0.0, 0.0, 0.0]  # what the computation is at, and how f
 
 
 class Lines(tqdm):  # type: ignore[type-arg]
-    """Progress bar for a file or a notebook. A line at the start and every ten seconds, without control characters."""
+    """Progress bar as lines of text, for a file or a notebook."""
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
-        """Write a line. Nothing where a bar would be cleared."""
+        """Write a line; none where a bar would be cleared."""
         if msg is None:
             elapsed = self._time() - self.start_t if hasattr(self, "start_t") else 0.0  # of the first line
             done = f"{self.n} of {self.total} after {elapsed:.0f} s"
@@ -32,35 +32,35 @@ class Lines(tqdm):  # type: ignore[type-arg]
 
 
 def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  # type: ignore[type-arg]
-    """Progress bar over items, or one to be updated. On a terminal, lines elsewhere; nothing without `progress`."""
+    """Progress bar on a terminal, lines elsewhere; nothing without `progress`."""
     if not progress or sys.stderr.isatty():
         return tqdm(items, desc=label, total=total, disable=not progress, leave=False)
     return Lines(items, desc=label, total=total, leave=False, mininterval=SECONDS_BETWEEN_LINES, miniters=1)
 
 
 def counted(items: Iterable[Item], label: str, *, total: int, progress: bool = False) -> Iterator[Item]:
-    """Yield the items, with a bar if `progress`, and say where the computation is."""
+    """Yield the items, with a bar if `progress`, and record the position."""
     for count, item in enumerate(bar(items, label=label, total=total, progress=progress)):
         at(f"{label}: {count} of {total}", count / total)
         yield item
 
 
 def at(text: str, part: float = 0.0) -> None:
-    """Say what the computation is at: "iteration 40 of 200". Part 0.2 of it is done."""
+    """Record what the computation is at, and the part done."""
     if part <= _where[1]:
         _where[2:] = time.perf_counter(), part
     _where[:2] = text, part
 
 
 def _left(seconds: float, done: float, rest: float) -> str:
-    """Time that the rest takes at the pace so far, in words. Empty before there is a pace."""
+    """Remaining time in words at the pace so far; empty without one."""
     known = seconds >= SECONDS_BETWEEN_LINES / 2 and done > 0 and rest > 0
     return f", about {seconds * rest / done:.0f} s left at this pace" if known else ""
 
 
 @contextmanager
 def telling(echo: Echo | None, what: str = "") -> Iterator[None]:
-    """Say every ten seconds what the computation within is `at`, first `what`. Nothing without `echo`."""
+    """Report every ten seconds what the computation is `at`; nothing without `echo`."""
     if echo is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Scenarios: what every controller of a comparison meets alike."""
+"""Scenarios: the common conditions of a comparison."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ccdtools.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scenario(Immutable):
-    """Plant with initial states and disturbances: what every controller meets alike.
+    """Plant with initial states and disturbances, the same for every controller.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Scenario(Immutable):
         return Sensor(self.output.first(1, self.steps), self.plant, np.asarray(p, dtype=float), 1, self.steps, None)
 
     def first(self, runs: int, steps: int | None = None) -> Scenario:
-        """Scenario of the first so many runs, and of these the first so many steps."""
+        """Scenario of the first `runs` runs and `steps` steps."""
         length = self.steps if steps is None else as_count("steps", steps)
         w = self.disturbance[: as_count("runs", runs), :length]
         output = None if self.output is None else self.output.first(runs, length)
@@ -97,7 +97,7 @@ class Scenario(Immutable):
         self, controller: Controller, *, design: ArrayLike | None = None, limit: ArrayLike | None = None,
         progress: bool = False,
     ) -> Trajectory:  # fmt: skip
-        """Closed-loop trajectories under a controller. See `simulate`."""
+        """Closed-loop trajectories under a controller; see `simulate`."""
         return simulate(
             self.plant, controller, x0=self.x0, steps=self.steps, disturbance=self.disturbance, design=design,
             limit=limit, reference=self.reference, output=self.output, progress=progress,

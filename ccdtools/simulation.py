@@ -1,4 +1,4 @@
-"""Closing any loop: a plant, a controller, a disturbance."""
+"""Closed-loop simulation of a plant, a controller and a disturbance."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Simulable(Protocol):
 
     @property
     def design(self) -> DesignSpace | None:
-        """The box of designs, if any."""
+        """Box of designs, if any."""
         ...
 
     def stepper(self, p: Array, *, batch: int) -> Step:
-        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at one design, for n = `batch`."""
+        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
         ...
 
 
@@ -150,7 +150,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
-    """Answer of the controller to the states x (n, nx), or at the first sample why it cannot take them."""
+    """Controller's answer to the states x (n, nx), or an `InputError`."""
     try:
         return driver(k, x)
     except CCDError:
@@ -164,7 +164,7 @@ def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
 
 
 def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
-    """Inputs that a controller returned, finite for the runs that are not lost."""
+    """Inputs that a controller returned, finite for running runs."""
     try:
         u = np.asarray(u, dtype=float)
     except (TypeError, ValueError, RuntimeError):
@@ -177,7 +177,7 @@ def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Arra
 
 
 def as_simulable(plant: Any) -> Simulable:
-    """Plant that `simulate` can step. A discrete `control.StateSpace` becomes a `LinearModel`."""
+    """Plant that `simulate` can step; a `control.StateSpace` becomes a `LinearModel`."""
     if isinstance(plant, type):
         raise InputError("plant", shown(plant), "an object of it")
     if hasattr(plant, "stepper"):
@@ -189,7 +189,7 @@ def as_simulable(plant: Any) -> Simulable:
 
 
 def _design(plant: Simulable, design: ArrayLike | None) -> Array:
-    """Design (np,) to simulate at. Empty for a plant without one."""
+    """Design (np,) to simulate at; empty for a plant without one."""
     if plant.design is None or plant.design.dim == 0:
         if design is not None and np.size(design) > 0:
             raise InputError("design", shown(design), "nothing, because the plant has no design parameters")
@@ -200,7 +200,7 @@ def _design(plant: Simulable, design: ArrayLike | None) -> Array:
 
 
 def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> None:
-    """Raise an `InputError` if the controller was made for another design of this plant."""
+    """Raise an `InputError` if the controller was made for another design."""
     own = getattr(controller, "design", None)
     if own is None or space is None or isinstance(controller, type):
         return
@@ -212,7 +212,7 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
 
 
 def _bound(limit: ArrayLike | None, nx: int) -> Array:
-    """The divergence limit (nx,)."""
+    """Divergence limit (nx,)."""
     bound = as_floats("limit", DIVERGENCE_LIMIT if limit is None else limit)
     if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
         raise InputError("limit", f"{bound.tolist()} of shape {bound.shape}", f"({nx},) positive numbers")
@@ -220,7 +220,7 @@ def _bound(limit: ArrayLike | None, nx: int) -> Array:
 
 
 def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Reference | None:
-    """Reference, if its sizes are those of the plant."""
+    """Reference, checked against the sizes of the plant."""
     if reference is None:
         return None
     reference = reference if isinstance(reference, Reference) else Reference(reference)
@@ -229,7 +229,7 @@ def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> R
 
 
 def as_output(plant: Simulable, output: Any) -> Measurement | None:
-    """Measured output, if its sizes are those of the plant."""
+    """Measured output, checked against the sizes of the plant."""
     if output is None:
         return None
     measurement = as_measurement(output)
@@ -238,7 +238,7 @@ def as_output(plant: Simulable, output: Any) -> Measurement | None:
 
 
 def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: Any) -> Any:
-    """Disturbance as an array. Sampled if it is a `Disturbance`, zero if there is none."""
+    """Disturbance as an array, sampled if a `Disturbance`, zero if None."""
     if disturbance is None:
         return np.zeros((1, steps, plant.nw))
     if not hasattr(disturbance, "sample"):
@@ -249,7 +249,7 @@ def _drawn(plant: Simulable, x0: ArrayLike, disturbance: Any, steps: int, rng: A
 
 
 def _record(given: ArrayLike, w: Array) -> Array:
-    """Disturbances (n, T', nw) that a preview may look into. Those met (n, T, nw), and what follows on record."""
+    """Disturbances (n, T', nw) for previews: those met and what follows."""
     whole = np.asarray(given)
     if whole.shape[1 if whole.ndim == 3 else 0] == w.shape[1]:
         return w
@@ -268,7 +268,7 @@ def _states(plant: Simulable, x0: ArrayLike) -> Array:
 
 
 def matched_runs(plant: Simulable, x0: ArrayLike, disturbance: ArrayLike, steps: int) -> tuple[Array, Array]:
-    """Initial states (n, nx) and disturbances (n, T, nw), as many of each."""
+    """Initial states (n, nx) and disturbances (n, T, nw) of equal number."""
     x = _states(plant, x0)
     w = as_floats("disturbance", disturbance)
     if w.ndim == 1 and plant.nw == 1:

@@ -1,4 +1,4 @@
-"""Means, intervals and paired differences of returns: of many independent runs, and of one long run."""
+"""Means, intervals and paired differences of returns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TOO_SHORT = "the run is too short for its own correlation: no interval"
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean, standard deviation, median, number and 95 % interval of the mean. NaN where there are too few values.
+    """Mean, standard deviation, median, number and 95 % interval; NaN with too few values.
 
     `warning` says why there is no interval although there are values, or that it stands on a few of them; empty where
     nothing is to be said.
@@ -67,7 +67,7 @@ def paired_difference(a: ArrayLike, b: ArrayLike) -> PairedDifference:
 
 @dataclass(frozen=True)
 class MeanInterval:
-    """Mean of a correlated series and the 95 % interval of its expectation.
+    """Mean of a correlated series, with a 95 % interval.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class MeanInterval:
 
 
 def mean_interval(series: ArrayLike) -> MeanInterval:
-    """Mean of a stationary, correlated series with the 95 % interval of its expectation.
+    """Mean of a stationary, correlated series, with a 95 % interval.
 
     The variance of the mean is the spectrum at frequency zero, here the mean square of the first four cosine
     transforms, with Student's t of four degrees of freedom. The interval is skewed as the mean is. The first 5 % of
@@ -142,7 +142,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
 
 
 def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, float]:
-    """Interval of a statistic from the parts (n,) of independent runs. The statistic is the mean of the parts.
+    """Interval of a mean of parts (n,) of independent runs.
 
     Returns and their parts in a risk can be far from normal (of the worst tenth nine parts in ten are alike), so the
     interval is skewed as they are, and Student's t has as many degrees of freedom as their fourth moment leaves, ten at
@@ -166,7 +166,7 @@ def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, flo
 
 
 def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary:
-    """Statistics of the returns of runs with rewards (n, T). One run has the interval of `mean_interval`.
+    """Statistics of the returns of runs with rewards (n, T).
 
     Of a single run `mean` and `median` are its return, `n` is 1 and `std` is the standard deviation of the return
     from run to run, as far as one run shows it.
@@ -188,7 +188,7 @@ def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary
 
 
 def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> PairedDifference:
-    """Mean difference of the returns of runs with rewards (n, T) on common disturbances. See `summarise_returns`."""
+    """Mean difference of returns with rewards (n, T) on common disturbances."""
     first = _rewards("a", a)
     second = _rewards("b", b)
     if first.shape != second.shape:
@@ -201,7 +201,7 @@ def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> Pa
 
 
 def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = None) -> PairedDifference:
-    """Mean return of a change, with the interval of its ratio to that of `base`. Both have rewards (n, T).
+    """Mean return of a change, with its interval at the level of `base`.
 
     How rough a road is moves all returns alike and their ratio hardly. The interval is given in units of return, at the
     level that `base` has on these runs: divided by its return it is that of the ratio (to first order in the rest,
@@ -222,7 +222,7 @@ def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = No
 
 
 def _rewards(argument: str, value: ArrayLike) -> Array:
-    """Rewards (n, T), n of them possibly none."""
+    """Rewards (n, T); n may be 0."""
     rewards = finite(argument, as_floats(argument, value))
     if rewards.ndim != 2:
         raise InputError(argument, f"shape {rewards.shape}", "(n, T)")
@@ -242,14 +242,14 @@ def _lag_one(means: Array) -> float:
 
 
 def _skewness(values: Array) -> float:
-    """Skewness of the mean of values (n,). 0 where they are all alike."""
+    """Skewness of the mean of values (n,); 0 if all are equal."""
     away = values - values.mean()
     spread = away.std()
     return float(((away / spread) ** 3).mean() / np.sqrt(len(values))) if spread > 0 else 0.0
 
 
 def _degrees(values: Array) -> float:
-    """Degrees of freedom of the variance of values (n,): twice the number of those that make it, by their kurtosis."""
+    """Degrees of freedom of the variance of values (n,), by their kurtosis."""
     away = values - values.mean()
     spread = away.std()
     excess = float(((away / spread) ** 4).mean()) - 1 if spread > 0 else 0.0
@@ -259,7 +259,7 @@ def _degrees(values: Array) -> float:
 def _skewed(
     mean: float, error: float, skewness: float, degrees: float, level: float = 0.95
 ) -> tuple[float, float]:  # fmt: skip
-    """The interval of a mean with a small skewness, by Student's t (Hall's cubic, inverted)."""
+    """Student's t interval of a skewed mean (Hall's cubic, inverted)."""
     quantile = float(stats.t.ppf((1 + level) / 2, degrees))
     if abs(skewness) < 1e-6:
         return (mean - error * quantile, mean + error * quantile)

@@ -1,4 +1,4 @@
-"""A table of text cells, as it is printed or put on a page; and rows of values as CSV."""
+"""Tables of text cells, and rows of values as CSV."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Line = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Table:
-    """Lines of cells below a head. A line may end before the head does, and its last cell then runs on."""
+    """Lines of cells below a head; shorter lines run on."""
 
     head: Line
     lines: Sequence[Line]
@@ -22,12 +22,12 @@ class Table:
 
     @property
     def widths(self) -> list[int]:
-        """The widest cell of every column, in characters."""
+        """Widest cell of every column, in characters."""
         whole = [line for line in (self.head, *self.lines) if len(line) == len(self.head)]
         return [max(map(len, column)) for column in zip(*whole)]
 
     def aligned(self) -> list[str]:
-        """The head and every line, in columns."""
+        """Head and every line, in aligned columns."""
         places = [f"{'>' if i in self.right else '<'}{wide}" for i, wide in enumerate(self.widths)]
         return [
             "  ".join(format(cell, place) for cell, place in zip(line, places)).rstrip()
@@ -36,23 +36,23 @@ class Table:
 
     @property
     def markdown(self) -> str:
-        """The table for a page in Markdown."""
+        """Table in Markdown."""
         lines = [self.head, ("---",) * len(self.head), *map(self._filled, self.lines)]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
     @property
     def html(self) -> str:
-        """The table for a page in HTML."""
+        """Table in HTML."""
         body = "".join(f"<tr>{_row('td', self._filled(line))}</tr>" for line in self.lines)
         return f"<table><tr>{_row('th', self.head)}</tr>{body}</table>"
 
     def _filled(self, line: Line) -> Line:
-        """A line with empty cells up to the end of the head."""
+        """Line with empty cells up to the end of the head."""
         return line + ("",) * (len(self.head) - len(line))
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV text, a column for every name that occurs."""
+    """Rows as CSV text, a column per name."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
     writer.writeheader()
@@ -61,5 +61,5 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _row(kind: str, line: Line) -> str:
-    """The cells of a row in HTML, of the kind th or td."""
+    """HTML cells of a row, of the kind th or td."""
     return "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in line)

@@ -1,4 +1,4 @@
-"""Every tolerance of the modules of this folder, with its meaning; where no unit is named it is relative [-]."""
+"""Tolerances of this folder's modules, relative [-] without a unit."""
 
 ON_LIMIT = 1e-9  # A point that is outside a limit by this part of the half-width is on it.
 FLAT_ROW = 1e-9  # X has no width along a row if it is below this part of the row's range over the box around X.

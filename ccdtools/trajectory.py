@@ -1,4 +1,4 @@
-"""Trajectories: what a simulation or a deployment leaves behind."""
+"""Trajectories of a simulation or a deployment."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.exceptions import InputError
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Immutable):
-    """Closed-loop runs. All arrays are read-only.
+    """Closed-loop runs, with read-only arrays.
 
     Attributes
     ----------
@@ -72,13 +72,13 @@ class Trajectory(Immutable):
         return self.dt * np.arange(self.states.shape[1], dtype=float)
 
     def plot(self, figure: Any = None) -> Any:
-        """Plot of states and inputs over time as a matplotlib Figure; of many runs the first 50 are drawn."""
+        """Plot states and inputs over time as a matplotlib Figure, at most 50 runs."""
         from ccdtools.plotting import plot_trajectory
 
         return plot_trajectory(self, figure)
 
     def to_frame(self) -> Any:
-        """Table of one row a run and sample, a `pandas.DataFrame`. run, time, x1, …, u1, …, w1, …; NaN after the end.
+        """`pandas.DataFrame` of a row per run and sample; NaN after the end.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class Trajectory(Immutable):
         return pd.DataFrame(columns)
 
     def rewards(self, objective: Objective) -> Array:
-        """Rewards (n, T). Zero after a run was stopped.
+        """Rewards (n, T), without control cost after a run was stopped.
 
         The last one has what the end of the run adds, if it came to its end, and each its part of the cost of the
         design.
@@ -115,9 +115,9 @@ class Trajectory(Immutable):
         return np.where(over, 0.0, rewards) - objective.cost_of_design(self.design, len(steps)) / len(steps)
 
     def returns(self, objective: Objective) -> Array:
-        """Undiscounted returns (n,), less the cost of the design. Read them together with `diverged`."""
+        """Undiscounted returns (n,), less the cost of the design; see `diverged`."""
         return self.rewards(objective).sum(axis=1)
 
     def size_of(self, value: float, objective: Objective) -> float:
-        """Size of a return of such runs without the cost of their design."""
+        """Size of a return of such runs, without the design cost."""
         return float(objective.made_by_control(value, self.design, self.inputs.shape[1]))

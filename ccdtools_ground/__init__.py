@@ -1,1 +1,1 @@
-"""What all four packages stand on: one vocabulary of errors and one check of numbers. Not for users."""
+"""Common errors and number checks of the other packages; internal."""

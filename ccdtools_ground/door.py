@@ -1,4 +1,4 @@
-"""Checks of numbers at the public door of every package; Booleans are no numbers, and a count is an int."""
+"""Checks of numbers at every package's public door; Booleans are no numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = np.ndarray
 
 
 def shown(value: Any) -> str:
-    """Value in few words: itself if it is short, else its type or shape."""
+    """Short text of a value: itself, or its type or shape."""
     if value is None:
         return "nothing"
     if isinstance(value, np.ndarray) and value.ndim > 0:
@@ -29,17 +29,17 @@ def shown(value: Any) -> str:
 
 
 def _one_line(value: Any) -> str:
-    """Text of `repr` on one line, cut where it is long."""
+    """Text of `repr` on one line, cut where long."""
     return brief(" ".join(repr(value.item() if isinstance(value, np.generic) else value).split()), 60)
 
 
 def brief(text: str, most: int = 120) -> str:
-    """Given `text`, cut to so many characters."""
+    """`text` cut to `most` characters."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def as_floats(argument: str, value: Any, *, expected: str = "an array of real numbers") -> Array:
-    """New C-contiguous float64 array of `value`. Text, None, Booleans, complex numbers and objects are refused."""
+    """New C-contiguous float64 array of `value`; only real numbers are accepted."""
     if type(value) is np.ndarray and value.dtype == np.float64:  # the common case, in every step of a simulation
         return np.array(value, order="C")
     if _holds_truth(value):
@@ -58,7 +58,7 @@ def as_floats(argument: str, value: Any, *, expected: str = "an array of real nu
 
 
 def _holds_truth(value: Any) -> bool:
-    """Whether a number, an array or a list holds a True or False. They would pass for 1 or 0."""
+    """Whether a number, an array or a list holds a True or False."""
     if isinstance(value, np.ndarray | np.generic):
         return value.dtype.kind == "b" or (value.dtype.kind == "O" and any(map(_holds_truth, value.flat)))
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_truth, value)))
@@ -72,7 +72,7 @@ def check_finite(array: Array, name: str) -> None:
 
 
 def frozen(value: Any) -> Any:
-    """Given `value`, read-only if it is an array."""
+    """`value`, read-only if it is an array."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     return value
@@ -80,7 +80,7 @@ def frozen(value: Any) -> Any:
 
 def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,
               high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
-    """Finite number between `low` and `high`. `strict` excludes both ends."""
+    """Finite number between `low` and `high`; `strict` excludes both ends."""
     real = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
     number = float(value) if real else math.nan
     inside = low < number < high if strict else low <= number <= high
@@ -90,7 +90,7 @@ def as_number(argument: str, value: Any, *, expected: str = "a finite number", l
 
 
 def as_count(argument: str, value: Any, *, least: int = 1, most: float = math.inf) -> int:
-    """Whole number from `least` to `most`, as an int. A float is refused even where it is whole."""
+    """Whole number from `least` to `most`; floats are refused."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool | np.bool_)
     if not whole or not least <= int(value) <= most:
         floating = isinstance(value, float | np.floating) and float(value).is_integer() and value >= least
@@ -101,14 +101,14 @@ def as_count(argument: str, value: Any, *, least: int = 1, most: float = math.in
 
 
 def as_instance(argument: str, value: Any, kind: type | tuple[type, ...], expected: str, cure: str = "") -> Any:
-    """Given `value`, if it is of that kind."""
+    """`value`, if it is of that kind."""
     if not isinstance(value, kind):
         raise InputError(argument, shown(value), expected, cure)
     return value
 
 
 def as_generator(argument: str, value: Any) -> np.random.Generator:
-    """NumPy generator. A seed would start the same numbers again at every call."""
+    """NumPy generator; a seed is refused."""
     if not isinstance(value, np.random.Generator):
         seed = value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else 0
         cure = f"Pass {argument}=np.random.default_rng({seed})."

@@ -1,10 +1,10 @@
-"""The errors of all four packages: misuse is raised, a numerical outcome is a status in a result."""
+"""Errors of all packages; numerical outcomes are statuses instead."""
 
 from __future__ import annotations
 
 
 class CCDError(Exception):
-    """Base of every error that `ccdtools`, `mpc`, `invariant_sets` and `learning` raise on purpose."""
+    """Base of every error that these packages raise on purpose."""
 
 
 class InvariantSetsError(CCDError):
@@ -20,7 +20,7 @@ class LearningError(CCDError):
 
 
 class InputError(InvariantSetsError, MPCError, LearningError, ValueError):
-    """Bad input, in one line: argument, what was got, what was expected, and the cure.
+    """Bad input: argument, what was got, what was expected, and the cure.
 
     The same class in all four packages: one handler catches it whoever refuses, and so does each package's base.
 

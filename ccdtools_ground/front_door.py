@@ -1,4 +1,4 @@
-"""The public names of a package, stated once in the stub beside its `__init__.py`, each loaded when it is asked for."""
+"""Lazy public names of a package, stated in its stub."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 def front_door(
     package: str, file: str, groups: Sequence[str] = ()
 ) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
-    """Public names of a package, sorted, with its `__getattr__` and `__dir__`.
+    """Sorted public names of a package, with its `__getattr__` and `__dir__`.
 
     A name that only a group has, one of the modules in the package, is found there, too.
     """

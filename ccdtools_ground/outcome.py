@@ -1,4 +1,4 @@
-"""How a calculation ended, as a status with advice."""
+"""Status of how a calculation ended, with advice."""
 
 from enum import Enum
 

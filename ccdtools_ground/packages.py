@@ -1,4 +1,4 @@
-"""The packages of this distribution, and whether a user's own file stands in front of one of them."""
+"""Packages of this distribution, and files that hide them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ NAMES = ("ccdtools", "ccdtools_ground", "invariant_sets", "learning", "mpc")
 
 
 def what_hides_ours() -> str:
-    """Advice on what hides a package: the first file or folder that Python would import in its place. Empty if none."""
+    """Advice on the first file or folder that hides a package; empty if none."""
     home = Path(__file__).resolve().parents[1]
     for name in NAMES:
         try:

@@ -1,4 +1,4 @@
-"""What is said of a function that a user states in CasADi and that stops: the error in words, and its line."""
+"""Messages about a user's CasADi function that stops."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ KNOWN = (
 
 
 def stopped(argument: str, given: Any, error: Exception, expected: str, cure: str = "") -> InputError:
-    """Error to raise in the place of the one that a user's function stopped with."""
+    """Error that replaces the one a user's function stopped with."""
     reason, own = in_words(error)
     cure = f"{own} {cure}".strip()
     return InputError(argument, f"a function that stops with {reason}{_line(given, error)}", expected, cure)
 
 
 def in_words(error: Exception) -> tuple[str, str]:
-    """Message of a CasADi error without the names of its files. It says what to do about it where that is known."""
+    """Message of a CasADi error without file names, and its cure."""
     text = " ".join(CASADI.sub("", str(error), count=1).split())
     for pattern, words, cure in KNOWN:
         found = re.search(pattern, text)

@@ -1,4 +1,4 @@
-"""Networks on disk: safetensors with a JSON header, never pickle."""
+"""Networks on disk: safetensors with a JSON header."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _KINDS: dict[str, Any] = {kind.__name__: kind for kind in (ActorCritic, Quantile
 
 
 def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None) -> None:
-    """Write a network and JSON-able `extra` values to one safetensors file. Missing folders are made.
+    """Write a network and JSON-able `extra` values to a safetensors file.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None
 
 
 def load(path: str | Path, *, action_limits: LimitsReader | None = None) -> tuple[Any, dict[str, Any]]:
-    """Return the network of a file, and its `extra` values.
+    """Return the network of a file and its `extra` values.
 
     Parameters
     ----------
@@ -89,14 +89,14 @@ def load(path: str | Path, *, action_limits: LimitsReader | None = None) -> tupl
 
 
 def _path(value: Any) -> Path:
-    """Return a path, or refuse what is none."""
+    """Return a path; refuse anything else."""
     if not isinstance(value, (str, os.PathLike)):
         raise InputError("path", repr(value)[:60], "the path of a file")
     return Path(value)
 
 
 def _header(text: str) -> dict[str, Any]:
-    """Return the header as a dictionary, empty where it is not one."""
+    """Return the header as a dictionary, empty if it is none."""
     try:
         header = json.loads(text)
     except ValueError:

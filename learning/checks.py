@@ -1,4 +1,4 @@
-"""Checks at the public door of `learning`: numbers, counts, arrays and generators, each refused by its name."""
+"""Checks of numbers, counts, arrays and generators in `learning`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def check_number(value: Any, name: str, low: float = 0.0, high: float = np.inf, 
 
 
 def _interval(low: float, high: float, *, closed: bool) -> str:
-    """Return the words for an interval."""
+    """Return the text of an interval."""
     relation = "at least" if closed else "above"
     if np.isinf(high):
         return f"a finite number {relation} {low:g}"
@@ -27,7 +27,7 @@ def _interval(low: float, high: float, *, closed: bool) -> str:
 
 
 def as_sizes(value: Any, name: str) -> tuple[int, ...]:
-    """Return the widths of hidden layers as a tuple of positive integers."""
+    """Return the widths of hidden layers as positive integers."""
     try:
         sizes = tuple(value)
     except TypeError:
@@ -38,7 +38,7 @@ def as_sizes(value: Any, name: str) -> tuple[int, ...]:
 
 
 def as_lengths(value: Any, name: str, total: int) -> list[int]:
-    """Return the lengths of contiguous stretches that make up `total` samples. One stretch where nothing is given."""
+    """Return the lengths of stretches of `total` samples; one if None."""
     if value is None:
         return [total]
     if not isinstance(value, (list, tuple, np.ndarray)):
@@ -50,12 +50,12 @@ def as_lengths(value: Any, name: str, total: int) -> list[int]:
 
 
 def check_instance(value: Any, name: str, kind: type) -> Any:
-    """Return `value`, if it is an object of that class."""
+    """Return `value`, if it is of that class."""
     return as_instance(name, value, kind, f"an object of {kind.__name__}")
 
 
 def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
-    """Return (lower, upper), each (size,). That they are finite and ordered is checked where they are used."""
+    """Return (lower, upper), each (size,), not checked for order."""
     bounds = tuple(value) if isinstance(value, (tuple, list, np.ndarray)) else ()
     if len(bounds) != 2:
         raise InputError(name, repr(value)[:60], f"(lower, upper), each ({size},)")
@@ -66,7 +66,7 @@ def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
 
 
 def as_samples(inputs: Any, targets: Any) -> tuple[Array, Array]:
-    """Return inputs (n, d) and targets (n, m) or (n,) as finite float arrays of two axes, of at least 20 samples."""
+    """Return finite inputs (n, d) and targets (n, m), at least 20 samples."""
     x = as_floats("inputs", inputs)
     y = as_floats("targets", targets)
     y = y[:, None] if y.ndim == 1 else y

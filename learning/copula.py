@@ -1,4 +1,4 @@
-"""Joint draws from conditional quantiles: margins, and correlation between outputs.
+"""Joint draws from conditional quantiles, with correlated outputs.
 
 Every sample is seen by its *position* among the conditional quantiles: 0 at the lowest level, 1 at the next, …, linear
 between them and beyond. The positions of a data set have a distribution of their own, which says what happens between
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 class InnovationCopula(nn.Module):
-    """Transformation of independent uniform draws into joint draws around conditional quantiles.
+    """Map from independent uniform draws to joint draws around conditional quantiles.
 
     Buffers
     -------
@@ -71,7 +71,7 @@ class InnovationCopula(nn.Module):
 
     @classmethod
     def independent(cls, network: QuantileNetwork) -> InnovationCopula:
-        """Copula of independent outputs and steps. Margins are linear between a network's levels and beyond."""
+        """Copula of independent outputs, with margins linear between a network's levels."""
         levels = np.array(network.levels)
         edges = np.r_[0.0, levels, 1.0]
         positions = np.asarray(np.interp(edges, levels, np.arange(len(levels))))
@@ -84,7 +84,7 @@ class InnovationCopula(nn.Module):
         return copula
 
     def draw(self, quantiles: Tensor, inputs: Tensor, uniform: Tensor) -> Tensor:
-        """Draws (n, m). Differentiable in all but the noise.
+        """Draws (n, m), differentiable in all but the noise.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class InnovationCopula(nn.Module):
         return origin + (drawn - origin) @ self.subspace.T.to(drawn.dtype)
 
     def shifted(self, quantiles: Tensor, inputs: Tensor) -> Tensor:
-        """Quantiles (n, levels, m) at inputs (n, d), moved so that the draws have the right mean."""
+        """Quantiles (n, levels, m) at inputs (n, d), shifted to the right mean."""
         moved = (inputs - self.centre.to(inputs.dtype)) @ self.slope.to(inputs.dtype) + self.shift.to(inputs.dtype)
         return quantiles + moved.unsqueeze(-2)
 
@@ -114,7 +114,7 @@ class InnovationCopula(nn.Module):
         return low + (position - below) * (high - low)
 
     def mean(self, quantiles: Tensor) -> Tensor:
-        """Means (n, m) of the draws, by quadrature in the normal score."""
+        """Means (n, m) of the draws, by quadrature."""
         furthest = torch.special.ndtri(self.probabilities[-1].double()).item()
         edges = torch.special.ndtr(torch.linspace(-furthest, furthest, 65, dtype=torch.float64))
         mass = torch.diff(edges) / (edges[-1] - edges[0])
@@ -123,7 +123,7 @@ class InnovationCopula(nn.Module):
         return sum((m.item() * self.at(quantiles, torch.full_like(like, s)) for m, s in zip(mass, shares)), 0 * like)
 
     def _positions(self, share: Tensor, width: Tensor) -> Tensor:
-        """Margins at shares and log widths (n, m), linear between knots and widths, constant beyond."""
+        """Margins at shares and log widths (n, m), constant beyond the knots."""
         knots = self.probabilities.to(share.dtype)
         k = torch.searchsorted(knots, share.contiguous()).clamp(1, len(knots) - 1)
         weight = ((share - knots[k - 1]) / (knots[k] - knots[k - 1])).clamp(0, 1)
@@ -134,7 +134,7 @@ class InnovationCopula(nn.Module):
         return low + part * (high - low)
 
     def _between(self, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Numbers of the kept widths next to log widths (n, m), and the share of the way to the upper one."""
+        """Indices of the widths next to log widths (n, m), and the share between."""
         centres = self.widths.to(width.dtype)
         above = (width.unsqueeze(-2) > centres).sum(-2).clamp(max=len(centres) - 1)
         below = (above - 1).clamp(min=0)
@@ -143,7 +143,7 @@ class InnovationCopula(nn.Module):
         return below, above, part.clamp(0, 1)
 
     def _table(self, width: Tensor, knot: Tensor, like: Tensor) -> Tensor:
-        """Entries (n, m) of the margins at numbers of widths and knots (n, m)."""
+        """Entries (n, m) of the margins at indices of widths and knots (n, m)."""
         output = torch.arange(self.outputs)
         entry = (width * self.positions.shape[1] + knot) * self.outputs + output
         return self.positions.reshape(-1)[entry].to(like.dtype)
@@ -164,7 +164,7 @@ class InnovationCopula(nn.Module):
         return ndtri(np.clip(((low + high) / 2).numpy(), *edge))
 
     def shape(self) -> dict:
-        """Sizes from which `from_shape` builds a copula again."""
+        """Sizes for `from_shape`."""
         widths, knots, outputs = self.positions.shape
         return {"inputs": self.inputs, "outputs": outputs, "knots": knots, "widths": widths}
 
@@ -175,7 +175,7 @@ class InnovationCopula(nn.Module):
 
 
 def positions(quantiles: Array, targets: Array) -> Array:
-    """Positions of targets (n, m) among quantiles (n, levels, m): k at level k, linear between and beyond."""
+    """Positions of targets (n, m) among quantiles (n, levels, m): k at level k."""
     last = quantiles.shape[1] - 2
     k = np.clip((targets[:, None] >= quantiles).sum(axis=1) - 1, 0, last)[:, None]
     low, high = (np.take_along_axis(quantiles, i, axis=1)[:, 0] for i in (k, k + 1))
@@ -183,5 +183,5 @@ def positions(quantiles: Array, targets: Array) -> Array:
 
 
 def log_width(quantiles: Tensor) -> Tensor:
-    """Return the logarithm (n, m) of the distance between the outer levels of quantiles (n, levels, m)."""
+    """Return the log distance (n, m) of the outer levels of quantiles (n, levels, m)."""
     return (quantiles[..., -1, :] - quantiles[..., 0, :]).clamp(min=torch.finfo(torch.float32).tiny).log()

@@ -1,4 +1,4 @@
-"""Fitting the joint distribution of samples around their conditional quantiles."""
+"""Fit of the joint distribution around conditional quantiles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def fit_copula(network: QuantileNetwork, inputs: ArrayLike, targets: ArrayLike) -> InnovationCopula:
-    """The joint distribution of `targets` around the conditional quantiles of a network.
+    """Fit the joint distribution of `targets` around a network's conditional quantiles.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def fit_copula(network: QuantileNetwork, inputs: ArrayLike, targets: ArrayLike) 
 
 
 def regression(x: Array, left: Array) -> tuple[Array, Array]:
-    """Return slope (d, m) and mean (m,) of what is left (n, m), in the directions that the inputs (n, d) fill.
+    """Return slope (d, m) and mean (m,) of residuals (n, m) on inputs (n, d).
 
     What is left at an input is the mean + slopeᵀ (input − mean input).
     """
@@ -68,7 +68,7 @@ def regression(x: Array, left: Array) -> tuple[Array, Array]:
 
 
 def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
-    """Return a copula with the margins of targets (n, m) among quantiles (n, levels, m), independent otherwise."""
+    """Return a copula with the margins of targets (n, m), independent otherwise."""
     samples = positions(quantiles, targets)
     widths = log_width(torch.tensor(quantiles)).numpy()
     n, outputs = samples.shape
@@ -86,14 +86,14 @@ def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
 
 
 def _nearness(widths: Array, centres: Array) -> list[Array]:
-    """Return the weight (n,) of every sample at each centre. Linear between neighbours, all where they coincide."""
+    """Return the weight (n,) of every sample at each centre, linear between neighbours."""
     distinct, index = np.unique(centres, return_inverse=True)
     hats = [np.interp(widths, distinct, np.eye(len(distinct))[b]) for b in range(len(distinct))]
     return [hats[b] for b in index]
 
 
 def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
-    """Return the quantiles of weighted samples. Each sample stands in the middle of its own share."""
+    """Return the quantiles of weighted samples, each mid-share."""
     order = np.argsort(samples, kind="stable")
     total = np.cumsum(weight[order])
     at = (total - weight[order] / 2) / total[-1]
@@ -101,13 +101,13 @@ def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
 
 
 def _exchanged(margins: InnovationCopula, quantiles: Array, scores: Array) -> Array:
-    """Return draws (n, m) at the samples' quantiles, each with the scores of the sample half a data set later."""
+    """Return draws (n, m) with the scores of samples half a data set later."""
     shares = torch.tensor(ndtr(np.roll(scores, len(scores) // 2, axis=0)))
     return margins.at(torch.tensor(quantiles), shares).numpy()
 
 
 def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
-    """Return the mean (m,) of samples, and the map (m, m) that takes draws to their variance in narrow directions.
+    """Return mean (m,) and a map (m, m) that narrows draws.
 
     Directions are the principal ones of samples of variance 1; nothing is stretched, and wide ones stay as they are.
     """
@@ -124,7 +124,7 @@ def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
 
 
 def _standard(scores: Array) -> Array:
-    """Return scores (n, m) of mean 0 and variance 1, which the margins hold already; 0 where an output is constant."""
+    """Return scores (n, m) of mean 0 and variance 1; 0 for a constant output."""
     deviation = scores.std(axis=0)
     return (scores - scores.mean(axis=0)) / np.where(deviation > ROUNDING, deviation, np.inf)
 

@@ -1,4 +1,4 @@
-"""The exceptions of `learning`."""
+"""Exceptions of `learning`."""
 
 from ccdtools_ground.errors import InputError, LearningError
 
@@ -6,7 +6,7 @@ __all__ = ["CheckpointError", "InputError", "LearningError"]
 
 
 class CheckpointError(LearningError):
-    """A file that is not a saved network, or one of another version.
+    """A file that is no saved network, or of another version.
 
     Attributes
     ----------

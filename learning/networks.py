@@ -1,4 +1,4 @@
-"""Actor, critic and the pair of them, with their normalisation inside."""
+"""Actor and critic networks, with normalisation inside."""
 
 from __future__ import annotations
 
@@ -45,30 +45,30 @@ class NetworkConfig:
 
 
 class ActionLimits(Protocol):
-    """Action bounds that depend on the last entries of an observation, such as plant parameters."""
+    """Action bounds that depend on the last entries of an observation."""
 
     @property
     def entries(self) -> int:
-        """Number of the last entries of an observation that the bounds depend on."""
+        """Number of the last entries that the bounds depend on."""
         ...
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """The widest bounds, each (nu,)."""
+        """Widest bounds, each (nu,)."""
         ...
 
     def bounds(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper bounds (..., nu) at entries (..., n), tensors or arrays. Differentiable in tensors."""
+        """Bounds (..., nu) at entries (..., n), tensors or arrays; differentiable in tensors."""
         ...
 
     def as_dict(self) -> dict[str, Any]:
-        """The limits as values that JSON can hold."""
+        """Limits as values that JSON can hold."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """A tanh network of affine maps x W + b of rows, and an affine map `skip` beside them.
+    """Tanh network of affine maps x W + b, with an affine `skip`.
 
     They are tensors, arrays or matrices of CasADi, and so is what is passed through them.
     """
@@ -77,12 +77,12 @@ class Layers:
     skip: tuple[Any, Any] | None
 
     def of(self, convert: Callable[[Any], Any]) -> Layers:
-        """The network with its numbers converted to another kind."""
+        """Network with its numbers converted."""
         skip = None if self.skip is None else (convert(self.skip[0]), convert(self.skip[1]))
         return Layers(tuple((convert(W), convert(b)) for W, b in self.maps), skip)
 
     def __call__(self, x: Any, tanh: Callable[[Any], Any], affine: Callable[..., Any] | None = None) -> Any:
-        """Outputs (..., m) of rows x (..., n), by a function `affine` of (x, W, b) where there is a quicker one."""
+        """Outputs (..., m) of rows x (..., n); `affine` (x, W, b) replaces the product."""
         affine = affine or (lambda x, W, b: x @ W + b)
         *hidden, head = self.maps
         h = x
@@ -93,7 +93,7 @@ class Layers:
 
 
 class FeedForward(nn.Module):
-    """Fully connected tanh network (..., n_in) → (..., n_out) with an optional linear skip."""
+    """Tanh network (..., n_in) → (..., n_out) with an optional linear skip."""
 
     def __init__(self, n_in: int, n_out: int, hidden: Sequence[int], *, skip: bool) -> None:
         super().__init__()
@@ -106,7 +106,7 @@ class FeedForward(nn.Module):
         self.skip = nn.Linear(n_in, n_out, bias=False) if skip else None
 
     def at(self, p: Tensor, offset: Tensor, scale: Tensor) -> Layers:
-        """The network in the first entries of raw observations, whose last entries are `p`.
+        """Network in the first entries of raw observations, with last entries `p`.
 
         What does not change with the first entries is computed once: the part of the first layer that belongs to `p`
         (np,) or (n, np), and the normalisation by `offset` and `scale` (n_in,); in the precision of `p`.
@@ -117,7 +117,7 @@ class FeedForward(nn.Module):
         shift = offset[:n] / scale[:n]
 
         def entry(weight: Tensor) -> tuple[Tensor, Tensor]:
-            """Map (n, m) from raw entries, and the term (m,) or (·, m) that offset and `p` add."""
+            """Map (n, m) from raw entries, and the term (m,) or (·, m) added."""
             own, of_given = weight.to(p.dtype).split([n, weight.shape[1] - n], dim=1)
             return (own / scale[:n]).T, given @ of_given.T - own @ shift
 
@@ -133,7 +133,7 @@ class FeedForward(nn.Module):
 
 
 class ActorCritic(nn.Module):
-    """A Gaussian policy over a latent action, and a value function, on raw observations.
+    """Gaussian policy over a latent action, and value function, on raw observations.
 
     The latent action is 1 at the upper action bound and −1 at the lower one. It is clipped only on its way to
     the plant: probabilities belong to the unclipped latent, so that no density is lost at the bounds.
@@ -214,7 +214,7 @@ class ActorCritic(nn.Module):
         return self.std_network(self.normalise(observations)).clamp(*LOG_STD).exp()
 
     def action_range(self, observations: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Middle and half-width of the actions, (nu,), or (..., nu) where they depend on observations (..., n_obs).
+        """Middle and half-width of the actions, (nu,), or (..., nu) by observations (..., n_obs).
 
         Of the observations only the last entries count, those that the limits are a function of.
         """
@@ -226,11 +226,11 @@ class ActorCritic(nn.Module):
         return (lower + upper) / 2, (upper - lower) / 2
 
     def action(self, latent: Tensor, observations: Tensor | None = None, *, leak: float = 0.0) -> Tensor:
-        """Actions in the units of the plant: the latent clipped to [−1, 1] and scaled."""
+        """Actions in the units of the plant, from the clipped latent."""
         return scaled(latent, self.action_range(observations), leak=leak)
 
     def forward(self, observations: Tensor) -> Tensor:
-        """Mean actions (..., nu) within their bounds, in the units of the plant."""
+        """Mean actions (..., nu) within bounds, in the units of the plant."""
         return self.action(self.latent(observations), observations)
 
     def value(self, observations: Tensor) -> Tensor:
@@ -238,12 +238,12 @@ class ActorCritic(nn.Module):
         return self.value_offset + self.value_scale * self.value_network(self.normalise(observations)).squeeze(-1)
 
     def distribution(self, observations: Tensor) -> torch.distributions.Normal:
-        """The policy as a distribution over latent actions."""
+        """Policy as a distribution over latent actions."""
         mean = self.latent(observations)
         return torch.distributions.Normal(mean, self.std(observations).expand_as(mean))
 
     def actor_parameters(self) -> list[nn.Parameter]:
-        """Weights of the mean and of the exploration."""
+        """Weights of mean and exploration."""
         own = [*self.mean_network.parameters(), self.log_std]
         own += list(self.std_network.parameters()) if self.std_network is not None else []
         return [parameter for parameter in own if parameter.requires_grad]
@@ -253,7 +253,7 @@ class ActorCritic(nn.Module):
         return f"ActorCritic({sizes}, hidden layers {self.config.hidden})"
 
     def shape(self) -> dict:
-        """Sizes and plain values of action limits, from which `from_shape` builds the network again."""
+        """Sizes and action limits for `from_shape`."""
         ranges = ((self.observation_offset, self.observation_scale), (self.action_offset, self.action_scale))
         bounds = [(middle + sign * half).tolist() for middle, half in ranges for sign in (-1, 1)]
         limits = {} if self.action_limits is None else {"action_limits": self.action_limits.as_dict()}
@@ -261,12 +261,12 @@ class ActorCritic(nn.Module):
 
     @classmethod
     def from_shape(cls, shape: dict) -> ActorCritic:
-        """An untrained network of a given `shape()`, without its action limits."""
+        """Untrained network of a given `shape()`, without action limits."""
         return cls(*shape["bounds"], config=NetworkConfig(**shape["config"]))
 
 
 def scaled(latent: Tensor, action_range: tuple[Tensor, Tensor], *, leak: float = 0.0) -> Tensor:
-    """Latent actions clipped to [−1, 1], as actions of a middle and a half-width."""
+    """Latent actions clipped to [−1, 1] and scaled to actions."""
     clipped = latent.clamp(-1.0, 1.0)
     if leak:
         clipped = clipped + leak * (latent - clipped)

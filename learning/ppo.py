@@ -1,4 +1,4 @@
-"""Proximal policy optimisation, thin: advantages, loss, update, and a loop around them.
+"""Proximal policy optimisation: advantages, loss, update and training.
 
 References
 ----------
@@ -84,7 +84,7 @@ class PPOConfig:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """A rollout with its advantages and value targets, flattened to (N, ...)."""
+    """Rollout with advantages and value targets, flattened to (N, ...)."""
 
     observations: Tensor
     latents: Tensor
@@ -95,7 +95,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class UpdateStatistics:
-    """Statistics of an update: last KL divergence, explained variance of the critic, passes made."""
+    """KL divergence, critic's explained variance and passes of an update."""
 
     kl: float
     explained_variance: float
@@ -144,7 +144,7 @@ def gae(
 
 
 def _check_experience(rewards: Tensor, **others: Tensor) -> None:
-    """Raise an `InputError` unless all are tensors of one shape, time first, and flags are Boolean."""
+    """Raise an `InputError` unless all tensors fit the rewards."""
     check_instance(rewards, "rewards", Tensor)
     if rewards.ndim == 0 or rewards.numel() == 0:
         raise InputError("rewards", f"shape {tuple(rewards.shape)}", "(T, n), neither of them 0")
@@ -158,7 +158,7 @@ def _check_experience(rewards: Tensor, **others: Tensor) -> None:
 
 @torch.no_grad()
 def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
-    """Advantages (normalised, outliers limited to ±5 standard deviations) and value targets of a rollout."""
+    """Value targets and advantages (normalised, limited to ±5) of a rollout."""
     values = agent.value(rollout.observations)
     successors = agent.value(rollout.successors)
     raw = gae(
@@ -176,7 +176,7 @@ def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
 
 
 def ppo_loss(agent: ActorCritic, batch: Batch, config: PPOConfig) -> tuple[Tensor, Tensor, Tensor]:
-    """Clipped surrogate loss, Smooth-L1 value loss and an estimate of the KL divergence to the old policy."""
+    """Clipped surrogate loss, Smooth-L1 value loss and KL divergence estimate."""
     log_probs = agent.distribution(batch.observations).log_prob(batch.latents).sum(-1)
     log_ratio = log_probs - batch.log_probs
     ratio = log_ratio.exp()
@@ -189,7 +189,7 @@ def ppo_loss(agent: ActorCritic, batch: Batch, config: PPOConfig) -> tuple[Tenso
 
 
 class PPO:
-    """An agent with its two optimisers, which live as long as the training.
+    """Agent with its two optimisers.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ class PPO:
 
 
 def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:
-    """Set the exploration between `first` and `final`, geometrically in the part `done` in [0, 1] of a training.
+    """Set the exploration geometrically between `first` and `final`, at `done` in [0, 1].
 
     Nothing is set where `final` is None, or where the exploration is a network of its own.
     """
@@ -261,7 +261,7 @@ def train(
     callback: Callable[[int, UpdateStatistics], None] | None = None,
     progress: bool = False,
 ) -> ActorCritic:
-    """PPO alone: `iterations` rollouts of `steps` steps, an update after each. Trains `agent` in place.
+    """Train `agent` in place by PPO, with `iterations` rollouts of `steps` steps.
 
     The rates fall linearly to a tenth, the exploration geometrically to `config.final_std`.
     """

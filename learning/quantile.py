@@ -79,7 +79,7 @@ class QuantileConfig:
 
 
 class QuantileNetwork(nn.Module):
-    """Quantiles (..., levels, m) of m outputs given inputs (..., d). Increasing in the level by construction.
+    """Quantiles (..., levels, m) of m outputs given inputs (..., d), increasing by construction.
 
     The median is one head, the gaps between neighbouring levels are positive. Inputs are clipped to the range
     of the training data: outside it the discrepancy is constant, not extrapolated.
@@ -144,7 +144,7 @@ class QuantileNetwork(nn.Module):
             return self(torch.tensor(x, dtype=torch.float32)).double().numpy()
 
     def shape(self) -> dict:
-        """Sizes from which `from_shape` builds the network again."""
+        """Sizes for `from_shape`."""
         return {
             "inputs": len(self.input_offset), "outputs": self.outputs,
             "levels": list(self.levels), "hidden": list(self.hidden),
@@ -152,12 +152,12 @@ class QuantileNetwork(nn.Module):
 
     @classmethod
     def from_shape(cls, shape: dict) -> QuantileNetwork:
-        """An untrained network of a given `shape()`."""
+        """Untrained network of a given `shape()`."""
         return cls(**shape)
 
 
 def pinball(targets, quantiles, levels: Sequence[float]):
-    """Mean pinball loss per output (m,) of quantiles (n, levels, m) against targets (n, m). Arrays or tensors."""
+    """Mean pinball loss (m,) of quantiles (n, levels, m) against targets (n, m)."""
     error = targets[:, None, :] - quantiles
     q = np.asarray(levels, dtype=float)[None, :, None]
     if isinstance(error, Tensor):
@@ -175,7 +175,7 @@ def fit_quantiles(
     config: QuantileConfig | None = None,
     progress: bool = False,
 ) -> QuantileNetwork:
-    """A network that predicts the conditional quantiles of `targets` given `inputs`.
+    """Fit a network of the conditional quantiles of `targets` given `inputs`.
 
     Parameters
     ----------
@@ -213,14 +213,14 @@ def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:
 
 
 def _spread(samples: Array) -> Array:
-    """Return the standard deviation of each column, 1 where the column is constant but for rounding."""
+    """Return the standard deviation of each column, 1 if constant."""
     deviation = samples.std(axis=0)
     constant = deviation <= ROUNDING * np.abs(samples).max(axis=0)
     return np.where(constant, 1.0, deviation)
 
 
 def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
-    """Write the location, spread and range of the data into the network."""
+    """Write location, spread and range of the data into the network."""
     for name, value in (
         ("input_offset", x.mean(axis=0)),
         ("input_scale", _spread(x)),
@@ -233,7 +233,7 @@ def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
 
 
 def _descend(network, train, validation, config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:
-    """Adam on the pinball loss. The network ends with the weights of the best validation loss."""
+    """Minimise the pinball loss by Adam; keep the best validated weights."""
     (X, Y), (Xv, Yv) = ([torch.tensor(a, dtype=torch.float32) for a in pair] for pair in (train, validation))
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
@@ -258,7 +258,7 @@ def _descend(network, train, validation, config: QuantileConfig, rng: np.random.
 
 
 def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
-    """Stretch each gap, from the median outwards, until the level beyond it is nominal on unseen samples.
+    """Stretch each gap until its outer level is nominal on unseen samples.
 
     The gaps stay positive, so that calibrated levels cannot cross either.
     """

@@ -14,7 +14,7 @@ from learning.networks import ActorCritic
 
 
 class VectorEnv(Protocol):
-    """Environments that step together; a finished one restarts by itself.
+    """Environments that step together; finished ones restart.
 
     Observations are (n, n_obs), actions (n, nu) in the units of the plant.
     """
@@ -24,7 +24,7 @@ class VectorEnv(Protocol):
         ...
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Results of a step: (next observation, successor before any restart, reward, terminated, truncated)."""
+        """Result of a step: (next observation, successor, reward, terminated, truncated)."""
         ...
 
 
@@ -44,7 +44,7 @@ class Rollout:
 
 @torch.no_grad()
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:
-    """Rollout of `steps` steps of the sampled policy in every environment, starting from a reset.
+    """Rollout of `steps` steps of the sampled policy, from a reset.
 
     Raises
     ------

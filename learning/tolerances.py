@@ -1,4 +1,4 @@
-"""Every tolerance of `learning`, with its meaning; where no unit is named it is relative [-]."""
+"""Tolerances of `learning`, relative [-] without a unit."""
 
 ROUNDING = 1e-9  # A column is constant if its spread is below this part of its size: networks work in single precision.
 LOG_STD = (-7.0, 1.0)  # The logarithm of the exploration [-] that a network of its own gives lies in this range.

@@ -1,4 +1,4 @@
-"""Behaviour cloning: a policy and its value from an expert's data."""
+"""Behaviour cloning of a policy and its value."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def fit_actor_critic(
     config: CloningConfig | None = None,
     progress: bool = False,
 ) -> ActorCritic:
-    """Return an actor and a critic fitted to an expert's data, which stay in their own units.
+    """Return an actor and a critic fitted to an expert's data.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _checked(inputs: ArrayLike, actions: ArrayLike, values: ArrayLike) -> tuple[
 
 
 def _range(x: Array) -> tuple[Array, Array]:
-    """Return the bounds (lower, upper) of the samples, one apart from a coordinate that is constant."""
+    """Return the bounds (lower, upper) of the samples, widened by one if constant."""
     lower = x.min(axis=0)
     upper = x.max(axis=0)
     flat = upper - lower <= ROUNDING * np.maximum(np.abs(lower), np.abs(upper))
@@ -145,6 +145,6 @@ def _range(x: Array) -> tuple[Array, Array]:
 
 
 def _spread(values: Array) -> float:
-    """Return the standard deviation of the values, 1 where they are constant but for rounding."""
+    """Return the standard deviation of the values, 1 if constant."""
     deviation = float(np.std(values))
     return deviation if deviation > ROUNDING * float(np.abs(values).max()) else 1.0

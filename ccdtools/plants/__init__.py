@@ -1,4 +1,4 @@
-"""Plants, the box of their designs, and their exact discretisation."""
+"""Plants, their design spaces and their discretisation."""
 
 from ccdtools_ground.front_door import front_door
 

@@ -1,4 +1,4 @@
-"""Part of the unit box of designs that constraints and whole numbers leave."""
+"""Allowed points of the unit box of designs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class AllowedDesigns:
 
     @cached_property
     def width(self) -> Array:
-        """Divisor of each entry (np,): its range, or one where it is fixed."""
+        """Range of each entry (np,), or one where fixed."""
         width = self.upper - self.lower
         return np.where(width > 0, width, 1.0)
 
@@ -62,7 +62,7 @@ class AllowedDesigns:
 
     @cached_property
     def _samples(self) -> Array:
-        """Points (n, np) of the unit box: centre, Sobol sequence, corners of ten entries."""
+        """Points (n, np): the centre, a Sobol sequence, corners of ten entries."""
         moving = np.flatnonzero(self._moving)
         points = np.zeros((1 + BOX_SAMPLES, len(self.lower)))
         if not len(moving):
@@ -74,13 +74,13 @@ class AllowedDesigns:
         return np.vstack([points, corners])
 
     def where_not_finite(self) -> Array | None:
-        """Point of the unit box at which a constraint is not finite; None without one."""
+        """Unit-box point where a constraint is not finite; None without one."""
         if self.limits is None or not self.limits.not_finite.any():
             return None
         return np.asarray(self._samples[int(np.argmax(self.limits.not_finite))])
 
     def rounded(self, v: Array) -> Array:
-        """Points (..., np) with the nearest whole numbers in their entries."""
+        """Points (..., np) with whole-number entries rounded."""
         if not self.whole.any():
             return v
         numbers = np.clip(np.round(self.lower + v * self.width), np.ceil(self.lower - 1e-9),
@@ -88,12 +88,12 @@ class AllowedDesigns:
         return np.where(self.whole, (numbers - self.lower) / self.width, v)
 
     def violation(self, v: Array) -> Any:
-        """The largest violation at points (n, np) or at one (np,), as `UnitConstraints.violation` has it."""
+        """Largest violation at points (n, np) or at one (np,)."""
         return np.zeros(v.shape[:-1]) if self.limits is None else self.limits.violation(v)
 
     @cached_property
     def known(self) -> Array:
-        """Allowed points (n, np) to search from; none if none is found anywhere."""
+        """Allowed points (n, np) to search from; empty if none is found."""
         samples = self.rounded(self._samples)
         inside = samples[self.violation(samples) <= EXACT]
         if len(inside):
@@ -102,7 +102,7 @@ class AllowedDesigns:
 
     @cached_property
     def least_violated(self) -> Array:
-        """Point (np,) of least violation that searches from the samples find."""
+        """Point (np,) of least violation found from the samples."""
         assert self.limits is not None
         samples = self.rounded(self._samples)
         samples = samples[np.argsort(self.violation(samples), kind="stable")]
@@ -121,7 +121,7 @@ class AllowedDesigns:
         return least
 
     def _by_whole_numbers(self, v: Array) -> Array:
-        """`v` with other and other whole numbers in their entries (n, np), the nearest first."""
+        """Copies (n, np) of `v` with other whole numbers, nearest first."""
         lower, upper, width = (part[self.whole] for part in (self.lower, self.upper, self.width))
         numbers = nearest_whole(lower + v[self.whole] * width, lower, upper, width)
         points = np.tile(v, (len(numbers), 1))
@@ -129,12 +129,12 @@ class AllowedDesigns:
         return points
 
     def combinations(self) -> Array:
-        """Combinations of whole numbers (n, np) in the unit box; other entries are 0."""
+        """Combinations (n, np) of whole numbers in the unit box; others 0."""
         first = np.zeros(len(self.lower))
         return self._by_whole_numbers(self.rounded(first))
 
     def near(self, v: Array) -> Array | None:
-        """The nearest point to `v` (np,) that is allowed; None if none is found.
+        """Nearest allowed point to `v` (np,); None if none is found.
 
         Whole numbers are tried from the nearest on; where none of these is allowed, from the ones about the nearest
         point that keeps the constraints with numbers in between, and then those of the known points.
@@ -149,7 +149,7 @@ class AllowedDesigns:
         return known[0] if best is None and known else best
 
     def _of_whole_numbers(self, centre: Array, v: Array) -> Array | None:
-        """The nearest allowed point to `v` among those with whole numbers about a point."""
+        """Nearest allowed point to `v` with whole numbers about `centre`."""
         best: Array | None = None
         for held in self._by_whole_numbers(centre)[:TRIED_COMBINATIONS]:
             if best is not None and _apart(held, centre) >= _apart(best, centre):
@@ -160,7 +160,7 @@ class AllowedDesigns:
         return best
 
     def near_with(self, v: Array, starts: Sequence[Array] = (), *, thorough: bool = False) -> Array | None:
-        """Nearest allowed point to `v` (np,) with its fixed entries; None without one.
+        """Nearest allowed point to `v` (np,), fixed entries unchanged; None without one.
 
         Its whole numbers are those of `v`.
 

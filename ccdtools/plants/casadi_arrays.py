@@ -1,4 +1,4 @@
-"""CasADi functions on batches of arrays or tensors, one operation per instruction."""
+"""CasADi functions on batches of arrays or tensors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ KNOWN = {
 
 
 class Tape:
-    """Instructions of an SX function for batches of arrays or numbers.
+    """Instructions of an SX function for batches of arrays.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Tape:
         self.instructions = [self._instruction(k) for k in steps]
 
     def _instruction(self, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
-        """Operation, places of its inputs and outputs, and the value of a constant."""
+        """Operation, places of inputs and outputs, and value of a constant."""
         f = self.function
         op = f.instruction_id(k)
         number = float(f.instruction_constant(k)) if op == ca.OP_CONST else 0.0
@@ -94,7 +94,7 @@ class Tape:
     def run(
         self, entries: Sequence[Sequence[Any]], operations: Operations, constant: Callable[[float], Any] = float
     ) -> list[list[Any]]:
-        """Nonzeros of each output, from the nonzeros of each input; `constant` makes an operand of a number."""
+        """Nonzeros of each output from those of each input; `constant` converts numbers."""
         work: list[Any] = [0.0] * self._work_size
         out: list[list[Any]] = [[constant(0.0)] * self.function.nnz_out(i) for i in range(self.function.n_out())]
         for op, inputs, outputs, number in self.instructions:
@@ -112,7 +112,7 @@ class Tape:
 
 
 class Vectorised:
-    """Evaluates an SX `casadi.Function` of vectors elementwise over a batch.
+    """SX `casadi.Function` of vectors, evaluated elementwise over a batch.
 
     A batch of thousands costs little more than one point, and torch tensors keep their gradient.
 
@@ -132,7 +132,7 @@ class Vectorised:
         self.n_out = function.numel_out(0)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Values (..., n_out) at arguments of shape (..., n_i); leading shapes broadcast."""
+        """Values (..., n_out) at arguments (..., n_i); leading shapes broadcast."""
         shape = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in arguments))
         entries = [[a[..., i] for i in range(a.shape[-1])] for a in arguments]
         if all(isinstance(a, np.ndarray) for a in arguments):  # torch is then never imported
@@ -147,7 +147,7 @@ class Vectorised:
 
 
 def check_sizes(function: ca.Function, arguments: Sequence[Any]) -> None:
-    """Raise an `InputError` unless the last axis of each array or tensor (x, u, w, p) is what the function takes."""
+    """Raise an `InputError` unless last axes fit the function."""
     for i, (name, value) in enumerate(zip("xuwp", arguments)):
         size = function.numel_in(i)
         if len(value.shape) == 0 or value.shape[-1] != size:
@@ -156,7 +156,7 @@ def check_sizes(function: ca.Function, arguments: Sequence[Any]) -> None:
 
 @cache
 def numpy_operations() -> Operations:
-    """Each operation on NumPy arrays."""
+    """CasADi operations on NumPy arrays."""
     from scipy import special
 
     table: Operations = {op: _returning(float, call) for op, call in _LOGIC.items()}
@@ -171,11 +171,11 @@ def numpy_operations() -> Operations:
 
 @cache
 def torch_operations(dtype: Any) -> Operations:
-    """Each operation on torch tensors of one type; numbers may stand in their place."""
+    """CasADi operations on torch tensors of one type and numbers."""
     import torch
 
     def together(call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call with numbers made tensors: one of the two is a tensor, or CasADi would have computed it."""
+        """Call with numbers made tensors, given at least one tensor."""
 
         def both(a: Any, b: Any) -> Any:
             like = a if torch.is_tensor(a) else b

@@ -1,4 +1,4 @@
-"""Radau IIA collocation over one held sample: implicit, fifth order, for stiff plants."""
+"""Radau IIA collocation over one held sample."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, NEWTON_ITERATION
 
 
 class ImplicitStep:
-    """(x, u, w, p) → x⁺ by collocation: the solution of equations, found by Newton's method for all runs at once.
+    """Implicit step (x, u, w, p) → x⁺ by collocation, for all runs at once.
 
     Z_i = x + h Σ_j a_ij f(Z_j), x⁺ = Z_3, of each of `substeps` equal parts. A run for which Newton's method does not
     converge gets NaN. `scale` (nx,) is the extent of each state, for tolerances. Single precision is stepped in double.
@@ -45,7 +45,7 @@ class ImplicitStep:
 
     @cached_property
     def function(self) -> ca.Function:
-        """The whole step by CasADi's Newton solver; differentiable by the implicit function theorem."""
+        """The step by CasADi's Newton solver, differentiable (implicit function theorem)."""
         nx = self.f.numel_out(0)
         h = self.dt / self.substeps
         x, u, w, p = (ca.SX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp"))
@@ -63,7 +63,7 @@ class ImplicitStep:
         return ca.Function("step", given, [after], list("xuwp"), ["x_next"])
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
-        """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
+        """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
         check_sizes(self.f, (x, u, w, p))
         if isinstance(x, np.ndarray):
             double = [np.asarray(a, dtype=float) for a in (x, u, w, p)]
@@ -77,7 +77,7 @@ class ImplicitStep:
         return after.to(x.dtype)
 
     def _parts(self, xp: Any, x: Any, held: tuple[Any, ...]) -> Any:
-        """x⁺ by the functions of NumPy or torch."""
+        """x⁺ with the functions of NumPy or torch."""
         batch = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in (x, *held)))
         x = xp.broadcast_to(x, (*batch, x.shape[-1]))
         along = tuple(a[..., None, :] for a in held)  # the same for every stage
@@ -134,7 +134,7 @@ class ImplicitStep:
 
 
 def radau_weights() -> Array:
-    """a_ij of Radau IIA with three stages, (3, 3): the integrals of the Lagrange polynomials up to each point."""
+    """Weights a_ij (3, 3) of Radau IIA: integrals of the Lagrange polynomials."""
     points = np.array(ca.collocation_points(STAGES, "radau"))
     powers = np.vander(points, increasing=True)  # (i, k): c_i^k
     integrals = np.array([[c ** (k + 1) / (k + 1) for k in range(STAGES)] for c in points])

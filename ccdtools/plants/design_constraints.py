@@ -1,4 +1,4 @@
-"""Constraints g(p) ≤ 0 on designs, in CasADi and over the unit box."""
+"""Constraints g(p) ≤ 0 on designs, also over the unit box."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
 
 
 def constraint_names(names: Any, count: int) -> tuple[str, ...]:
-    """Names of the constraints, all different; "constraint 1", … by default."""
+    """Different names of the constraints; "constraint 1", … by default."""
     if isinstance(names, tuple) and not names:
         return tuple(f"constraint {i + 1}" for i in range(count))
     given = as_names("constraint_names", names, count)
@@ -57,7 +57,7 @@ def constraint_names(names: Any, count: int) -> tuple[str, ...]:
 
 
 class UnitConstraints:
-    """The constraints over the unit box, told by how far their edges are.
+    """Constraints over the unit box, by the distance to their edges.
 
     A constraint g ≤ 0 and a growing function of it, such as exp(40 g) − 1 or g³, leave the same designs. What is
     violated and by how much, and where a search goes, therefore rests on g/|∇g| at the point (Newton), which is close
@@ -104,7 +104,7 @@ class UnitConstraints:
         self._jacobian = ca.Function("dh", [v], [ca.densify(ca.jacobian(sought, v))])
 
     def _near_edge(self, values: Array, samples: Array) -> Array:
-        """Size of each constraint about its edge, (ng,): the least among the samples that are not all but on it."""
+        """Least size (ng,) of each constraint among samples not on its edge."""
         slopes = self._slopes(samples)[1]
         size = np.abs(values)
         far = (size > 0) & (size > NEAR_EDGE * np.where(np.isfinite(slopes), slopes, 0.0))
@@ -112,7 +112,7 @@ class UnitConstraints:
         return np.where(np.isfinite(least), least, self._scale)
 
     def _slopes(self, points: Array) -> tuple[Array, Array]:
-        """Slopes (n, ng, np) at points (n, np), and their lengths (n, ng)."""
+        """Slopes (n, ng, np) at points (n, np) and their lengths (n, ng)."""
         slopes = _mapped(self._rows, points).reshape(len(points), -1, points.shape[1])
         return slopes, np.nan_to_num(np.hypot.reduce(slopes, axis=-1), nan=np.inf, posinf=np.inf)
 
@@ -122,7 +122,7 @@ class UnitConstraints:
         return len(self._scale)
 
     def values(self, v: Array) -> Array:
-        """Scaled constraints (ng,) at a point: sign of g, slope one across the edge.
+        """Scaled constraints (ng,): sign of g, slope one across the edge.
 
         A search brings them to zero.
 
@@ -152,7 +152,7 @@ class UnitConstraints:
         return worst if v.ndim == 2 else worst[0]
 
     def edges(self, v: Array, off: Array | None = None) -> tuple[Array, Array]:
-        """Outward unit normals (ng, np) of the constraints at a point, and their distances (ng,).
+        """Outward unit normals (ng, np) of the constraints and their distances (ng,).
 
         The distances are those of straight constraints: of signs opposite to those of g, infinite where g is level.
         With `off`, a direction (np,) that leads out, the normals are those beside the point, for constraints that are
@@ -168,7 +168,7 @@ class UnitConstraints:
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
-        """Prices of the edges that hold a point against a push: see `held`.
+        """Prices of edges that hold a point; see `held`.
 
         Here the edges are those of constraints and unit box at `u`.
 
@@ -187,7 +187,7 @@ class UnitConstraints:
         return constraints, high - low, np.where(free, push - paid @ normals, 0.0)
 
     def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
-        """Gradient at `v` of a function of the nearest point `u` that the constraints allow, from that at `u`, (np,).
+        """Gradient (np,) at `v` of a function of its nearest allowed point.
 
         The nearest point moves along the constraints that hold it alone, and by less where they are curved away.
         """
@@ -207,13 +207,13 @@ class UnitConstraints:
 
 
 def _beside(v: Array, off: Array | None) -> Array:
-    """Point (np,) of the unit box just off a place where constraints are level."""
+    """Point (np,) of the unit box just off `v`."""
     length = 0.0 if off is None else float(np.linalg.norm(off))
     return v if off is None or length == 0 else np.clip(v + BESIDE_LEVEL * off / length, 0.0, 1.0)
 
 
 def held(normals: Array, push: Array) -> Array:
-    """Prices ≥ 0 of edges with outward normals (m, np) that leave of a push (np,) what may be followed, (m,).
+    """Prices ≥ 0 (m,) of edges with normals (m, np) against a push (np,).
 
     The rest, push − prices · normals, is the push's projection on the directions that cross no edge (Moreau).
     """

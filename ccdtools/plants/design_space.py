@@ -1,4 +1,4 @@
-"""Box of designs of a plant, and what constraints and whole numbers leave."""
+"""Box of designs of a plant, with constraints and whole numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ccdtools.plants.tolerances import FEASIBLE, MAX_CORNERS
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignSpace(Immutable):
-    """Named design parameters with bounds and units, and what else a design has to keep.
+    """Named design parameters with bounds, units and constraints.
 
     Models, guards and training data cover the whole box; a co-design takes feasible designs alone.
 
@@ -82,7 +82,7 @@ class DesignSpace(Immutable):
         self._compile()
 
     def _compile(self) -> None:
-        """Make a function of the constraints; raise an `InputError` unless it is finite and leaves a design."""
+        """Compile the constraints; raise an `InputError` unless finite and somewhere feasible."""
         if self.constraints is None:
             if len(self.constraint_names):
                 raise InputError("constraint_names", shown(self.constraint_names), "none, as there are no constraints")
@@ -122,7 +122,7 @@ class DesignSpace(Immutable):
         return len(self.names)
 
     def check(self, p: ArrayLike, *, argument: str = "design") -> Array:
-        """`p` as an array (np,) or (n, np), if every row lies within the bounds; else an `InputError`."""
+        """`p` as an array (np,) or (n, np) within the bounds, checked."""
         array = self._sized(p, argument)
         outside = self._outside(array)
         if outside.any():
@@ -133,14 +133,14 @@ class DesignSpace(Immutable):
         return np.clip(array, self.lower, self.upper)
 
     def check_one(self, p: ArrayLike, *, argument: str = "design") -> Array:
-        """`p` as one design (np,) within the bounds; else an `InputError`."""
+        """`p` as one design (np,) within the bounds, checked."""
         array = self.check(p, argument=argument)
         if array.ndim != 1:
             raise InputError(argument, f"shape {array.shape}", f"one design ({self.dim},)")
         return frozen(array)
 
     def check_feasible(self, p: ArrayLike, *, argument: str = "design") -> Array:
-        """`p` as one design (np,) that may be built, to the last digit; else an `InputError` that says why not.
+        """`p` as one feasible design (np,), exact to the last digit.
 
         A violation of up to 1e-6, and as much of a whole number, is rounding. Models are not so strict: for them,
         `check` asks for the bounds alone.
@@ -159,14 +159,14 @@ class DesignSpace(Immutable):
         return frozen(self.settled(self.to_unit(design))) if self.integer else design
 
     def constraint_values(self, p: ArrayLike) -> Array:
-        """Values of the constraints (ng,) at a design, or (n, ng) at designs (n, np), each to be ≤ 0."""
+        """Constraint values (ng,) or (n, ng) at designs, each to be ≤ 0."""
         p = self._sized(p, "p")
         if self.constraints is None:
             return np.zeros((*p.shape[:-1], 0))
         return np.asarray(self.constraints(p.T), dtype=float).T.reshape(*p.shape[:-1], -1)
 
     def violation(self, p: ArrayLike) -> Any:
-        """The largest violation of a constraint, (), or (n,) at designs: about how far its edge is in the unit box.
+        """Largest violation () or (n,), about the distance to the edge.
 
         It is g/|∇g| in the unit box, or g in parts of how much g varies over the box if that is more: an edge is the
         same however the constraint is written, as g, as exp(40 g) − 1 or as g³.
@@ -174,14 +174,14 @@ class DesignSpace(Immutable):
         return self.allowed.violation(self.to_unit(p))
 
     def feasible(self, p: ArrayLike) -> Any:
-        """Whether designs lie within bounds and constraints, and are whole numbers where they should be; () or (n,)."""
+        """Whether designs keep bounds, constraints and whole numbers; () or (n,)."""
         v = self.to_unit(p)
         within = ~self._outside(self._sized(p, "p")).any(axis=-1)
         whole = (np.abs(self.allowed.rounded(v) - v) * self.allowed.width <= FEASIBLE).all(axis=-1)
         return within & whole & (self.allowed.violation(v) <= FEASIBLE)
 
     def project(self, p: ArrayLike) -> Array:
-        """The nearest feasible design (np,), distances measured in the unit box.
+        """Nearest feasible design (np,) by distance in the unit box.
 
         The nearest of what SLSQP finds from the design and from known feasible designs, of which none is nearer.
 
@@ -197,13 +197,13 @@ class DesignSpace(Immutable):
         return self.settled(found)
 
     def settled(self, v: ArrayLike) -> Array:
-        """Design (np,) of a feasible point of the unit box, with exact whole numbers."""
+        """Design (np,) of a feasible unit-box point, with exact whole numbers."""
         p = self.from_unit(v)
         p[self.whole] = np.round(p[self.whole])
         return p
 
     def active_constraints(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, float]:
-        """Names and values of the constraints whose edge is within `tol` of the unit box."""
+        """Names and values of constraints within `tol` of their edge."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         limits = self.allowed.limits
         if limits is None:
@@ -214,53 +214,53 @@ class DesignSpace(Immutable):
 
     @cached_property
     def allowed(self) -> AllowedDesigns:
-        """Part of the unit box that constraints and whole numbers leave."""
+        """Allowed points of the unit box."""
         return AllowedDesigns(self.lower, self.upper, self.whole, self.constraints)
 
     @property
     def whole(self) -> Any:
-        """Which entries are whole numbers, (np,) of bool."""
+        """Mask (np,) of whole-number entries."""
         return np.isin(self.names, self.integer)
 
     @property
     def outermost(self) -> tuple[Array, Array]:
-        """The least and the largest design (np,) each: the bounds, and of whole numbers the last ones within them."""
+        """Least and largest design, (np,) each, whole numbers within bounds."""
         lower = np.where(self.whole, np.ceil(self.lower - 1e-9), self.lower)
         return lower, np.where(self.whole, np.floor(self.upper + 1e-9), self.upper)
 
     @property
     def free(self) -> Any:
-        """Which entries are not fixed, (np,) of bool."""
+        """Mask (np,) of entries that are not fixed."""
         return self.upper > self.lower
 
     def _outside(self, p: Array) -> Any:
-        """Which values lie outside their bounds by more than rounding, same shape."""
+        """Mask of values outside their bounds by more than rounding, same shape."""
         width = self.upper - self.lower
         slack = 1e-9 * np.where(width > 0, width, np.abs(self.upper))
         return ~((p >= self.lower - slack) & (p <= self.upper + slack))
 
     def _broken(self, p: Array) -> str:
-        """The constraints that a design does not keep, with their values."""
+        """Violated constraints with their values, as text."""
         values = zip(self.constraint_names, self.constraint_values(p), strict=True)
         return ", ".join(f"{name} = {g:.4g}" for name, g in values if g > 0)
 
     def to_unit(self, p: ArrayLike) -> Array:
-        """Designs mapped to the unit box, same shape; a fixed entry to 0."""
+        """Designs in the unit box, same shape; fixed entries at 0."""
         width = self.upper - self.lower
         return (self._sized(p, "p") - self.lower) / np.where(width > 0, width, 1.0)
 
     def from_unit(self, v: ArrayLike) -> Array:
-        """Points of the unit box mapped to designs, same shape; clipped to the bounds."""
+        """Designs of unit-box points, same shape, clipped to the bounds."""
         v = np.clip(self._sized(v, "v"), 0.0, 1.0)
         return np.clip(self.lower + v * (self.upper - self.lower), self.lower, self.upper)
 
     @property
     def centre(self) -> Array:
-        """The design in the middle of the box, (np,)."""
+        """Design (np,) in the middle of the box."""
         return self.from_unit(np.full(self.dim, 0.5))
 
     def spread(self) -> Array:
-        """The corners of the box, its centre and 64 seeded points inside, (n, np); corners of 10 parameters at most."""
+        """Corners (at most 10 parameters), centre and 64 seeded points, (n, np)."""
         if not self.free.any():
             return self.centre[None]
         moving = np.flatnonzero(self.free)[:MAX_CORNERS]
@@ -270,13 +270,13 @@ class DesignSpace(Immutable):
         return np.vstack([self.from_unit(corners), self.centre[None], interior])
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
-        """`n` designs spread by Latin hypercube sampling, (n, np)."""
+        """Latin hypercube sample of `n` designs, (n, np)."""
         n = as_count("n", n)
         rng = as_generator("rng", rng)
         return self.from_unit(qmc.LatinHypercube(self.dim, rng=rng).random(n) if self.dim else np.zeros((n, 0)))
 
     def active_bounds(self, p: ArrayLike, *, tol: float = 1e-3) -> dict[str, str]:
-        """Names of parameters within `tol` (of the range) of a bound, with "lower" or "upper"."""
+        """Parameters within `tol` (of the range) of a bound, "lower" or "upper"."""
         tol = as_number("tol", tol, expected="a number from 0 to 0.5", low=0.0, high=0.5)
         lower, upper = self.outermost
         width = upper - lower
@@ -290,7 +290,7 @@ class DesignSpace(Immutable):
         return {name: float(value) for name, value in zip(self.names, as_vector("p", p, self.dim))}
 
     def from_dict(self, values: Mapping[str, float]) -> Array:
-        """The design with the named values, (np,)."""
+        """Design (np,) with the named values."""
         given = as_mapping("values", values, f"{{name: value}} of {', '.join(self.names)}")
         if set(given) != set(self.names):
             raise InputError("values", sorted(given), sorted(self.names))
@@ -302,7 +302,7 @@ class DesignSpace(Immutable):
         return ", ".join(f"{name} = {value:.6g}{_unit(unit)}" for name, value, unit in values)
 
     def _sized(self, p: ArrayLike, argument: str) -> Array:
-        """`p` as an array whose last axis holds the parameters; a single number is a design of one parameter."""
+        """`p` as an array with the parameters along the last axis."""
         array = as_floats(argument, p)
         array = array.reshape(1) if array.ndim == 0 else array
         if array.ndim > 2 or array.shape[-1] != self.dim:
@@ -311,7 +311,7 @@ class DesignSpace(Immutable):
 
 
 def _whole_numbers(given: Any, names: tuple[str, ...], lower: Array, upper: Array) -> tuple[str, ...]:
-    """Names of the parameters that are whole numbers; raise an `InputError` unless their bounds hold one."""
+    """Names of the whole-number parameters; checks that their bounds hold one."""
     if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
         raise InputError("integer", shown(given), 'a list of names or places, such as ["teeth"]')
     places = set()
@@ -327,12 +327,12 @@ def _whole_numbers(given: Any, names: tuple[str, ...], lower: Array, upper: Arra
 
 
 def sample_designs(design: DesignSpace | None) -> Array:
-    """Samples of a box of designs; the empty design where there is none, (n, np)."""
+    """Samples (n, np) of a box of designs; one empty design without a box."""
     return np.zeros((1, 0)) if design is None else design.spread()
 
 
 def check_finite(function: Callable[[Array], Any], design: DesignSpace | None, what: str) -> None:
-    """Raise an `InputError` if `function` of the design is not finite at some sample of its box."""
+    """Raise an `InputError` unless `function` is finite at sample designs."""
     for p in sample_designs(design):
         if not np.isfinite(np.asarray(function(p), dtype=float)).all():
             where = design.describe(p) if design is not None else "the only design"
@@ -343,5 +343,5 @@ def check_finite(function: Callable[[Array], Any], design: DesignSpace | None, w
 
 
 def _unit(unit: str) -> str:
-    """The unit as it follows a number; nothing for a dimensionless one."""
+    """Unit as it follows a number; empty if dimensionless."""
     return "" if unit == "-" else f" {unit}"

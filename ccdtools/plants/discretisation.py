@@ -1,4 +1,4 @@
-"""Discrete models of plants: exact if linear, integrated to an accuracy otherwise."""
+"""Discrete models of plants, exact if linear and integrated otherwise."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def discretise(
     W: Any = None,
     sampling_guard: str = "warn",
 ) -> LinearModel | SampledModel:
-    """The discrete model of a plant, with inputs and disturbances held over a sample.
+    """Discrete model of a plant, inputs and disturbances held over a sample.
 
     A plant that is linear in x, u and w, with or without a constant term, has an exact one, symbolic in its design. Any
     other is integrated: by as few Runge–Kutta steps a sample as keep the accuracy over the limits X, U and W and all
@@ -108,13 +108,13 @@ def discretise(
 
 
 def _jump(plant: Plant, region: Region | None) -> Jump | None:
-    """Jump of the right-hand side within the region, or anywhere; None without one."""
+    """Jump of the right-hand side within the region; None without one."""
     boxes = () if region is None else region.boxes[:3]
     return plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
 
 
 def _jump_text(plant: Plant, jump: Jump) -> str:
-    """Text on the accuracy that is lost at a jump, and where."""
+    """Text on the accuracy lost at a jump, and where."""
     parts = {"x": jump.x, "u": jump.u, "w": jump.w}
     place = ", ".join(f"{name} = {(value.round(6) + 0.0).tolist()}" for name, value in parts.items())
     first = "a sample in which the state crosses it is integrated to first order only, and " if plant.continuous else ""
@@ -125,7 +125,7 @@ def _jump_text(plant: Plant, jump: Jump) -> str:
 
 
 def _exact(plant: Plant, dt: float) -> LinearModel:
-    """The model of a plant that is linear in x, u and w."""
+    """Model of a linear plant."""
     A, B, E, constant = linear_matrices(plant)
     if not plant.continuous:
         return LinearModel(plant.p, A, B, E, dt, plant.design, constant)
@@ -137,7 +137,7 @@ def _exact(plant: Plant, dt: float) -> LinearModel:
 
 
 def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
-    """Region where a nonlinear plant is to be accurate; None if nothing is stated."""
+    """Region where a nonlinear plant is to be accurate; None if unstated."""
     if X is None:
         if U is not None or W is not None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
@@ -156,7 +156,7 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
 
 
 def _over_designs(name: str, value: Any, plant: Plant) -> Any:
-    """Widest bounds over the box of designs of a function of p; others as given."""
+    """Widest bounds of a function of p; others as given."""
     if not callable(value) or isinstance(value, type):
         return value
     try:
@@ -169,7 +169,7 @@ def _over_designs(name: str, value: Any, plant: Plant) -> Any:
 
 
 def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
-    """Lower and upper bounds (size,) of a set; zeros where there is none."""
+    """Bounds (size,) of a set; zeros where there is none."""
     if value is None or size == 0:
         return np.zeros(size), np.zeros(size)
     if _narrows(value):
@@ -189,7 +189,7 @@ def _narrows(value: Any) -> bool:
 def _accurate(
     plant: Plant, dt: float, methods: Any, accuracy: float, region: Region, jump: Jump | None
 ) -> SampledModel:
-    """The cheapest of the methods that keeps the accuracy."""
+    """Cheapest of the methods that keeps the accuracy."""
     best: IntegrationError | None = None
     lost: list[str] = []
     for method in methods:
@@ -232,19 +232,19 @@ def _fewest(
 
 
 def _error(plant: Plant, dt: float, method: str, parts: int, region: Region) -> IntegrationError:
-    """Error of steps of so many parts."""
+    """Integration error of a step of `parts` parts."""
     coarse, fine = (_step(plant, dt, method, number, region) for number in (parts, 2 * parts))
     return measured_error(coarse, fine, region)
 
 
 def _place(plant: Plant, error: IntegrationError) -> str:
-    """Text on the place where an error is largest."""
+    """Text on where an error is largest."""
     parts = {"x": error.x, "u": error.u, "w": error.w}
     return ", ".join([*(f"{name} = {v.round(6).tolist()}" for name, v in parts.items() if v.size),
                       *([plant.design.describe(error.p)] if plant.design.dim else [])])  # fmt: skip
 
 
 def _step(plant: Plant, dt: float, method: str, parts: int, region: Region) -> ExplicitStep | ImplicitStep:
-    """A step of so many parts."""
+    """A step of `parts` parts."""
     f = plant.right_hand_side
     return ExplicitStep.of(f, dt, parts) if method == "rk4" else ImplicitStep(f, dt, parts, region.extent)

@@ -1,4 +1,4 @@
-"""Equilibrium of a plant, as a function of its design."""
+"""Equilibrium of a plant as a function of its design."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Equilibrium(Immutable):
-    """State and input at which a plant rests, with their change by the design.
+    """State and input at rest, with their design derivatives.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Equilibrium(Immutable):
 
     @cached_property
     def function(self) -> ca.Function:
-        """Expression p → (x, u) at rest, by Newton's method from the design here.
+        """Expression p → (x, u) at rest, by Newton's method.
 
         The way has as few stations, and each as few steps, as the box of designs needs: one step where the plant is
         linear. It ends where the longest way ends, so that no step leaps to another rest.
@@ -115,7 +115,7 @@ class Equilibrium(Immutable):
 
 
 def _followed(step: ca.Function, start: Any, p0: Array, p: Any, stations: int, steps: int) -> Any:
-    """Ends (nx + nu, n) of Newton steps from station to station, from `p0` to designs `p` (np, n).
+    """Ends (nx + nu, n) of Newton steps from `p0` to `p` (np, n).
 
     Stations are denser at both ends, where a rest may be about to vanish at a bound of the box.
     """
@@ -137,7 +137,7 @@ def equilibrium(
     w: ArrayLike | None = None,
     guess: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> Equilibrium:
-    """The state and input at which a plant rests at a design.
+    """State and input at which a plant rests at a design.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def equilibrium(
 
 
 def _given(name: str, value: ArrayLike, size: int) -> Array:
-    """A vector of that size; NaN for what is looked for."""
+    """Vector of that size; NaN for what is looked for."""
     vector = as_floats(name, value)
     vector = np.broadcast_to(vector, (size,)) if vector.ndim == 0 else vector
     if vector.shape != (size,) or np.isinf(vector).any():

@@ -1,6 +1,4 @@
-"""Inputs and white noise between samples, symbolic in the design.
-
-Inputs are held or straight.
+"""Held or straight inputs and white noise between samples.
 
 References
 ----------
@@ -31,7 +29,7 @@ from ccdtools.plants.tolerances import TAYLOR_DEGREE
 def zero_order_hold(
     A: ca.SX, B: ca.SX, E: ca.SX, dt: float, *, symbols: ca.SX, design: DesignSpace | None
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Discrete A, B, E from continuous ones: exp([[A, B, E], [0, 0, 0]] dt) in `symbols`."""
+    """Discrete A, B, E: exp([[A, B, E], [0, 0, 0]] dt) in `symbols`."""
     nx = A.shape[0]
     inputs = B.shape[1] + E.shape[1]
     M = ca.SX(nx + inputs, nx + inputs)
@@ -41,7 +39,7 @@ def zero_order_hold(
 
 
 def exponential(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> ca.SX:
-    """exp(M) for a matrix that is symbolic in the design, to rounding over its box."""
+    """exp(M) of a matrix symbolic in the design."""
     scale, squarings = balanced(M, symbols=symbols, design=design)
     D = ca.diag(ca.DM(scale))
     D_inv = ca.diag(ca.DM(1 / scale))
@@ -49,7 +47,7 @@ def exponential(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> ca.S
 
 
 def balanced(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> tuple[Array, int]:
-    """A diagonal similarity d (n,), and how often D⁻¹ M D is halved until its norm is at most a half, over the box.
+    """Diagonal similarity d (n,) and halvings for ‖D⁻¹ M D‖ ≤ 1/2.
 
     One fixed similarity for the whole box is symbolic in p, and keeps the norm, hence the rounding, small.
     """
@@ -61,7 +59,7 @@ def balanced(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> tuple[A
 
 
 def expm(M: ca.SX, *, squarings: int) -> ca.SX:
-    """exp(M) by Taylor expansion of M/2ˢ and s squarings; accurate to rounding for ‖M‖₁ ≤ 2ˢ⁻¹."""
+    """exp(M) by Taylor expansion and s squarings; accurate for ‖M‖₁ ≤ 2ˢ⁻¹."""
     eye = ca.SX.eye(M.shape[0])
     S = M / 2.0**squarings
     F = eye
@@ -74,9 +72,9 @@ def expm(M: ca.SX, *, squarings: int) -> ca.SX:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FirstOrderHold:
-    """x⁺ = A(p) x + B₀(p) u + B₁(p) u⁺ + E₀(p) w + E₁(p) w⁺ + c(p), exact where u and w are linear over each sample.
+    """Exact model for u and w linear over each sample.
 
-    Made by `first_order_hold`.
+    x⁺ = A(p) x + B₀(p) u + B₁(p) u⁺ + E₀(p) w + E₁(p) w⁺ + c(p). Made by `first_order_hold`.
 
     Attributes
     ----------
@@ -110,13 +108,13 @@ class FirstOrderHold:
         return ca.Function("matrices", [self.symbols], parts, ["p"], ["A", "B0", "B1", "E0", "E1", "c"])
 
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, ...]:
-        """A (nx, nx), B₀, B₁ (nx, nu), E₀, E₁ (nx, nw) and c (nx,) at a design (np,)."""
+        """A (nx, nx), B₀, B₁ (nx, nu), E₀, E₁ (nx, nw), c (nx,) at a design."""
         *parts, c = (np.asarray(M, dtype=float) for M in self.function.call([self.design.check_one(p)]))
         return (*(np.ascontiguousarray(M) for M in parts), c.ravel())
 
 
 def first_order_hold(plant: Plant, dt: float | None = None) -> FirstOrderHold:
-    """Exact model of a linear plant whose inputs and disturbances are straight between samples.
+    """Exact model of a linear plant, its inputs straight between samples.
 
     A recorded road, sampled, is nearer to that than to steps. A controller cannot know u⁺; `discretise` holds u.
 
@@ -156,7 +154,7 @@ def first_order_hold(plant: Plant, dt: float | None = None) -> FirstOrderHold:
 
 
 def noise_covariance(plant: Plant, intensity: ArrayLike, dt: float | None = None) -> ca.Function:
-    """∫₀^dt e^{Aτ} E S Eᵀ e^{Aᵀτ} dτ: the covariance of what continuous white noise w adds to the states in a sample.
+    """Covariance ∫₀^dt e^{Aτ} E S Eᵀ e^{Aᵀτ} dτ of white noise over a sample.
 
     A disturbance that is held over a sample adds E(p) W E(p)ᵀ instead, with the discrete E and its covariance W.
 

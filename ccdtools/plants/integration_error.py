@@ -1,4 +1,4 @@
-"""Error of a numerical step, measured over limits and designs."""
+"""Error of a numerical step over limits and designs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Step = Callable[[Any, Any, Any, Any], Any]
 
 @dataclass(frozen=True, eq=False)
 class Region(Immutable):
-    """Region of an error: bounds of states, inputs, disturbances, and the box of designs."""
+    """Region of an error: bounds of states, inputs, disturbances and designs."""
 
     lower: Array  # (nx + nu + nw + np,)
     upper: Array  # (nx + nu + nw + np,)
@@ -48,12 +48,12 @@ class Region(Immutable):
 
     @property
     def centre(self) -> Array:
-        """The state in the middle, (nx,)."""
+        """State in the middle, (nx,)."""
         nx = self.sizes[0]
         return np.asarray(0.5 * (self.upper + self.lower)[:nx])
 
     def parts(self, v: Array) -> tuple[Array, ...]:
-        """States, inputs, disturbances and designs (n, ·) of points (n, ·) of the unit box."""
+        """States, inputs, disturbances and designs (n, ·) of unit-box points (n, ·)."""
         v = np.clip(v, 0.0, 1.0)
         z = self.lower + v * (self.upper - self.lower)
         edges = np.cumsum(self.sizes)[:-1]
@@ -89,7 +89,7 @@ class IntegrationError(Immutable):
 
 
 def measured_error(step: Step, finer: Step, region: Region) -> IntegrationError:
-    """Difference of two steps over a region: spread points, corners, surroundings of the worst.
+    """Largest difference of two steps found over a region.
 
     Parameters
     ----------

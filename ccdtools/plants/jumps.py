@@ -40,7 +40,7 @@ class Jump(Immutable):
 
 
 class Switches:
-    """Operations of f(x, u, w, p) that x, u or w throw and that may jump.
+    """Operations of f(x, u, w, p) that may jump in x, u or w.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Switches:
             self._positions = ca.Function("positions", arguments, [positions])
 
     def _read(self, instructions: list[Any], arguments: list[ca.SX]) -> list[ca.SX]:
-        """Fill in `names`; the position of each switch, which changes where it is thrown, as an expression."""
+        """Fill in `names`; expressions that change where a switch is thrown."""
         given = [elements(argument) for argument in arguments]
         work: dict[int, tuple[Any, bool, bool, frozenset[str]]] = {}  # value, by z, constant but for switches, by which
         positions: list[Any] = []
@@ -97,7 +97,7 @@ class Switches:
         return any(self.names)
 
     def within(self, boxes: Sequence[tuple[Array, Array]], design: tuple[Array, Array]) -> Jump | None:
-        """Jump within bounds of x, u and w, or anywhere if `boxes` is (); None without one."""
+        """Jump within bounds of x, u and w; None without one."""
         if not self:
             return None
         rng = np.random.default_rng(0)
@@ -111,19 +111,19 @@ class Switches:
         return self._between(ends[0], ends[1], rng.uniform(*design, (n, self.sizes[3])), JUMP_WIDTH)
 
     def at(self, z: Array, p: Array) -> Jump | None:
-        """A jump at a point z = (x, u, w) and a design."""
+        """Jump at a point z = (x, u, w) and a design."""
         if not self:
             return None
         away = AT_POINT * np.maximum(np.abs(z), 1.0) * np.random.default_rng(0).uniform(-1, 1, (JUMP_LINES, len(z)))
         return self._between(z - away, z + away, np.tile(p, (JUMP_LINES, 1)), 1.0)
 
     def _between(self, start: Array, end: Array, p: Array, near: float) -> Jump | None:
-        """The largest jump on lines (n, ·) from `start` to `end`, found by halving what holds a thrown switch."""
+        """Largest jump on lines (n, ·); None without one."""
         positions, f = Vectorised(self._positions), Vectorised(self.f)
         parts = np.cumsum(self.sizes[:3])[:-1]
 
         def at(function: Vectorised, t: Array) -> Array:
-            """Values (n, ·) of a function at the shares `t` (n,) of the lines."""
+            """Function values (n, ·) at the shares `t` (n,) of the lines."""
             z = start + t[:, None] * (end - start)
             return np.asarray(function(*np.split(z, parts, axis=1), p))
 
@@ -152,7 +152,7 @@ class Switches:
 
 
 def _position(op: int, values: list[Any], value: Any) -> Any:
-    """A number that changes only where a switch is thrown."""
+    """Number that changes only where a switch is thrown."""
     if op == ca.OP_FMOD or op == ca.OP_REMAINDER:
         return ca.floor((values[0] - value) / values[1] + 0.5)
     if op == ca.OP_COPYSIGN:

@@ -1,4 +1,4 @@
-"""A linear discrete model whose matrices are functions of the design."""
+"""Linear discrete model whose matrices are functions of the design."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearModel:
-    """x⁺ = A(p) x + B(p) u + E(p) w + c(p), exact, symbolic and differentiable in p.
+    """Exact model x⁺ = A(p) x + B(p) u + E(p) w + c(p).
 
     Made by `discretise` or `LinearModel.from_state_space`.
 
@@ -77,7 +77,7 @@ class LinearModel:
 
     @classmethod
     def from_state_space(cls, system: Any, *, E: ArrayLike | None = None, dt: float | None = None) -> LinearModel:
-        """The model of a `control.StateSpace`, without a design.
+        """Model of a `control.StateSpace`, without a design.
 
         Parameters
         ----------
@@ -145,12 +145,12 @@ class LinearModel:
 
     @property
     def affine(self) -> bool:
-        """True if a constant term moves the equilibrium from x = 0, u = 0."""
+        """Whether a constant term moves the equilibrium from 0."""
         return not self._c.is_zero()
 
     @property
     def _c(self) -> ca.SX:
-        """The constant term."""
+        """Constant term."""
         assert self.c is not None
         return self.c
 
@@ -177,7 +177,7 @@ class LinearModel:
         return ca.Function("step", [x, u, w, self.symbols], [ca.densify(after)], ["x", "u", "w", "p"], ["x_next"])
 
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """A (nx, nx), B (nx, nu) and E (nx, nw) at a design (np,); stacked along axis 0 for designs (n, np).
+        """A (nx, nx), B (nx, nu), E (nx, nw) at a design (np,); stacked for (n, np).
 
         Raises
         ------
@@ -187,18 +187,18 @@ class LinearModel:
         return evaluated(self.function, self._checked(p), self.nu)
 
     def constant(self, p: ArrayLike = ()) -> Array:
-        """c (nx,) at a design (np,); stacked along axis 0 for designs (n, np)."""
+        """c (nx,) at a design (np,); stacked for designs (n, np)."""
         p = self._checked(p)
         c = np.asarray(self._constant(np.atleast_2d(p).T), dtype=float).T
         return np.ascontiguousarray(c if p.ndim == 2 else c[0])
 
     def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) at a design (np,)."""
+        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
         p = self._checked(p) if self.design is None else self.design.check_one(p)
         return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
     def state_space(self, p: ArrayLike = ()):
-        """Model at one design as a `control.StateSpace`: inputs u, outputs x, its dt.
+        """Model at one design as a `control.StateSpace` with outputs x.
 
         Raises
         ------
@@ -220,11 +220,11 @@ class LinearModel:
         return replace(self, design=design)
 
     def with_errors(self) -> LinearModel:
-        """The model that (w, r) drives: r (nx,) is added to the next state."""
+        """Model driven by (w, r), with r (nx,) added to the next state."""
         return replace(self, E=ca.horzcat(self.E, ca.SX.eye(self.nx)))
 
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
-        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` (np,) where w is 0."""
+        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
         A, B, _ = self.matrices(p)
         c = self.constant(p)
         return lambda x, u: x @ A.T + u @ B.T + c
@@ -238,7 +238,7 @@ class LinearModel:
         return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T + c
 
     def _checked(self, p: ArrayLike) -> Array:
-        """Designs within their bounds; nothing for a model without a design."""
+        """Designs within their bounds; empty for a model without a design."""
         if self.design is not None:
             return self.design.check(p)
         if np.size(p) > 0:
@@ -259,7 +259,7 @@ def state_space_matrices(system: Any) -> tuple[Array, Array]:
 
 
 def evaluated(function: ca.Function, p: Array, nu: int) -> tuple[Array, Array, Array]:
-    """A (nx, nx), B (nx, nu) and E (nx, nw) of p → [A B E] at a design (np,), or stacked for designs (n, np).
+    """A (nx, nx), B (nx, nu), E (nx, nw) at a design (np,), or stacked.
 
     Raises
     ------
@@ -286,6 +286,6 @@ def derivative(function: ca.Function) -> ca.Function:
 
 
 def derivatives_at(jacobian: ca.Function, p: Array, nx: int, nu: int) -> tuple[Array, Array, Array]:
-    """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np), of p → ∂vec[A B E]/∂p at a design (np,)."""
+    """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
     T = np.asarray(jacobian(p), dtype=float).reshape(-1, nx, len(p)).transpose(1, 0, 2)
     return T[:, :nx], T[:, nx : nx + nu], T[:, nx + nu :]

@@ -1,4 +1,4 @@
-"""Plants from matrices, and from `python-control`."""
+"""Plants from matrices and from `python-control`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def plant_from_matrices(
     D: Any = None,
     **options: Any,
 ) -> Plant:
-    """The plant dx/dt = A(p) x + B(p) u + E(p) w + c(p), or x⁺ of it, with outputs y = C(p) x + D(p) u.
+    """Plant with dynamics A(p) x + B(p) u + E(p) w + c(p) and linear outputs.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def plant_from_matrices(
 
 
 def plant_from_state_space(system: Any, *, dt: float | None = None, E: ArrayLike | None = None) -> Plant:
-    """Plant of a `control.StateSpace` without a design, with outputs y = C x + D u.
+    """Plant of a `control.StateSpace`, without a design.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def plant_from_state_space(system: Any, *, dt: float | None = None, E: ArrayLike
 
 
 def _matrix(name: str, value: Any) -> ca.SX:
-    """A matrix of numbers or of expressions; a vector is a column."""
+    """Matrix of numbers or expressions; a vector is a column."""
     if isinstance(value, ca.SX | ca.DM):
         return as_expression(name, value)
     array = as_floats(name, value, expected="an array or a casadi.SX; stack expressions by vertcat and horzcat")

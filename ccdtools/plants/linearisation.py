@@ -1,4 +1,4 @@
-"""Linear plants near a point of a nonlinear one, and deviations from its rest."""
+"""Linearised plants, and plants in deviations from rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.plants.plant import Plant
 def linearise(
     plant: Plant, about: Equilibrium | ArrayLike, u: ArrayLike | None = None, w: ArrayLike | None = None
 ) -> Plant:
-    """Linear plant that stands for a plant near a point, symbolic in the design.
+    """Linear plant near a point, symbolic in the design.
 
     About an `Equilibrium` it is in deviations from the state and input at rest, x_e(p) and u_e(p), which follow the
     design; there is no constant term. About any other point it is in x, u and w themselves, with a constant term.
@@ -67,7 +67,7 @@ def linearise(
 
 
 def deviations(plant: Plant, about: Equilibrium) -> Plant:
-    """Plant in deviations from its rest x_e(p), u_e(p): it rests at 0 at every design.
+    """Plant in deviations from its rest x_e(p), u_e(p).
 
     A disturbance at rest that is not 0 is counted from, too: w = 0 is then that one.
     Outputs remain those of the plant, y = h(x_e + x, u_e + u, p), and their limits hold as they are.
@@ -101,7 +101,7 @@ def deviations(plant: Plant, about: Equilibrium) -> Plant:
 
 
 def _check_alike(plant: Plant, other: Plant) -> None:
-    """Raise an `InputError` unless both have the same sizes and box of designs."""
+    """Raise an `InputError` unless sizes and boxes of designs agree."""
     own, its = ((f"{one.nx} states, {one.nu} inputs and {one.nw} disturbances", one.design) for one in (plant, other))
     box, its_box = ((d.names, d.lower.tolist(), d.upper.tolist()) for d in (own[1], its[1]))
     if own[0] != its[0]:
@@ -117,7 +117,7 @@ def _point(plant: Plant, about: Equilibrium) -> ca.SX:
 
 
 def _check_smooth(plant: Plant, J: ca.SX) -> None:
-    """Raise an `InputError` unless the derivatives are finite at designs all over the box."""
+    """Raise an `InputError` unless the derivatives are finite at sample designs."""
     function = ca.Function("J", [plant.p], [ca.densify(J)])
     for p in plant.design.spread():
         if not np.isfinite(np.asarray(function(p), dtype=float)).all():
@@ -127,7 +127,7 @@ def _check_smooth(plant: Plant, J: ca.SX) -> None:
 
 
 def _check_no_jump(plant: Plant, point: ca.SX) -> None:
-    """Raise an `InputError` if the dynamics or outputs jump at the point, at designs all over the box."""
+    """Raise an `InputError` if dynamics or outputs jump at the point."""
     given = [plant.x, plant.u, plant.w, plant.p]
     switches = Switches(ca.Function("rows", given, [ca.vertcat(plant.dynamics, plant.outputs)]))
     if not switches:

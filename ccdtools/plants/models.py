@@ -1,4 +1,4 @@
-"""Kinds of discrete plant models, for co-designs and digital twins."""
+"""Kinds of discrete plant models."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEVIATIONS = "State it about its equilibrium: discretise(deviations(plant, equil
 
 
 class PlantOfModel:
-    """Plant to simulate, with sizes, sampling time and designs of its `model`."""
+    """Sizes, sampling time and designs of a plant with a `model`."""
 
     model: Model
 
@@ -45,7 +45,7 @@ class PlantOfModel:
 
     @property
     def design(self) -> DesignSpace | None:
-        """The box of designs."""
+        """Box of designs."""
         return self.model.design
 
 
@@ -57,7 +57,7 @@ def as_model(argument: str, value: Any) -> Model:
 
 
 def as_regulated_model(argument: str, value: Any) -> Model:
-    """`value`, if it is a model that rests at x = 0, u = 0, w = 0 at every design; else an `InputError`."""
+    """`value`, if it is a model that rests at 0 at every design."""
     model = as_model(argument, value)
     if isinstance(model, LinearModel):
         if model.affine:

@@ -1,4 +1,4 @@
-"""The nearest point of the unit box that the constraints on a design allow.
+"""Nearest allowed point of the unit box of designs.
 
 References
 ----------
@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import EXACT, NEAREST
 def nearest(
     limits: UnitConstraints, v: Array, *, free: Array, starts: Iterable[Array] = (), thorough: bool = False
 ) -> Array | None:
-    """Allowed point nearest to `v` with the same held entries; None if none is found.
+    """Nearest allowed point to `v`, held entries unchanged; None if none is found.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def nearest(
         return v
 
     def places() -> Iterator[Array]:
-        """Starts of the searches."""
+        """Starting points of the searches."""
         yield v
         yield allowed_point(limits, v, free)[0]
         yield from starts
@@ -60,7 +60,7 @@ def nearest(
 
 
 def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
-    """Allowed point, or the least violated one that a search finds, and its violation."""
+    """Allowed or least violated point found, and its violation."""
     u = _searched(limits, start, free)
     violations = limits.violation(np.array([start, u]))
     return (u, violations[1]) if violations[1] < violations[0] else (start, violations[0])
@@ -83,7 +83,7 @@ def nearest_whole(values: Array, lower: Array, upper: Array, width: Array) -> Ar
 
 
 def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array | None = None) -> Array:
-    """The point nearest to a target within the constraints; without one, that of least violation: t → min, g ≤ t."""
+    """Nearest allowed point to a target, or the least violated one."""
     size = int(free.sum())
     u = start.copy()
     if not size:
@@ -93,12 +93,12 @@ def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array 
     slack = np.ones((limits.count, len(first) - size))
 
     def at(z: Array) -> Array:
-        """The point with those free entries."""
+        """Point with those free entries."""
         u[free] = z[:size]
         return u
 
     def cost(z: Array) -> float:
-        """Half the square of the distance, or t."""
+        """Half the squared distance, or t."""
         return float(z[-1]) if target is None else 0.5 * float((z - wanted) @ (z - wanted))
 
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""CasADi functions on rows of arrays: CasADi's machine for few, in place for many.
+"""CasADi functions on rows of arrays.
 
 An array operation takes most of a microsecond however few rows there are, CasADi's machine a nanosecond or two for an
 instruction and row. Results differ by rounding. In place, two to three times as fast as by operations that return new
@@ -26,7 +26,7 @@ IN_PLACE: Operations = {
 
 
 class Native:
-    """A CasADi function of vectors on rows of arrays.
+    """CasADi function of vectors on rows of arrays.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Native:
         self._for_rows: dict[tuple[int, tuple[int, ...]], ca.Function] = {}
 
     def __call__(self, *arguments: Array) -> Array:
-        """Values (n, n_out) at arguments (n, n_i); those of shape (n_i,) are common to all rows."""
+        """Values (n, n_out) at arguments (n, n_i), or (n_i,) common to all rows."""
         rows = next(len(a) for a in arguments if a.ndim == 2)
         out = np.empty((rows, self._function.numel_out(0)))
         if not rows:
@@ -56,7 +56,7 @@ class Native:
         return out
 
     def _mapped(self, rows: int, common: tuple[int, ...]) -> ca.Function:
-        """The function for so many rows, some of whose arguments are common to all."""
+        """Function for `rows` rows, with some arguments `common` to all."""
         if rows == 1:
             return self._function
         made = self._for_rows.get((rows, common))
@@ -70,7 +70,7 @@ class Native:
 
 
 class InPlace:
-    """Instructions of a function, carried out in place on arrays.
+    """Instructions of a function, carried out in place.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def as_rows(columns: Array) -> Array:
 
 @cache
 def _into_room(op: int) -> Callable[..., Any]:
-    """(operands, out) → an operation whose values are written to `out`."""
+    """(operands, out) → an operation that writes to `out`."""
     if op in IN_PLACE:
         return IN_PLACE[op]
     plain = numpy_operations()[op]

@@ -1,4 +1,4 @@
-"""Step of a sampled model as one torch operation with its first derivative.
+"""Step of a sampled model as one torch operation.
 
 It is for long episodes.
 
@@ -25,7 +25,7 @@ from ccdtools.plants.tolerances import FEW_ROWS
 
 
 class PathwiseStep:
-    """(x, u, w, p) → x⁺ of torch tensors (n, ·), p (np,) or (n, np), by an explicit step; in double precision inside.
+    """Step (x, u, w, p) → x⁺ of torch tensors (n, ·), in double precision.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ class PathwiseStep:
 
     @cached_property
     def _of_sample(self) -> Native:
-        """Slopes of the whole sample, of few runs."""
+        """Slopes of the whole sample, for few runs."""
         return Native(_slopes_of(self._step.function))
 
     @cached_property
     def _of_part(self) -> Tape:
-        """Slopes of a part of the sample, of many."""
+        """Slopes of a part of the sample, for many runs."""
         return Tape(_slopes_of(self._step.substep))
 
     def __call__(self, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:
@@ -64,19 +64,19 @@ class PathwiseStep:
         return out
 
     def advanced(self, x: Array, held: tuple[Array, ...]) -> tuple[Array, list[Array]]:
-        """x⁺ (n, nx), and of many runs the states (nx, n) before each part of the sample, and at its end."""
+        """x⁺ (n, nx), and for many runs the states (nx, n) between parts."""
         if len(x) <= FEW_ROWS:
             return self._step.rows(x, held), []
         states = self._step.path(x, held)
         return states[-1].T, states
 
     def slopes(self, x: Array, held: tuple[Array, ...], states: list[Array], multiplier: Array) -> list[Array]:
-        """Products (n, ·) of the multiplier (n, nx) with ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂w and ∂x⁺/∂p."""
+        """Products (n, ·) of the multiplier (n, nx) with ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂w, ∂x⁺/∂p."""
         found = self._back(states, held, multiplier) if states else self._of_sample(x, *held, multiplier)
         return np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
 
     def _back(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> Array:
-        """Slopes of many runs side by side, part by part from the end of the sample."""
+        """Slopes of many runs, part by part backwards."""
         state = np.empty_like(states[0])
         factor = as_rows(multiplier)
         part = InPlace(self._of_part, [state, *map(as_rows, held), factor])
@@ -91,7 +91,7 @@ class PathwiseStep:
 
 
 def _slopes_of(step: ca.Function) -> ca.Function:
-    """(x, u, w, p, m) → the slopes of m'x⁺ by x, u, w and p, one below the other."""
+    """(x, u, w, p, m) → slopes of m'x⁺ by x, u, w and p, stacked."""
     arguments: list[Any] = [ca.SX.sym(name, *step.size_in(i)) for i, name in enumerate("xuwp")]
     multiplier = ca.SX.sym("m", *step.size_out(0))
     slopes = ca.gradient(ca.dot(multiplier, step(*arguments)), ca.vertcat(*arguments))
@@ -99,7 +99,7 @@ def _slopes_of(step: ca.Function) -> ca.Function:
 
 
 class _Taken(torch.autograd.Function):
-    """A step of NumPy arrays within a torch graph."""
+    """Step of NumPy arrays within a torch graph."""
 
     @staticmethod
     def forward(ctx: Any, step: PathwiseStep, *tensors: Tensor) -> Tensor:
@@ -112,16 +112,16 @@ class _Taken(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        """Slopes by x, u, w and p; summed over what is common to all runs."""
+        """Slopes by x, u, w and p, summed where shared."""
         return None, *_Slopes.apply(ctx.step, ctx.states, gradient, *ctx.saved_tensors)
 
 
 class _Slopes(torch.autograd.Function):
-    """Slopes of a step: an operation of their own, which depends on x, u, w and p and says that it ends there."""
+    """Slopes of a step, without second derivatives."""
 
     @staticmethod
     def forward(ctx: Any, step: PathwiseStep, states: list[Array], *tensors: Tensor) -> tuple[Tensor, ...]:
-        """The slopes in the shapes of x, u, w and p, from the multiplier and these."""
+        """Slopes in the shapes of x, u, w and p."""
         multiplier, x, *held = _arrays(*tensors)
         found = step.slopes(x, tuple(held), states, multiplier)
         out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, tensors[1:])]
@@ -129,7 +129,7 @@ class _Slopes(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, ...]:
-        """Refused, as zero would be wrong."""
+        """Raise, as zero would be wrong."""
         raise RuntimeError("`pathwise` is differentiable once; `advance` of the model has second derivatives")
 
 

@@ -1,4 +1,4 @@
-"""A plant, stated once: dynamics in x, u, w and the design p."""
+"""Plant: dynamics in x, u, w and the design p."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Plant:
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
 
     def _check_outputs(self) -> None:
-        """Raise an `InputError` unless the outputs are expressions in x, u and p, with limits in order."""
+        """Raise an `InputError` unless outputs and their limits are valid."""
         set_ = object.__setattr__
         given = () if self.outputs is None else self.outputs
         none = given.is_empty() if isinstance(given, ca.SX) else isinstance(given, tuple | list) and not given
@@ -158,7 +158,7 @@ class Plant:
         return ca.Function("outputs", [self.x, self.u, self.p], [self.outputs], ["x", "u", "p"], ["y"])
 
     def observe(self, x: ArrayLike, u: ArrayLike, p: ArrayLike = ()) -> Array:
-        """Outputs (..., ny) of states (..., nx) and inputs (..., nu) at a design (np,)."""
+        """Outputs (..., ny) of states (..., nx) and inputs (..., nu) at a design."""
         x, u = as_floats("x", x), as_floats("u", u)
         for name, value, size in (("x", x, self.nx), ("u", u, self.nu)):
             if value.ndim == 0 or value.shape[-1] != size:
@@ -169,7 +169,7 @@ class Plant:
 
     @cached_property
     def nonlinear_states(self) -> tuple[str, ...]:
-        """Names of the states with dynamics not affine in x, u and w.
+        """Names of states with dynamics not affine in x, u and w.
 
         Whatever may jump there counts, though its derivative is constant.
         """
@@ -180,12 +180,12 @@ class Plant:
 
     @cached_property
     def switches(self) -> Switches:
-        """Operations by which dynamics may jump in x, u or w: sign, floor, comparisons."""
+        """Operations that may jump in x, u or w."""
         return Switches(self.right_hand_side)
 
     @property
     def linear(self) -> bool:
-        """True if the dynamics are affine in x, u and w, whatever p."""
+        """Whether the dynamics are affine in x, u and w."""
         return not self.nonlinear_states
 
     @cached_property
@@ -195,27 +195,27 @@ class Plant:
 
     @cached_property
     def step(self) -> ca.Function:
-        """(x, u, w, p) → next state: Runge–Kutta 4 over one held sample if continuous.
+        """(x, u, w, p) → next state; by Runge–Kutta 4 if continuous.
 
         The error per sample is O(dt⁵/substeps⁴).
         """
         return self._sampled.function
 
     def stepper(self, p, *, batch: int) -> Callable:
-        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,), for batches of n = `batch`."""
+        """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p`."""
         step = self._sampled
         return lambda x, u, w: step(x, u, w, p)
 
     @cached_property
     def _sampled(self) -> ExplicitStep:
-        """`step` of arrays, however many runs they have."""
+        """`step` on arrays of any number of runs."""
         if not self.continuous:
             return ExplicitStep(self.right_hand_side, 1)
         return ExplicitStep.of(self.right_hand_side, self.dt, self.substeps)
 
 
 def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """∂f/∂x, ∂f/∂u, ∂f/∂w and the constant term of dynamics f that are linear, finite over the box of designs.
+    """∂f/∂x, ∂f/∂u, ∂f/∂w and constant term of linear dynamics f.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def linear_matrices(plant: Plant) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
 
 
 def _bound(argument: str, value: Any, size: int) -> Array:
-    """Bound of the outputs on one side (size,), which may be infinite."""
+    """Bound of the outputs on one side (size,), possibly infinite."""
     bound = as_floats(argument, value)
     if bound.shape not in ((), (size,)) or np.isnan(bound).any():
         raise InputError(argument, f"{bound.tolist()} of shape {bound.shape}", f"a number, or ({size},) of them")

@@ -1,4 +1,4 @@
-"""Models that carry disturbances known ahead in their state: a shift register.
+"""Models with disturbances known ahead as states, in a shift register.
 
 References
 ----------
@@ -79,7 +79,7 @@ def with_preview(model: Model | Plant, steps: int, *, channels: Sequence[int] | 
 
 
 def _exact_step(plant: Plant) -> ca.Function:
-    """(x, u, w, p) → x⁺ of a plant that is linear in x, u and w."""
+    """(x, u, w, p) → x⁺ of a linear plant."""
     exact = discretise(plant, sampling_guard="ignore")
     assert isinstance(exact, LinearModel)
     assert exact.c is not None
@@ -89,7 +89,7 @@ def _exact_step(plant: Plant) -> ca.Function:
 
 
 def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:
-    """The disturbances that are known ahead, in the order given; an `InputError` if they are not some of nw."""
+    """Disturbances known ahead, in the order given, checked against nw."""
     if nw == 0:
         raise InputError("model", "no disturbance", "one whose disturbance is known ahead")
     if channels is None:
@@ -104,14 +104,14 @@ def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:
 
 
 def previewed_state(x: Any, w: Any, channels: Sequence[int] | None = None) -> Array:
-    """(x, w_k, …, w_{k+N−1}) of states (..., nx) and what they will meet (..., N, nw), (..., nx + N·channels)."""
+    """(x, w_k, …, w_{k+N−1}) (..., nx + N·channels) from x (..., nx) and w (..., N, nw)."""
     w = np.asarray(w, dtype=float)
     known = w if channels is None else w[..., list(channels)]
     return np.concatenate([x, known.reshape(*known.shape[:-2], -1)], axis=-1)
 
 
 def _linear(model: LinearModel, steps: int, known: tuple[int, ...]) -> LinearModel:
-    """The register below a linear model."""
+    """Linear model with the register."""
     q = len(known)
     length = q * steps
     acting = ca.SX(model.nx, length)
@@ -131,7 +131,7 @@ def _linear(model: LinearModel, steps: int, known: tuple[int, ...]) -> LinearMod
 
 
 def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> SampledModel:
-    """The register below a sampled model, as a discrete plant."""
+    """Sampled model with the register, as a discrete plant."""
     if model.plant.continuous and model.method != "rk4":
         got = f"a model by {model.method}, whose step is no expression"
         raise InputError("model", got, 'one by Runge–Kutta: discretise(plant, method="rk4")')
@@ -148,12 +148,12 @@ def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> Sampled
 
 
 def _padded(w: Array, size: int) -> Array:
-    """A disturbance with zeros behind it, as of errors that were not looked at."""
+    """Disturbance with zeros appended."""
     return np.r_[w, np.zeros(size - len(w))]
 
 
 def _plant(plant: Plant, step: ca.Function, nw: int, steps: int, known: tuple[int, ...]) -> Plant:
-    """The register below a step (x, u, w, p) → x⁺, with `nw` disturbances."""
+    """Plant of a step with the register."""
     q = len(known)
     x, u = ca.SX.sym("x", plant.nx + q * steps), ca.SX.sym("u", plant.nu)
     w, p = ca.SX.sym("w", nw), ca.SX.sym("p", plant.design.dim)

@@ -1,4 +1,4 @@
-"""Rates of a plant at a state and input, their derivatives and zeros."""
+"""Rates of a plant, their derivatives and zeros."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING
 
 
 class Rates:
-    """Rates of a plant at (x, u): dx/dt or discrete change, with derivatives."""
+    """Rates of a plant at (x, u): dx/dt or discrete change."""
 
     def __init__(self, plant: Plant, w: Array) -> None:
         self.z = ca.vertcat(plant.x, plant.u)
@@ -33,7 +33,7 @@ class Rates:
         self._by_design = ca.Function("by_design", arguments, [ca.densify(ca.jacobian(self.rate, plant.p))])
 
     def __call__(self, z: Array, p: Array) -> Array:
-        """(nx,)."""
+        """Rates (nx,)."""
         return np.asarray(self._rate(z, p), dtype=float).ravel()
 
     def jacobian(self, z: Array, p: Array) -> Array:
@@ -45,14 +45,14 @@ class Rates:
         return np.asarray(self._by_design(z, p), dtype=float)
 
     def at_rest(self, z: Array, p: Array) -> bool:
-        """Whether nothing moves, but for rounding of the terms that cancel there."""
+        """Whether all rates are zero to rounding."""
         rate = self(z, p)
         if not (np.isfinite(rate).all() and np.isfinite(self.jacobian(z, p)).all()):
             return False
         return bool((np.abs(rate) <= self._rounding(z, p)).all())
 
     def resolution(self, z: Array, p: Array, rows: Indices, chosen: list[int]) -> Array:
-        """Distance that rates left at rest move the chosen entries of (x, u), (nx + nu,); 0 elsewhere."""
+        """Shift (nx + nu,) of chosen entries of (x, u) by rounding; 0 elsewhere."""
         moved = np.zeros(len(z))
         J = self.jacobian(z, p)[rows][:, chosen]
         if len(chosen) and np.isfinite(J).all():
@@ -60,7 +60,7 @@ class Rates:
         return moved
 
     def _rounding(self, z: Array, p: Array) -> Array:
-        """Rest of each rate (nx,) that rounding leaves at an equilibrium."""
+        """Rest of each rate (nx,) left by rounding."""
         J = np.abs(self.jacobian(z, p))
         size = J @ np.abs(z) + J.max(axis=1) * RATE_ROUNDING
         terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)
@@ -68,12 +68,12 @@ class Rates:
 
     @cached_property
     def _terms(self) -> ca.Function:
-        """(z, p) → sizes (nx, 1) of the terms that each rate is the sum of at z."""
+        """(z, p) → sizes (nx, 1) of the terms of each rate."""
         return ca.Function("terms", self._arguments, [term_sizes(self._rate, *self._arguments)])
 
 
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
-    """Point (nx + nu,) at rest, from the guess or from points around it."""
+    """Point (nx + nu,) at rest, from the guess or around it."""
     rng = np.random.default_rng(0)
     nx = rates.states
     sizes = np.r_[np.full(nx, _size(z[:nx])), np.full(len(z) - nx, _size(z[nx:]))]
@@ -98,15 +98,15 @@ def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:
 
 
 def _size(given: Array) -> float:
-    """The largest of the numbers that are given, or guessed; one where all are zero."""
+    """Largest absolute value; one where all are zero."""
     return float(np.abs(given).max(initial=0.0)) or 1.0
 
 
 def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
-    """Point of least rates nearby, by least squares, then Newton's method to rounding."""
+    """Point of least rates nearby, by least squares, then Newton's method."""
 
     def at(v: Any) -> Array:
-        """The point with those free entries."""
+        """Point with those free entries."""
         full = z.copy()
         full[free] = v
         return full
@@ -138,7 +138,7 @@ def _descended(rates: Rates, z: Array, free: Array, p: Array) -> Array:
 
 
 def independent(J: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of J that make a regular matrix of its rank."""
+    """Rows and columns of a regular submatrix of J with its rank."""
     length = np.abs(J).max(axis=1, initial=0.0)
     J = J / np.where(length > 0, length, 1.0)[:, None]
     if J.size == 0 or not J.any():
@@ -152,7 +152,7 @@ def independent(J: Array) -> tuple[Indices, Indices]:
 
 
 def newton_step(rates: Rates, rows: Indices, chosen: list[int]) -> ca.SX:
-    """z after one Newton step in the chosen entries, as an expression."""
+    """z after one Newton step in the chosen entries."""
     if not chosen:
         return rates.z
     own = [int(i) for i in rows]

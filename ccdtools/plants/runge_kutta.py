@@ -1,4 +1,4 @@
-"""The classical Runge–Kutta method over one held sample: explicit, fourth order."""
+"""Classical Runge–Kutta method over one held sample."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ccdtools.plants.tolerances import FEW_ROWS, RUNS_AT_ONCE
 
 
 class ExplicitStep:
-    """Step (x, u, w, p) → x⁺ that repeats a Runge–Kutta substep or a discrete map.
+    """Step (x, u, w, p) → x⁺ of repeated Runge–Kutta substeps or a discrete map.
 
     Parameters
     ----------
@@ -50,16 +50,16 @@ class ExplicitStep:
 
     @cached_property
     def _native(self) -> Native:
-        """The whole step on few rows of arrays."""
+        """The whole step on few rows."""
         return Native(self.function)
 
     @cached_property
     def _tape(self) -> Tape:
-        """Substep on many rows of arrays."""
+        """Substep on many rows."""
         return Tape(self.substep, "dynamics")
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
-        """x⁺ (..., nx) of arrays or tensors (..., n), whose leading shapes broadcast."""
+        """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
         check_sizes(self.substep, (x, u, w, p))
         if all(isinstance(a, np.ndarray) for a in (x, u, w, p)):
             return self._of_arrays(x, u, w, p)
@@ -68,7 +68,7 @@ class ExplicitStep:
         return x
 
     def _of_arrays(self, *arguments: Array) -> Array:
-        """Step of arrays; those of single precision are double inside."""
+        """Step of arrays, in double precision inside."""
         batch = np.broadcast_shapes(*(a.shape[:-1] for a in arguments))
         runs = int(np.prod(batch))
         common = [a.ndim == 1 for a in arguments] if batch else [False] * 4
@@ -78,14 +78,14 @@ class ExplicitStep:
         return after.reshape(*batch, after.shape[-1]).astype(np.result_type(arguments[0], np.float32), copy=False)
 
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
-        """x⁺ (n, nx) of states (n, nx) and u, w and p, (n, ·) or (·,) of what is common to all."""
+        """x⁺ (n, nx) of x (n, nx) and u, w, p, (n, ·) or common (·,)."""
         if len(x) <= FEW_ROWS:
             return self._native(x, *held)
         parts = [slice(i, i + RUNS_AT_ONCE) for i in range(0, len(x), RUNS_AT_ONCE)]
         return np.vstack([self.path(x[i], tuple(a if a.ndim == 1 else a[i] for a in held))[-1].T for i in parts])
 
     def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:
-        """States (nx, n) before each part of the sample, and at its end, of many states (n, nx)."""
+        """States (nx, n) before each part of the sample and at its end."""
         state = as_rows(x)
         step = InPlace(self._tape, [state, *map(as_rows, held)])
         states = [state.copy()]
@@ -97,7 +97,7 @@ class ExplicitStep:
 
 
 def runge_kutta(f: ca.Function, h: float) -> ca.Function:
-    """(x, u, w, p) → x after one step of `h` seconds of dx/dt = f(x, u, w, p), with u and w held.
+    """(x, u, w, p) → x after one Runge–Kutta step of `h` seconds, u and w held.
 
     References
     ----------

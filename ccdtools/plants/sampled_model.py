@@ -1,4 +1,4 @@
-"""Discrete model of a nonlinear plant, differentiable in x, u, w and the design."""
+"""Discrete model of a nonlinear plant, differentiable."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ METHODS = ("rk4", "collocation")
 
 
 class WithErrors:
-    """(x, u, (w, r), p) → x⁺ + r, of a step (x, u, w, p) → x⁺."""
+    """(x, u, (w, r), p) → x⁺ + r of a step."""
 
     def __init__(self, step: Any, nw: int) -> None:
         self._step = step
@@ -51,7 +51,7 @@ class WithErrors:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledModel:
-    """Model x⁺ = f(x, u, w, p) of a nonlinear plant, u and w held over a sample.
+    """Model x⁺ = f(x, u, w, p) of a nonlinear plant.
 
     Made by `discretise`.
 
@@ -120,12 +120,12 @@ class SampledModel:
 
     @property
     def design(self) -> DesignSpace:
-        """The box of designs."""
+        """Box of designs."""
         return self.plant.design
 
     @cached_property
     def advance(self) -> ExplicitStep | ImplicitStep | WithErrors:
-        """(x, u, w, p) → x⁺ on NumPy arrays or torch tensors (..., n), whose leading shapes broadcast.
+        """(x, u, w, p) → x⁺ on arrays or tensors (..., n); leading shapes broadcast.
 
         Of tensors it is differentiable in all four; to second order where the dynamics are.
         """
@@ -133,7 +133,7 @@ class SampledModel:
 
     @cached_property
     def pathwise(self) -> Any:
-        """Step on torch tensors (n, ·) with p (np,) or (n, np), several times faster than `advance`.
+        """Step on torch tensors (n, ·) with p (np,) or (n, np), faster than `advance`.
 
         It is differentiable once.
 
@@ -166,7 +166,7 @@ class SampledModel:
         return replace(self, plant=replace(self.plant, design=design), error=self.error if inside else None)
 
     def with_errors(self) -> SampledModel:
-        """The model that (w, r) drives: r (nx,) is added to the next state."""
+        """Model driven by (w, r), with r (nx,) added to the next state."""
         return replace(self, errors=True)
 
     @cached_property
@@ -182,7 +182,7 @@ class SampledModel:
         return derivative(self.function)
 
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """The linearisation about x = 0, u = 0, w = 0 at a design (np,), or stacked for designs (n, np).
+        """Linearisation about 0 at a design (np,), or stacked for designs (n, np).
 
         Raises
         ------
@@ -192,7 +192,7 @@ class SampledModel:
         return evaluated(self.function, self.design.check(p), self.nu)
 
     def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np) and ∂E/∂p (nx, nw, np) of the linearisation at a design (np,)."""
+        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
         return derivatives_at(self.jacobian, self.design.check_one(p), self.nx, self.nu)
 
     @property
@@ -206,7 +206,7 @@ class SampledModel:
         return lambda x, u, w: self.advance(x, u, w, p)
 
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
-        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` (np,) where w is 0."""
+        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
         p = self.design.check_one(p)
         return lambda x, u: np.asarray(self.advance(x, u, np.zeros(self.nw), p))
 
@@ -220,7 +220,7 @@ class SampledModel:
     def jacobians(
         self, x: ArrayLike, u: ArrayLike, w: ArrayLike | None = None, p: ArrayLike = ()
     ) -> tuple[Array, Array, Array]:
-        """∂x⁺/∂x (nx, nx), ∂x⁺/∂u (nx, nu) and ∂x⁺/∂w (nx, nw) at a state, input, disturbance and design.
+        """∂x⁺/∂x (nx, nx), ∂x⁺/∂u (nx, nu), ∂x⁺/∂w (nx, nw) at a point.
 
         Raises
         ------

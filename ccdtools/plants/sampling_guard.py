@@ -1,4 +1,4 @@
-"""Oscillations that a sampling time does not resolve, anywhere in the box of designs."""
+"""Oscillations that a sampling time does not resolve."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.plants.tolerances import RESOLVED_SHARE
 
 @dataclass(frozen=True, eq=False)
 class FastestMode(Immutable):
-    """The fastest oscillation in a box of designs."""
+    """Fastest oscillation in a box of designs."""
 
     frequency: float  # damped frequency [Hz]; 0 where nothing oscillates
     design: ArrayField  # (np,): where it is reached
@@ -34,19 +34,19 @@ class FastestMode(Immutable):
 
     @property
     def resolved(self) -> bool:
-        """Whether the oscillation stays below 0.8 of half the sampling rate."""
+        """Whether the oscillation stays below 0.8 of the Nyquist frequency."""
         return self.frequency < RESOLVED_SHARE * self.nyquist
 
     @property
     def better_dt(self) -> float:
-        """Sampling time [s] of ten samples a period, rounded down to one digit."""
+        """Sampling time [s] for ten samples a period, rounded down."""
         wanted = 1 / (10 * self.frequency) if self.frequency > 0 else self.dt  # 10 samples a period
         digit = 10.0 ** math.floor(math.log10(wanted))
         return math.floor(wanted / digit * (1 + 1e-12)) * digit
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> FastestMode:
-    """Fastest oscillation of ẋ = A(p) x over the box, by samples and search.
+    """Fastest oscillation of ẋ = A(p) x over the box.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
     """
 
     def frequency(v: Array) -> float:
-        """Fastest damped frequency [Hz] at a point of the unit box."""
+        """Fastest damped frequency [Hz] at a unit-box point."""
         matrix = np.asarray(A(design.from_unit(v)), dtype=float)
         if not np.isfinite(matrix).all():  # said elsewhere, with the design
             return 0.0
@@ -81,7 +81,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
 
 
 def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None) -> str:
-    """Note on oscillations near or beyond half the sampling rate; else nothing.
+    """Note on oscillations near or beyond half the sampling rate; else empty.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None)
 
 
 def warn_of_aliasing(plant: Plant, dt: float, x: Array | None = None) -> None:
-    """Issue a `SamplingWarning` if `sampling_note` has something to say."""
+    """Issue a `SamplingWarning` if `sampling_note` is not empty."""
     note = sampling_note(plant, dt, x)
     if note:
         intended = 'If this is intended, pass sampling_guard="ignore".'

@@ -1,4 +1,4 @@
-"""User's functions of CasADi columns, compiled once for each set of sizes, and checked."""
+"""User's functions of CasADi columns, compiled and checked."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Sizes = tuple[int, ...]
 
 
 class SymbolicFunction:
-    """A function of CasADi columns, for arrays and tensors of any batch.
+    """Function of CasADi columns, for arrays and tensors of any batch.
 
     What is pickled are its expressions for the sizes that it was used with, so that a lambda is no obstacle.
 
@@ -41,7 +41,7 @@ class SymbolicFunction:
         self._at_rest: dict[tuple[str, Sizes], ca.Function] = {}
 
     def function(self, *sizes: int) -> ca.Function:
-        """Function of columns of these sizes, as a `casadi.Function`.
+        """`casadi.Function` of columns of these sizes.
 
         Raises
         ------
@@ -72,22 +72,22 @@ class SymbolicFunction:
         return self._compiled[sizes]
 
     def depends(self, *sizes: int) -> bool:
-        """Whether any of its arguments changes it."""
+        """Whether it depends on any of its arguments."""
         function = self.function(*sizes)
         columns = [_column(name, size) for name, size in zip(self.names, sizes)]
         return bool(ca.depends_on(ca.simplify(function(*columns)), ca.vertcat(*columns)))
 
     @property
     def values(self) -> int:
-        """Number of values, for the sizes that the function was used with first."""
+        """Number of values, for the sizes used first."""
         return next(iter(self._functions.values())).numel_out(0)
 
     def hessian(self, *sizes: int) -> ca.Function:
-        """Hessian of the scalar at 0 by all arguments but the last, as a function of the last."""
+        """Hessian at 0 by all arguments but the last, a function of the last."""
         return self._derived("hessian", sizes, lambda value, free: [ca.hessian(value, free)[0]])
 
     def linear(self, *sizes: int) -> ca.Function:
-        """Values and Jacobian at 0 by all arguments but the last, as a function of the last."""
+        """Value and Jacobian at 0 by all arguments but the last, a function of the last."""
         return self._derived("linear", sizes, lambda value, free: [value, ca.jacobian(value, free)])
 
     def _derived(self, name: str, sizes: Sizes, make: Callable[[ca.SX, ca.SX], list[ca.SX]]) -> ca.Function:
@@ -116,7 +116,7 @@ class SymbolicFunction:
         return ca.Function(self.argument, columns, [expression], list(self.names), ["value"])
 
     def __str__(self) -> str:
-        """The expression, for the sizes that it was used with first."""
+        """The expression, for the sizes used first."""
         for function in self._functions.values():
             columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
             text = " ".join(str(function(*columns)).split())

@@ -1,4 +1,4 @@
-"""CasADi symbols and expressions: checked, and packed to be pickled."""
+"""CasADi symbols and expressions, checked and pickled."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute no
 
 
 def as_symbols(argument: str, value: Any) -> ca.SX:
-    """A column of SX symbols; None is an empty one."""
+    """Column of SX symbols; None is an empty one."""
     if value is None:
         return ca.SX(0, 1)
     if not isinstance(value, ca.SX) or not (value.is_empty() or value.is_valid_input()):
@@ -32,7 +32,7 @@ def as_symbols(argument: str, value: Any) -> ca.SX:
 
 
 def as_expression(argument: str, value: Any) -> ca.SX:
-    """A dense SX expression; a list of scalars is stacked to a column."""
+    """Dense SX expression; a list of scalars is stacked to a column."""
     try:
         with np.errstate(all="ignore"):
             expression = ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value)
@@ -42,7 +42,7 @@ def as_expression(argument: str, value: Any) -> ca.SX:
 
 
 def check_distinct(**symbols: ca.SX) -> None:
-    """Raise an `InputError` if one symbol appears twice among the named columns."""
+    """Raise an `InputError` if a symbol appears twice among the columns."""
     owner: dict[int, str] = {}
     for name, column in symbols.items():
         for symbol in elements(column):
@@ -55,7 +55,7 @@ def check_distinct(**symbols: ca.SX) -> None:
 
 
 def check_known(argument: str, expression: ca.SX, **symbols: ca.SX) -> None:
-    """Raise an `InputError` if `expression` has free symbols that none of the named columns holds."""
+    """Raise an `InputError` if `expression` has symbols outside the columns."""
     known = {symbol.element_hash() for column in symbols.values() for symbol in elements(column)}
     foreign = [symbol.name() for symbol in ca.symvar(expression) if symbol.element_hash() not in known]
     if foreign:
@@ -63,7 +63,7 @@ def check_known(argument: str, expression: ca.SX, **symbols: ca.SX) -> None:
 
 
 def check_numbers(argument: str, expression: ca.SX) -> None:
-    """Raise an `InputError` if `expression` has a constant that is no number, as `math.sin` makes of a symbol."""
+    """Raise an `InputError` if `expression` has a NaN constant."""
     function = ca.Function("f", ca.symvar(expression), [expression])
     constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
     if any(isnan(function.instruction_constant(i)) for i in constants):
@@ -72,7 +72,7 @@ def check_numbers(argument: str, expression: ca.SX) -> None:
 
 
 def elements(column: ca.SX) -> list[ca.SX]:
-    """The scalar symbols of a column."""
+    """Scalar symbols of a column."""
     return [] if column.is_empty() else ca.vertsplit(column)
 
 
@@ -83,13 +83,13 @@ def pack(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> dict[str, Any]:
 
 
 def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Fresh symbols of the same names, and the expressions in them."""
+    """Fresh symbols of the same names and the expressions in them."""
     inputs = [ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX(0, 1) for names in packed["names"]]
     return inputs, ca.Function.deserialize(packed["function"]).call(inputs)
 
 
 def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
-    """Sizes of the terms in a function's entries, to which rounding is proportional.
+    """Sizes of the terms in a function's entries, proportional to rounding.
 
     Of functions that are called from within, the result alone counts.
     """
@@ -104,7 +104,7 @@ def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
 
 @cache
 def _sized(op: int, inputs: int) -> Any:
-    """An operation on pairs (value, size of its terms), by its slopes: sums add the sizes, products scale them."""
+    """Operation on pairs (value, size of its terms), by its slopes."""
     values, sizes = ca.vertsplit(ca.SX.sym("value", inputs)), ca.SX.sym("size", inputs)
     value = ca.SX.unary(op, *values) if inputs == 1 else ca.SX.binary(op, *values)
     counted = 1 if op in (ca.OP_POW, ca.OP_CONSTPOW) else inputs  # by an exponent, a negative base has no slope

@@ -1,4 +1,4 @@
-"""Tolerances of `ccdtools.plants`, relative [-] where no unit is named."""
+"""Tolerances of `ccdtools.plants`, relative [-] without a unit."""
 
 # --- allowed designs --------------------------------------------------------------------------------------------------
 BOX_SAMPLES = 256  # A box of designs is searched at so many points of a Sobol sequence, beside centre and corners.

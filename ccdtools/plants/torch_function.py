@@ -55,7 +55,7 @@ def to_torch(function: ca.Function) -> TorchFunction:
 
 
 class TorchFunction:
-    """A CasADi function that takes and returns torch tensors; see `to_torch`.
+    """CasADi function that takes and returns torch tensors; see `to_torch`.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class TorchFunction:
             self.__init__(ca.Function.deserialize(state["function"]))  # type: ignore[misc]
 
     def __call__(self, *arguments: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Values at the arguments, batched over their broadcast leading shapes.
+        """Values at the arguments; leading shapes broadcast.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class TorchFunction:
         return out[0] if len(out) == 1 else tuple(out)
 
     def _columns(self, arguments: tuple[Tensor, ...]) -> list[Tensor]:
-        """Inputs as (..., entries) each, entries by columns as CasADi counts them."""
+        """Inputs as (..., entries) each, in CasADi's column order."""
         f = self.function
         names = f.name_in()
         if len(arguments) != f.n_in():
@@ -168,7 +168,7 @@ def _shaped(flat: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 class _Called(torch.autograd.Function):
-    """A CasADi function at every row of its inputs (n, entries); its derivative is a CasADi function too."""
+    """CasADi function at every row of its inputs (n, entries)."""
 
     @staticmethod
     def forward(ctx: Any, f: ca.Function, *columns: Tensor) -> tuple[Tensor, ...]:
@@ -187,5 +187,5 @@ class _Called(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        """The reverse derivative, differentiable itself."""
+        """Reverse derivative, itself differentiable."""
         return None, *_Called.apply(ctx.function.reverse(1), *ctx.saved_tensors, *gradients)

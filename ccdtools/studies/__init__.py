@@ -1,4 +1,4 @@
-"""Case studies: the only place that runs experiments. `__init__.pyi` lists what it offers."""
+"""Case studies; `__init__.pyi` lists the public names."""
 
 from ccdtools_ground.front_door import front_door
 

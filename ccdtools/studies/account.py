@@ -1,4 +1,4 @@
-"""One sentence a generation: what changed, what was predicted, what was measured, and what did it."""
+"""Sentence on each generation: change, prediction, measurement and source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Values = Mapping[str, Any]
 
 
 def account(generation: int, deployed: Values, redesign: Values | None, place: str) -> str:
-    """The sentence of a generation, without a full stop.
+    """Sentence on a generation, without a full stop.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def _verdict(delivery: Values) -> str:
 
 
 def _rolled_back(delivery: Values, accepted: int) -> str:
-    """Updates that were rolled back. Those of this deployment, or of the former one, measured by a whole one."""
+    """Clause on the updates that were rolled back."""
     if delivery.get("carried"):
         return f", so that the updates of generation {delivery['former']}, measured by a whole deployment, were " \
                "rolled back"  # fmt: skip
@@ -76,7 +76,7 @@ def region_line(region: Values) -> str:
 
 
 def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> list[str]:
-    """Sentence on what a redesign changed. Also what was predicted and measured, and whether it stays."""
+    """Clauses on what a redesign changed, predicted and measured."""
     decision = redesign["decisions"][redesign["chosen"]]
     what = f"moved the design to {place}" if decision["moved"] else "changed the policy at the same design"
     if redesign["chosen"].startswith(FORMER):
@@ -92,21 +92,21 @@ def _redesigned(name: str, redesign: Values, delivery: Values, place: str) -> li
 
 
 def _less_than_predicted(delivery: Values) -> list[str]:
-    """Clause that less was measured than predicted. It has the predicted return, if beyond both intervals."""
+    """Clause that less was measured than predicted; empty otherwise."""
     if Agreement(delivery["agreement"]) is not Agreement.LESS:
         return []
     return [f"{delivery['agreement']}, a deployed return of {with_minus(number(delivery['predicted']['mean']))}"]
 
 
 def _returns(delivery: Values) -> list[str]:
-    """Predicted and measured return of the first generation, of the stretch that the policy as designed drove."""
+    """Predicted and measured return of the first generation."""
     expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("predicted", "returns"))
     missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
     return [f"predicted a deployed return of {expected}, measured {found}{missed}"]
 
 
 def _change(delivery: Values) -> str:
-    """Measured change, in per cent of the deployed return."""
+    """Measured change in per cent of the deployed return."""
     change = delivery["change"]
     return percent_interval(change["mean"], change["ci95"], delivery["size"]) + in_measure(delivery["measure"])
 
@@ -122,7 +122,7 @@ def _kept(delivery: Values, accepted: int) -> str:
 
 
 def _updates(accepted: int, updates: Sequence[Any], consequence: str) -> str:
-    """Clause on how many updates were accepted, with the consequence where none was."""
+    """Clause on the number of accepted updates."""
     if not updates:
         return f"no update was tried; {consequence}"
     said = f"{accepted} of {len(updates)} updates accepted"

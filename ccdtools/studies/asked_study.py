@@ -1,4 +1,4 @@
-"""The study of a run as its options change it; nothing here waits for what is slow to import."""
+"""Study of a run with its options applied, fast to import."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
 
 def asked_study(options: Options, recording: Recorded | None = None) -> LoadedStudy:
-    """Study that the options ask for. Starts and disturbance are theirs, or those of a recording that was kept.
+    """Study that the options ask for, or on a kept recording.
 
     Raises
     ------
@@ -39,13 +39,13 @@ def asked_study(options: Options, recording: Recorded | None = None) -> LoadedSt
 
 
 def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
-    """Make an `InputError` about the disturbance name the option that it came from."""
+    """Make an `InputError` about the disturbance name its option."""
     given = options.sources()
     return blamed_on_options({"real.disturbance": f"--{given[0]}", "disturbance": f"--{given[0]}"} if given else {})
 
 
 def _check_effect(options: Options, study: Study) -> None:
-    """Raise where an option would change nothing beside the others and the study."""
+    """Raise an `InputError` where an option would have no effect."""
     sets = study.sets if options.sets is None else options.sets
     if options.sets_time_limit is not None and sets != "auto":
         raise InputError("--sets-time-limit", f"it with sets {sets!r}, which computes none", "it with --sets auto")
@@ -59,7 +59,7 @@ def _check_effect(options: Options, study: Study) -> None:
 
 
 def _source(options: Options, study: Study) -> Disturbance | None:
-    """Disturbance of the real plant that the options ask for. None for the study's own."""
+    """Disturbance of the options; None for the study's own."""
     dt = study.plant.dt
     if options.disturbance is not None:
         options.check_files()

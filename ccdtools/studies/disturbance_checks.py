@@ -1,4 +1,4 @@
-"""Whether what a study declares as disturbances draws samples for its plant."""
+"""Checks that a study's disturbances fit its plant."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ccdtools.plants.sampled_model import SampledModel
 
 
 def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel) -> None:
-    """Raise unless two samples of the disturbance have the channels of the plant."""
+    """Raise unless samples of the disturbance have the plant's channels."""
     has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
     try:
         drawn = np.asarray(disturbance.sample(1, 2, np.random.default_rng(0)))
@@ -33,7 +33,7 @@ def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | Sa
 
 
 def checked_held_out(held_out: Mapping[str, Disturbance], plant: Plant | SampledModel) -> dict[str, Disturbance]:
-    """Held-out disturbances, checked. Each has a name of one line and draws samples for the plant."""
+    """Held-out disturbances, with names and samples checked."""
     named = as_mapping("real.held_out", held_out, "a mapping of names to disturbances")
     for name, disturbance in named.items():
         if not isinstance(name, str) or not name.strip() or len(name.splitlines()) > 1:

@@ -1,4 +1,4 @@
-"""Evaluation of every generation: the same scenarios for every controller and every generation."""
+"""Evaluation of every generation on the same scenarios."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ class Evaluation:
     seed: int  # every draw has a generator of its own, spawned from the seed and a name
 
     def rng(self, name: str) -> np.random.Generator:
-        """Generator of a name, the same whether or not a run was interrupted before."""
+        """Random generator of a name, independent of interruptions."""
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=tuple(name.encode())))
 
     @cached_property
     def problem(self) -> CoDesignProblem:
-        """The co-design problem on the nominal model."""
+        """Co-design problem on the nominal model."""
         return self.study.problem()
 
     @cached_property
     def deployment_steps(self) -> int:
-        """Length of a deployment. The study's, capped by the configuration and by a recording's length."""
+        """Length of a deployment, capped by configuration and recording."""
         real = self.study.real
         steps = real.steps
         if self.config.real_steps is not None and real.runs == 1:
@@ -70,7 +70,7 @@ class Evaluation:
         return steps
 
     def check_recording(self) -> None:
-        """Raise if LQR at the start design cannot keep the plant near X. A recorded disturbance may have wrong units.
+        """Raise if LQR at the start design leaves X too much.
 
         Raises
         ------
@@ -99,13 +99,13 @@ class Evaluation:
 
     @property
     def window(self) -> int:
-        """Length of a replayed episode that a policy is trained on while deployed."""
+        """Length of a replayed training episode while deployed."""
         return min(
             self.study.steps, self.deployment_steps // 10 if self.study.real.runs == 1 else self.deployment_steps
         )
 
     def training_episode(self, logs: Sequence[Residuals], space: DesignSpace) -> tuple[int, int]:
-        """Steps that count in an episode of a redesign within a box. Also the steps before them that do not.
+        """Counted steps of a redesign's episode, and warm-up steps before them.
 
         Of several runs that are not very long, an episode is a whole run from its own start.
         """
@@ -114,7 +114,7 @@ class Evaluation:
         return self.window, warm_up(self.problem, logs, self.window, space)
 
     def on_model(self, logs: Sequence[Residuals]) -> Scenario:
-        """Scenario on which a generation is judged. The nominal model, with its assumed disturbance or logged errors.
+        """Scenario on the nominal model that a generation is judged on.
 
         Before the first log every run starts where the study says. Afterwards it starts where the runs of the newest
         log did, and meets the errors that they met, to their end.
@@ -127,7 +127,7 @@ class Evaluation:
 
     @cached_property
     def split(self) -> ErrorSplit:
-        """Split of logged errors into what enters through E(p), and the rest."""
+        """Split of logged errors into disturbances and the rest."""
         return ErrorSplit(self.study.model, self.problem.state_scale)
 
     @property
@@ -137,7 +137,7 @@ class Evaluation:
 
     @cached_property
     def served(self) -> ServedDistributions:
-        """Distributions that the deployed will serve. Their disturbances are other draws than the reported ones."""
+        """Distributions that the deployed will serve, by draws of their own."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
@@ -150,7 +150,7 @@ class Evaluation:
         return Judge(self.problem, self.study.plant, self.admissible, self.window, self.study.accepted_loss)
 
     def nominal_deployment(self) -> Scenario:
-        """Scenario of many runs for what the nominal model expects of a deployment. Little is left to chance."""
+        """Scenario that predicts a deployment on the nominal model."""
         real = self.study.real
         runs = min(self.config.model_runs, max(16, 250_000 // self.deployment_steps))  # samples
         w = self.study.disturbance.sample(runs, self.deployment_steps, self.rng("nominal deployment"))
@@ -170,7 +170,7 @@ class Evaluation:
         return np.where(is_common(np.arange(runs))[:, None, None], common, w)
 
     def on_updated(self, discrepancy: Discrepancy, *, noise: str) -> Scenario:
-        """Scenario on the model updated by a discrepancy, from where the study says."""
+        """Scenario on the model updated by a discrepancy."""
         n = self.config.model_runs
         steps = self.study.steps
         rng = self.rng("updated scenario")
@@ -178,7 +178,7 @@ class Evaluation:
         return Scenario(plant, self.study.model_starts(n, rng), rng.random((n, steps, self.study.plant.nx)))
 
     def on_real(self) -> Scenario:
-        """Scenario of the deployment itself if it is one long run. Else of many runs like it."""
+        """Scenario of a single long deployment, or of many like it."""
         real = self.study.real
         runs = 1 if real.runs == 1 else self.config.real_runs
         w = self.recorded(runs, "deployment" if runs == 1 else "real scenario")
@@ -186,7 +186,7 @@ class Evaluation:
 
     @cached_property
     def held_out(self) -> dict[str, Scenario]:
-        """Fresh runs of the real plant, by the name of their disturbance. No generation has met them."""
+        """Fresh runs of the real plant, by disturbance name."""
         real = self.study.real
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
@@ -196,11 +196,11 @@ class Evaluation:
 
     @cached_property
     def _baselines(self) -> dict[bytes, dict[str, Controller]]:
-        """Baselines of the designs that were asked for, never used themselves."""
+        """Unused baselines of the designs asked for."""
         return {}
 
     def baselines(self, design: Array) -> dict[str, Controller]:
-        """Baselines at a design. Tuned once, and as new every time."""
+        """Baselines at a design, tuned once and copied."""
         key = np.asarray(design, dtype=float).tobytes()
         if key not in self._baselines:
             self._baselines[key] = baselines(self.problem, design, rng=self.rng("baselines"))
@@ -216,7 +216,7 @@ class Evaluation:
         judged_on: Sequence[Residuals],
         rng: np.random.Generator,
     ) -> Stage:
-        """Comparison of every controller at one design. On the model that judged it and on the real plant.
+        """Comparison of every controller at one design, on model and real plant.
 
         On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
@@ -247,7 +247,7 @@ class Evaluation:
         return Stage({"rows": rows}, arrays)
 
     def _shown_risk(self, plant: str, judged_on: Sequence[Residuals]) -> Risk | None:
-        """Worst case, where a study asks for it. The runs of a comparison need cases; else None."""
+        """Worst case, if asked for and the runs have cases; else None."""
         asked = self.study.risk
         if not isinstance(asked, WorstCase) or (plant == "model" and judged_on):
             return None
@@ -255,7 +255,7 @@ class Evaluation:
         return asked.over(scenarios) if has_cases(scenarios) else None
 
     def admissible(self, design: Array) -> AdmissibleInputs | None:
-        """Filter behind the deployed policy at a design. None where the study asks for none."""
+        """Input filter of a design; None if the study has none."""
         if self.study.filter == "none":
             return None
         key = np.asarray(design, dtype=float).tobytes()
@@ -264,7 +264,7 @@ class Evaluation:
         return self._filters[key]
 
     def can_serve(self, design: Array) -> bool:
-        """Whether the filter has a set to keep the state in at a design. True where the study has no filter."""
+        """Whether the filter has a set at a design, or is absent."""
         try:
             self.admissible(design)
         except InputError:
@@ -273,17 +273,17 @@ class Evaluation:
 
     @cached_property
     def _filters(self) -> dict[bytes, AdmissibleInputs]:
-        """Filters of the designs that were asked for."""
+        """Filters of the designs asked for."""
         return {}
 
     def deployed(self, one: Deployable) -> Controller:
-        """Policy as it would be deployed on the real plant. It is behind the study's filter if there is one."""
+        """Policy as deployed on the real plant, behind the study's filter."""
         return one.controller(self.admissible(one.design))
 
     def returns(
         self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
     ) -> Stage:
-        """Returns of a policy as designed. Where it was judged, on the nominal and on the since updated model."""
+        """Returns of a policy as designed, on judged, nominal and updated model."""
         policy = LearnedPolicy(agent, design)
         return Stage({
             "model": model_name(judged_on),
@@ -296,7 +296,7 @@ class Evaluation:
         })  # fmt: skip
 
     def row(self, design: Array, score: Score) -> dict[str, Any]:
-        """Row of one controller in the tables."""
+        """Table row of one controller."""
         space = self.problem.design
         return {
             "controller": score.controller,
@@ -310,13 +310,13 @@ class Evaluation:
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
-        """Statistics of the returns of the runs that did not diverge. Also the fraction that did."""
+        """Return statistics of undiverged runs, and the diverged fraction."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
         rewards = run.rewards(self.study.objective)[~run.diverged]
         return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
-        """Edges and mean of the 95 % band of states and inputs. (3, T, ·), for the figures."""
+        """Edges and mean (3, T, ·) of the 95 % band of signals."""
         shown = scenario.first(min(500, len(scenario.x0)), min(1000, scenario.steps))
         bands = {}
         for name, controller in controllers.items():

@@ -1,4 +1,4 @@
-"""What a run was begun with, so that only the same study is continued in its folder."""
+"""Fingerprint of a run, so that only the same study is resumed."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ PLANT_NUMBERS = ("design", "dt", "continuous", "substeps", "state_names", "input
 
 
 def fingerprint(loaded: LoadedStudy, config: StudyConfig) -> dict[str, Any]:
-    """Study, sources and configuration as flat JSON values. {"study.p0": [1.0], …}; what is long becomes a hash."""
+    """Study, sources and configuration as flat JSON values; long ones hashed."""
     declared = {field.name: getattr(loaded.study, field.name) for field in dataclasses.fields(loaded.study)}
     parts = {"study": declared, "source": loaded.sources, "configuration": config.as_dict()}
     return dict(_flat(jsonable_of(parts))) | {"ccdtools": version("ccdtools")}
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Entries that differ, as "name: before → now". As names alone where the values are hashes."""
+    """Entries that differ, as "name: before → now"; hashes by name."""
     names = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     names.sort(key=lambda name: name.startswith("source."))  # what is declared says more than that a file was edited
     return [_difference(name, before.get(name), now.get(name)) for name in names]
 
 
 def summary(found: list[str]) -> str:
-    """The first differences as one phrase."""
+    """First differences as one phrase."""
     rest = len(found[3:])  # not named
     return "; ".join(found[:3]) + (f"; and {rest} more" if rest else "")
 
 
 def jsonable_of(value: Any) -> Any:
-    """JSON form of `value`. Objects by their fields, plants by their dynamics, arrays as lists."""
+    """JSON form of `value`: fields, dynamics of plants, arrays as lists."""
     if isinstance(value, Plant):
         arguments = [value.x, value.u, value.w, value.p]
         dynamics = ca.Function("dynamics", arguments, [value.dynamics]).serialize()
@@ -74,7 +74,7 @@ def jsonable_of(value: Any) -> Any:
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
-    """Name and value of every leaf of nested dictionaries. What is long is replaced by its hash."""
+    """Name and value of every leaf of nested dictionaries; long ones hashed."""
     if isinstance(value, dict):
         return [leaf for key, item in value.items() for leaf in _flat(item, f"{name}.{key}" if name else key)]
     text = json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""Sources of a gain in return: the design, the policy, its updates while deployed, or a redesign."""
+"""Sources of a gain in return: design, policy, updates or redesign."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SOURCES = ("start", "design", "policy", "updates", "redesign")
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Controller at its design, and the source of the change from the step before. Bytes identify it."""
+    """Controller at its design, and the source of the change to it."""
 
     source: str
     controller: Controller
@@ -50,7 +50,7 @@ class Gains:
 
 
 def gains_by_source(sources: Sequence[str], rewards: Sequence[Array], *, runs: int | None = None) -> Gains:
-    """Gains from the first to the last of several controllers. They met the same disturbances.
+    """Gains from the first to the last of several controllers.
 
     Parameters
     ----------

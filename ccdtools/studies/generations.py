@@ -1,4 +1,4 @@
-"""The whole loop: initialise, co-design, deploy, learn, redesign, generation after generation."""
+"""The whole loop: initialise, co-design, deploy, learn, redesign."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Echo = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """State of the loop between two generations. What is deployed, the twin, the results so far.
+    """State of the loop between two generations.
 
     `served` is the reference deployment of what is deployed.
     """
@@ -47,7 +47,7 @@ class _State:
 
 
 class Generations:
-    """One run of a study in a folder. Each stage is read back if a former, interrupted run had finished it.
+    """Run of a study in a folder, with finished stages read back.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class Generations:
         self.compute = LoopStages(self.evaluation, progress)
 
     def run(self) -> dict[str, Any]:
-        """Run all stages. Returns the contents of results.json, which is written too."""
+        """Run all stages; write and return the contents of results.json."""
         state = self._begin()
         for generation in range(1, self.generations + 1):
             state = self._next(generation, state)
@@ -106,7 +106,7 @@ class Generations:
         return contents
 
     def _begin(self) -> _State:
-        """State of the loop with the first policy, compared at the start design."""
+        """Initial state: the first policy, compared at the start design."""
         study = self.evaluation.study
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
         service = Deployable(initial.networks["agent"], np.asarray(study.p0), "the start")
@@ -119,7 +119,7 @@ class Generations:
         return _State(service, twin, (initial, start), rows=rows, history=(record,))
 
     def _next(self, generation: int, state: _State) -> _State:
-        """State of the loop after one more generation: design, deploy, learn, compare, evaluate."""
+        """State after one more generation: design, deploy, learn, compare, evaluate."""
         title = f"Generation {generation}"
         known = state.twin.logs
         found = self._stage(
@@ -157,7 +157,7 @@ class Generations:
         )  # fmt: skip
 
     def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
-        """State after a deployment. What was deployed stays, or what was before it is deployed again."""
+        """State after a deployment, kept or rolled back."""
         delivery = deployed.values["delivery"]
         now = deployed_of(
             generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["updates"]
@@ -168,7 +168,7 @@ class Generations:
         return replace(state, service=service, served=reference, trust=Trust(**deployed.values["trust"]))
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
-        """Stage of a name, read back or computed. It has a generator of its own beside its inputs."""
+        """Stage of a name, read back or computed."""
         if self.folder.has(name):
             self.echo(f"{label} … already finished")
             return self.folder.read_stage(name)

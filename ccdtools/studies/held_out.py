@@ -1,4 +1,4 @@
-"""Disturbances that no generation has met, beside the one that trained: every controller there, and the gains."""
+"""Comparisons and gains on disturbances that no generation has met."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OWN_START = "the study's start"
 
 @dataclass(frozen=True, eq=False)
 class GenerationRecord:
-    """A generation as it was designed, and what was deployed at its end.
+    """Generation as designed, and what was deployed at its end.
 
     The start counts as a generation: both are the first policy at the first design. `stayed` says whether what was
     deployed stayed.
@@ -37,7 +37,7 @@ class GenerationRecord:
 
 
 def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
-    """Comparison on held-out runs at the first and the last design. Also the gains by source in every place."""
+    """Comparison and gains on held-out runs, first and last design."""
     first = history[0].after
     last = history[-1].after
     rows = held_out_rows(evaluation, 0, first) + held_out_rows(evaluation, len(history) - 1, last)
@@ -48,8 +48,9 @@ def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) 
 
 
 def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
-    """Places on the real plant where gains are measured. Where it was deployed or on runs like it, on every held-out
-    disturbance, and from where the study starts if the deployment starts elsewhere.
+    """Places on the real plant where gains are measured.
+
+    The deployment or runs like it, every held-out disturbance, and the study's start if the deployment has another.
     """
     deployed = evaluation.on_real()
     study = evaluation.study
@@ -63,7 +64,7 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
 
 
 def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:
-    """Deployables by name: the start, and what was deployed after every generation. Each once, without today's.
+    """Formerly deployed by name, each once and without today's.
 
     What a deployment has shown to fall short is left out.
     """
@@ -77,7 +78,7 @@ def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) 
 
 
 def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) -> list[dict[str, Any]]:
-    """Rows of one design, one per held-out disturbance and controller, as in the comparison."""
+    """Comparison rows of one design on every held-out disturbance."""
     everyone = evaluation.baselines(service.design) | {"learned": evaluation.deployed(service)}
     rows = []
     for name, scenario in list(places_of(evaluation).items())[1:]:
@@ -92,7 +93,7 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
 
 
 def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[Step]:
-    """Steps from LQR at the first design to what is deployed at the end. Each has the source that it is due to.
+    """Steps from LQR at the first design to the last deployed.
 
     The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
     one that stayed brings its redesign; updates while deployed come last. One that was rolled back brings nothing.
@@ -114,7 +115,7 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
 
 
 def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) -> dict[str, Any]:
-    """Gains by source on the runs of a scenario. See `gains_by_source`."""
+    """Gains by source on the runs of a scenario; see `gains_by_source`."""
     known: dict[bytes, Any] = {}
     for step in steps:
         if step.key not in known:
@@ -141,6 +142,6 @@ def _learned(evaluation: Evaluation, source: str, service: Deployable) -> Step:
 
 
 def _key(service: Deployable) -> bytes:
-    """Bytes that only the same policy at the same design has."""
+    """Bytes that identify a policy at its design."""
     weights = [value.numpy(force=True).tobytes() for value in service.agent.state_dict().values()]
     return b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])

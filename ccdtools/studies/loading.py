@@ -1,4 +1,4 @@
-"""Finding a study: by the name of one that comes with the package, or in a Python file."""
+"""Finding a study by name or in a Python file."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from ccdtools_ground.user_functions import in_words
 
 @dataclass(frozen=True, eq=False)
 class LoadedStudy:
-    """Study with the SHA-256 of its source files. These are every file it was declared in, by file name."""
+    """Study with the SHA-256 of its source files by file name."""
 
     study: Study
     sources: dict[str, str]
 
 
 def load_study(name: str | Path) -> Study:
-    """Study of a name. Or the one that a Python file declares as ``study``.
+    """Study of a name, or the one declared in a Python file.
 
     Any module of `ccdtools.studies.cases` with a ``study`` is found by its file name.
 
@@ -42,7 +42,7 @@ def load_study(name: str | Path) -> Study:
 
 
 def load_with_sources(name: str | Path) -> LoadedStudy:
-    """Study of a name or a file, with its sources. Found as by `load_study`."""
+    """Study of a name or file, with its sources."""
     if not isinstance(name, str | Path):
         raise InputError("study", f"a {type(name).__name__}", known_studies())
     text = str(name)
@@ -61,7 +61,7 @@ def load_with_sources(name: str | Path) -> LoadedStudy:
 
 
 def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
-    """Module of a file, and the modules of its folder that it imported."""
+    """Module of a file, and the modules imported from its folder."""
     if not path.is_file():
         raise InputError("study", f"{path}, which is not a file", "a Python file that declares `study`")
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -78,7 +78,7 @@ def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:
 
 @contextmanager
 def blamed_on_source(study: str) -> Iterator[None]:
-    """Turn an exception in the user's own study file into an `InputError`, with the line where it was running."""
+    """Turn an exception in the user's study file into an `InputError`."""
     try:
         yield
     except InputError:
@@ -93,7 +93,7 @@ def blamed_on_source(study: str) -> Iterator[None]:
 
 @contextmanager
 def _importing_from(folder: Path) -> Iterator[list[ModuleType]]:
-    """Put `folder` first on the path. The list holds what was imported from it, which the next study imports anew."""
+    """Put `folder` first on the path and list its imports."""
     before = set(sys.modules)
     imported: list[ModuleType] = []
     sys.path.insert(0, str(folder))
@@ -108,7 +108,7 @@ def _importing_from(folder: Path) -> Iterator[list[ModuleType]]:
 
 
 def _is_beside(file: Path, folder: Path) -> bool:
-    """Whether a source file is the user's own. It is in the study's folder, and no part of an installed package."""
+    """Whether a source file is the user's own, in the study's folder."""
     if not file.is_absolute() or not file.resolve().is_relative_to(folder):
         return False
     parts = file.resolve().relative_to(folder).parts
@@ -116,7 +116,7 @@ def _is_beside(file: Path, folder: Path) -> bool:
 
 
 def _place(path: Path, error: BaseException) -> str:
-    """Place FILE:LINE of an error in a study file, or in a file beside it."""
+    """FILE:LINE of an error in a study file or a file beside it."""
     place = str(path)
     folder = path.resolve().parent
     for frame in traceback.extract_tb(error.__traceback__):
@@ -129,7 +129,7 @@ def _place(path: Path, error: BaseException) -> str:
 
 
 def _stopped(path: Path, place: str, error: BaseException) -> InputError:
-    """Message about an error at a place of a study file, on one line."""
+    """Error at a place of a study file, on one line."""
     if isinstance(error, InputError):
         got = f"{place}, which stops with {error.argument}: got {error.got}"
         return InputError("study", got, error.expected, error.cure)

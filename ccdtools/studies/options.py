@@ -1,4 +1,4 @@
-"""What a run is asked for, checked before anything that is slow to import is imported."""
+"""Options of a run, checked before slow imports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Options:
-    """Options of ``ccdtools run``. Kept in run.json, so that `resume` needs the folder alone.
+    """Options of ``ccdtools run``, kept in run.json for `resume`.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Options:
         self._check_source()
 
     def _check_source(self) -> None:
-        """Raise unless the disturbance comes from one source, with all that belongs to it."""
+        """Raise unless the disturbance has one complete source."""
         given = self.sources()
         if len(given) > 1:
             raise InputError(f"--{given[1]}", f"it together with --{given[0]}", "one source of the disturbance")
@@ -116,12 +116,12 @@ class Options:
             raise InputError("--column", "it without --disturbance", "the file it is a column of")
 
     def sources(self) -> list[str]:
-        """Names of the options that say where the disturbance comes from. A road with its speed is one source."""
+        """Options that name the disturbance's source; road with speed is one."""
         given = [name for name in ("disturbance", "road", "speed", "driver") if getattr(self, name) is not None]
         return [name for name in given if name != "speed" or "road" not in given]
 
     def limit_tolerance(self) -> str | tuple[float, float] | None:
-        """Tolerance of the state limits that `limits` asks for. None for the study's own."""
+        """Tolerance of the state limits by `limits`; None for the study's own."""
         if self.limits is None or self.limits in TOLERANCES:
             return self.limits
         expected = "mpc, off, or two numbers: fraction of the states outside X, peak depth in half-widths"
@@ -131,7 +131,7 @@ class Options:
         return as_limit_tolerance("--limits", tuple(float(part) for part in parts))
 
     def check_files(self) -> None:
-        """Raise unless the files of a recording are there. A resumed run has its own copy and needs them no more."""
+        """Raise unless the files of a recording are there."""
         for name in FILES:
             value = getattr(self, name)
             if value is not None and not _is_file(value):
@@ -139,7 +139,7 @@ class Options:
 
     @classmethod
     def from_json(cls, values: object) -> Options:
-        """The options kept in a run.json.
+        """Options kept in a run.json.
 
         Raises
         ------
@@ -157,19 +157,19 @@ class Options:
 
 
 def study_names() -> list[str]:
-    """Names of the studies that come with the package, the modules of `ccdtools.studies.cases`."""
+    """Names of the studies in `ccdtools.studies.cases`."""
     cases = Path(__file__).parent / "cases"
     return sorted(file.stem for file in cases.glob("*.py") if not file.stem.startswith("_"))
 
 
 def known_studies() -> str:
-    """Description of what may be asked for in the place of a study."""
+    """Text on what may be asked for as a study."""
     return f"one of {', '.join(study_names())}, or a Python file"
 
 
 @contextmanager
 def blamed_on_options(names: dict[str, str]) -> Iterator[None]:
-    """Make an `InputError` name the option that an argument came from. Other arguments keep their names."""
+    """Make an `InputError` name the option that an argument came from."""
     try:
         yield
     except InputError as error:
@@ -179,33 +179,33 @@ def blamed_on_options(names: dict[str, str]) -> Iterator[None]:
 
 
 def described_studies() -> dict[str, str]:
-    """First line of every study of the package, by name. The study itself is not run for it."""
+    """First line of every packaged study by name, without running it."""
     cases = Path(__file__).parent / "cases"
     sources = {name: (cases / f"{name}.py").read_text(encoding="utf-8") for name in study_names()}
     return {name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0] for name, text in sources.items()}
 
 
 def located(study: str) -> str:
-    """Name of the study, or the absolute path of its file. A run may be resumed from elsewhere."""
+    """Name of the study, or the absolute path of its file."""
     return str(Path(study).resolve()) if study.endswith(".py") and "\0" not in study else study
 
 
 def whole_number(argument: str, text: str) -> int:
-    """The whole number that a text holds."""
+    """Whole number in a text."""
     if not WHOLE.fullmatch(text):
         raise InputError(argument, repr(text[:50]), "a whole number below 1e40, such as 42")
     return int(text)
 
 
 def seconds(argument: str, text: str | None) -> float | None:
-    """Number that a text holds. None of None."""
+    """Number in a text; None of None."""
     if text is not None and not NUMBER.fullmatch(text.strip()):
         raise InputError(argument, repr(text[:40]), "one number, in seconds, such as 3600 for an hour")
     return None if text is None else float(text)
 
 
 def numbers(argument: str, text: str | None) -> list[float] | None:
-    """Numbers of a text like "-3,0.5". None of None."""
+    """Numbers of a text like "-3,0.5"; None of None."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
@@ -215,7 +215,7 @@ def numbers(argument: str, text: str | None) -> list[float] | None:
 
 
 def _check_study(study: Any) -> None:
-    """Raise unless it is the name of a study, or a Python file."""
+    """Raise unless `study` is a study's name or a Python file."""
     expected = known_studies()
     if not isinstance(study, str):
         raise InputError("study", shown(study), expected)
@@ -227,7 +227,7 @@ def _check_study(study: Any) -> None:
 
 
 def _check_numbers(argument: str, values: Any) -> None:
-    """Raise unless it is None or a list of finite numbers."""
+    """Raise unless `values` is None or a list of finite numbers."""
     if values is None:
         return
     kinds_right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)

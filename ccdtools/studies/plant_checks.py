@@ -1,4 +1,4 @@
-"""Whether a model, and the real plant that it describes, can be worked with over the whole design box."""
+"""Checks of model and real plant over the whole design box."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ccdtools.studies.real_plant import RealPlant
 
 
 def check_finite(plant: Plant) -> None:
-    """Raise unless the derivatives of the dynamics are finite, at the corners of the design box and between them."""
+    """Raise unless the derivatives of the dynamics are finite over the designs."""
     z = ca.vertcat(plant.x, plant.u, plant.w)
     at_zero = ca.substitute(ca.densify(ca.jacobian(plant.dynamics, z)), z, ca.SX.zeros(z.shape))
     matrices = ca.Function("matrices", [plant.p], [at_zero])
@@ -22,7 +22,7 @@ def check_finite(plant: Plant) -> None:
 
 
 def check_same_plant(model: Plant, real: RealPlant) -> None:
-    """Raise unless the real plant is finite and like the model. States, inputs, design and sampling time agree."""
+    """Raise unless the real plant is finite and sized like the model."""
     plant = real.plant
     for what, own, other in (("states", plant.nx, model.nx), ("inputs", plant.nu, model.nu)):
         if own != other:

@@ -1,4 +1,4 @@
-"""A run made ready: the study that is asked for, its configuration, and all that can be checked beforehand."""
+"""Preparation of a run: study, configuration and early checks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORMAT = 4  # This is the version of run.json.
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """Things that a run needs besides its folder."""
+    """Contents of a run besides its folder."""
 
     options: Options
     study: Study
@@ -32,7 +32,7 @@ class PreparedRun:
     begun_with: dict[str, Any]
 
     def begin(self, folder: RunFolder) -> None:
-        """Write run.json, and a recorded disturbance. Its file may be gone when the run is resumed."""
+        """Write run.json and a copy of a recorded disturbance."""
         if isinstance(self.study.real.disturbance, Recorded):
             kept = io.BytesIO()
             np.save(kept, self.study.real.disturbance.signal)
@@ -42,7 +42,7 @@ class PreparedRun:
 
 
 def prepare(options: Options, asked: LoadedStudy | None = None) -> PreparedRun:
-    """Run that the options ask for. `asked` is its study where that is made already.
+    """Run that the options ask for; `asked` is its study if made.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def prepare(options: Options, asked: LoadedStudy | None = None) -> PreparedRun:
 
 
 def prepare_again(folder: RunFolder) -> PreparedRun:
-    """The run that was begun in a folder.
+    """Run that was begun in a folder.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def prepare_again(folder: RunFolder) -> PreparedRun:
 
 
 def _kept_recording(folder: RunFolder, options: Options) -> Recorded | None:
-    """Recording that was kept with a run. None if there was none."""
+    """Recording kept with a run; None if there was none."""
     path = folder.path / DISTURBANCE
     asked = options.disturbance is not None or options.road is not None
     if not path.is_file():

@@ -22,7 +22,7 @@ PAPER_EPOCHS = 10_000
 
 @dataclass(frozen=True)
 class StudyConfig:
-    """Configuration of a run: everything that is not the study itself.
+    """Configuration of a run: everything but the study.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def configuration(
     sets: str | None = None,
     sets_time_limit: float | None = None,
 ) -> StudyConfig:
-    """The configuration of a preset.
+    """Configuration of a preset.
 
     `sets` and `sets_time_limit` are those of the study unless given.
 
@@ -121,7 +121,7 @@ def configuration(
 
 
 def _paper(config: StudyConfig, study: Study) -> StudyConfig:
-    """The configuration with the paper's networks, rates, epochs and design gradient."""
+    """Configuration with the paper's networks, rates, epochs and design gradient."""
     codesign = CoDesignConfig(
         iterations=PAPER_EPOCHS, block=PAPER_EPOCHS, starts=1, runs=1, design_gradient="network_input",
         design_rate=PAPER_RATE, policy_rate=0.0,
@@ -135,10 +135,10 @@ def _paper(config: StudyConfig, study: Study) -> StudyConfig:
 
 
 def _quick(config: StudyConfig) -> StudyConfig:
-    """The configuration with fewer samples, runs and iterations, and marked so."""
+    """Configuration with fewer samples, runs and iterations."""
 
     def fewer(codesign: CoDesignConfig, iterations: int) -> CoDesignConfig:
-        """A co-design of at most so many iterations."""
+        """Co-design of at most `iterations` iterations."""
         iterations = min(iterations, codesign.iterations)
         block = max(1, iterations // 2)
         return replace(codesign, iterations=iterations, block=block, runs=min(64, codesign.runs), pathwise_runs=64,

@@ -19,7 +19,7 @@ CURE = 'Write "0.5 %" (of the deployed return), or "12 return" (in units of the 
 
 @dataclass(frozen=True)
 class RedesignPrice:
-    """The gain in return that a redesign must exceed.
+    """Gain in return that a redesign must exceed.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class RedesignPrice:
 
     @classmethod
     def parse(cls, text: Any, argument: str = "redesign_price") -> RedesignPrice:
-        """Price that a text such as "0.5 %" or "12 return" states.
+        """Price stated by a text such as "0.5 %" or "12 return".
 
         Raises
         ------
@@ -53,7 +53,7 @@ class RedesignPrice:
         return f"{self.amount:g} %" if self.relative else f"{self.amount:g} in return"
 
     def needed(self, size: float, part: float) -> float:
-        """Needed gain where the deployed return has that size. Over that part of the length of an evaluation."""
+        """Needed gain for a return of `size` over `part` of an evaluation."""
         return self.amount / 100 * size if self.relative else self.amount * part
 
 

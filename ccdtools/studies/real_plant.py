@@ -1,4 +1,4 @@
-"""The plant as it really is, and how it is driven."""
+"""The real plant and how it is driven."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RealPlant(Immutable):
-    """The plant as it really is, and how it is driven.
+    """The real plant and how it is driven.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class RealPlant(Immutable):
 
     @property
     def fresh(self) -> dict[str, Disturbance]:
-        """Held-out disturbances by name. None where nothing can be drawn afresh."""
+        """Held-out disturbances by name; empty if none can be drawn afresh."""
         if self.held_out is not None:
             return dict(self.held_out)
         return {} if self.runs > 1 or is_recorded(self.disturbance) else {"fresh draws": self.disturbance}

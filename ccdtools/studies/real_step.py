@@ -1,4 +1,4 @@
-"""Whether the steps that a real plant is simulated with are short enough for it."""
+"""Check of the simulation steps of a real plant."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from invariant_sets import Polytope
 
 
 def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
-    """Warn if a sample of a real plant may be wrong by a tenth of X. Refuse the plant if it does not hold at all.
+    """Warn if a real plant's sample may be wrong by 0.1 of X.
 
     A sample in `plant.substeps` parts is compared with one of twice as many, within X, U and W and at all designs. A
     disturbance that no plant bears is left to the check of the disturbance.
@@ -48,7 +48,7 @@ def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Arra
 
 
 def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array]:
-    """Bounds (nw,) of draws of a disturbance. One run is at most as long as a recording, and many are short.
+    """Bounds (nw,) of draws of a disturbance.
 
     They are symmetric but for what does not change in a run: an uncertain mass may be far heavier, and is not negative.
     """
@@ -69,13 +69,13 @@ def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array
 
 
 def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
-    """Error that a sample in so many parts may have."""
+    """Error of a sample in `substeps` parts."""
     coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
     return measured_error(coarse, fine, region)
 
 
 def _near(region: Region) -> Region:
-    """Error of a sample with a tenth of the states, around their middle. The extent is a tenth, too."""
+    """Region with a tenth of the states' range, around their middle."""
     nx = region.sizes[0]
     middle = 0.5 * (region.lower + region.upper)
     lower, upper = region.lower.copy(), region.upper.copy()

@@ -1,4 +1,4 @@
-"""Whether a redesign replaces what is deployed, before anything is built."""
+"""Decision whether a redesign replaces what is deployed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ccdtools.twin.updated_plant import UpdatedPlant
 
 @dataclass(frozen=True, eq=False)
 class RedesignJudge:
-    """Judge that compares redesigns with what is deployed. All on the same runs: the logs, and all that is served.
+    """Judge that compares redesigns with what is deployed, on the same runs.
 
     On the logs each goes from the start of a run to its end, through states of its own: in a window that begins within
     a run the cost of a start that neither has earned can outweigh everything else. A redesign must bring a gain there
@@ -49,7 +49,7 @@ class RedesignJudge:
         )
 
     def price(self, candidate: Deployable) -> Callable[[float, int], float]:
-        """Needed gain of a candidate as a function of the size of a return and its steps."""
+        """Needed gain of a candidate, as a function of size and steps."""
         study = self.evaluation.study
         asked = study.price
         policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
@@ -64,7 +64,7 @@ class RedesignJudge:
         return needed
 
     def moved(self, candidate: Deployable) -> bool:
-        """Whether a candidate has another design than what is deployed."""
+        """Whether a candidate's design differs from the deployed one."""
         return not same_design(self.evaluation.problem.design, candidate.design, self.current.design)
 
     def as_dict(self, candidate: Deployable, verdict: Verdict) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class RedesignJudge:
 
     @cached_property
     def _made_for(self) -> Distribution:
-        """Distribution of the nominal model met by all errors of whole logged runs."""
+        """Nominal model with all errors of whole logged runs."""
         evaluation = self.evaluation
         return logged(
             evaluation.split, self.twin.logs, series=evaluation.single, most=evaluation.config.model_runs,
@@ -96,12 +96,12 @@ class RedesignJudge:
 
     @cached_property
     def _nominal(self) -> Distribution:
-        """Distribution of the nominal model."""
+        """Distribution on the nominal model."""
         return self.evaluation.served.nominal(self.evaluation.rng("judged: nominal"))
 
     @cached_property
     def _others(self) -> list[Distribution]:
-        """Distributions that a deployable also serves, on the model as updated by all logs."""
+        """Other distributions a deployable serves, on the updated model."""
         evaluation = self.evaluation
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
@@ -111,7 +111,7 @@ class RedesignJudge:
 
 
 def described(proposed: str, decision: Mapping[str, Any]) -> str:
-    """Description of a decision in one sentence. `proposed` says what was judged."""
+    """Decision in one sentence; `proposed` says what was judged."""
     verdict = "deployed" if decision["accepted"] else f"not deployed, {decision['reason']}"
     if decision["predicted"] == "n/a":
         return f"{proposed} {verdict}"
@@ -123,7 +123,7 @@ def described(proposed: str, decision: Mapping[str, Any]) -> str:
 def predicted(
     evaluation: Evaluation, choice: Deployable, logs: Sequence[Residuals], steps: int | None = None
 ) -> Summary:
-    """Predicted return of a deployment. On the newest log's errors from end to end, or before any on the model.
+    """Predicted return of a deployment.
 
     `steps` are its first ones, by default all.
     """
@@ -136,5 +136,5 @@ def predicted(
 
 
 def same_design(space: DesignSpace, one: Array, other: Array) -> bool:
-    """Whether two designs differ by less than a thousandth of the range of every parameter."""
+    """Whether two designs differ by under 0.001 of every range."""
     return bool(np.abs(space.to_unit(one) - space.to_unit(other)).max() <= SAME_DESIGN)

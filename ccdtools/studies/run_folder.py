@@ -1,4 +1,4 @@
-"""A folder that holds one run: what it was begun with, the stages it has finished, and its results."""
+"""Folder of one run: options, finished stages and results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MEND = "What was finished is kept; mend this and continue with `ccdtools resume`
 
 
 class RunFolder:
-    """Folder of a run. Stages are written whole or not at all, so an interrupted run loses only its current stage.
+    """Folder of a run, with stages written whole or not at all.
 
     A finished stage carries the hashes of its files and of ``run.json``: one that was damaged, edited or taken from
     another run is refused, and never read as if it were this run's.
@@ -43,7 +43,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: str | Path, *, overwrite: bool = False, argument: str = "path") -> RunFolder:
-        """A new folder.
+        """New folder of a run.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class RunFolder:
         return folder
 
     def check_new(self, *, overwrite: bool = False, argument: str = "path", mark: str = "run.json") -> None:
-        """Raise unless the path is free. What has the `mark` of its kind and is to be overwritten may be there."""
+        """Raise unless the path is free or may be overwritten."""
         if not os.path.lexists(self.path) or self._was_never_begun():
             return
         if not overwrite:
@@ -75,7 +75,7 @@ class RunFolder:
             raise InputError(argument, f"{self.path}, which holds no {what}", f"a {what}'s folder to overwrite")
 
     def _was_never_begun(self) -> bool:
-        """Whether a process was killed after it made the folder and before it wrote run.json."""
+        """Whether a run was killed before it wrote run.json."""
         try:
             names = {name.removesuffix(".partial") for name in os.listdir(self.path)}
         except OSError:
@@ -84,7 +84,7 @@ class RunFolder:
 
     @contextmanager
     def locked(self, argument: str = "folder") -> Iterator[None]:
-        """Keep other processes out. The system lets go of the lock when this process ends, however it ends.
+        """Keep other processes out until this one ends or lets go.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class RunFolder:
 
     @contextmanager
     def writing(self, argument: str = "folder") -> Iterator[None]:
-        """Turn a failure to write into one clear `InputError`. Such as no space, no permission, a file in the way."""
+        """Turn a failure to write into an `InputError`."""
         try:
             yield
         except BrokenPipeError:
@@ -114,7 +114,7 @@ class RunFolder:
             raise InputError(argument, got, WRITABLE, MEND) from None
 
     def check_layout(self) -> None:
-        """Raise unless the path holds a run. Folders are where folders belong and files where files belong.
+        """Raise unless the path holds a run's files and folders.
 
         Raises
         ------
@@ -132,16 +132,16 @@ class RunFolder:
         self.read_json("run.json")
 
     def check_stages(self) -> None:
-        """Read everything that is finished, so that damage is reported before anything is computed."""
+        """Read every finished stage, to report damage early."""
         for name in self.finished():
             self.read_stage(name)
 
     def write_json(self, name: str, values: dict[str, Any]) -> None:
-        """Write `values` to a JSON file. NaN and infinity become null."""
+        """Write `values` to a JSON file; NaN and infinity become null."""
         self.write_text(name, json_text(values) + "\n")
 
     def write_text(self, name: str, text: str) -> Path:
-        """Write a file whole or not at all. Returns its path."""
+        """Write a file whole or not at all, and return its path."""
         self.write_bytes(name, text.encode("utf-8", errors="surrogateescape"))
         return self.path / name
 
@@ -154,7 +154,7 @@ class RunFolder:
             os.replace(partial, self.path / name)
 
     def read_json(self, name: str) -> dict[str, Any]:
-        """The values of a JSON file.
+        """Values of a JSON file.
 
         Raises
         ------
@@ -170,7 +170,7 @@ class RunFolder:
         return values
 
     def keep_stage(self, name: str, stage: Stage) -> Stage:
-        """Write a stage and return it as it is read back. A resumed run then goes on from the same values."""
+        """Write a stage and return it as it is read back."""
         with self.writing():
             write_stage(self._stages / name, stage, self._identity())
         return self.read_stage(name)
@@ -195,7 +195,7 @@ class RunFolder:
         return [p.name for p in sorted(folders, key=_written_at)]
 
     def read_stage(self, name: str) -> Stage:
-        """A finished stage.
+        """Finished stage.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class RunFolder:
             raise InputError("folder", got, "it as written", "Delete it, and the run computes it again.") from None
 
     def _identity(self) -> str:
-        """Hash of what the run was begun with. Empty for a folder without run.json."""
+        """Hash of run.json; empty without that file."""
         if not (self.path / "run.json").is_file():
             return ""
         canonical = json.dumps(self.read_json("run.json"), sort_keys=True)
@@ -222,7 +222,7 @@ class RunFolder:
 
 
 def _written_at(stage: Path) -> int:
-    """Time [ns] at which the stage was moved into its place. 0 if it is damaged."""
+    """Time [ns] at which a stage was finished; 0 if damaged."""
     try:
         return (stage / "values.json").stat().st_mtime_ns
     except OSError:
@@ -230,7 +230,7 @@ def _written_at(stage: Path) -> int:
 
 
 def _locks(file: IO[str]) -> bool:
-    """Lock an open file for this process alone. False if another one holds it."""
+    """Lock an open file for this process; False if another holds it."""
     try:
         import fcntl
 

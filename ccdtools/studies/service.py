@@ -1,4 +1,4 @@
-"""Whether what was deployed stays: it must not be worse, as measured, than what was deployed before."""
+"""Decision whether a deployment stays, compared with the one before."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class Agreement(Enum):
 
     @property
     def kept(self) -> bool | None:
-        """True if the prediction was right, False if it was wrong, None if undecided."""
+        """True if the prediction was right, False if wrong, None if undecided."""
         return {Agreement.AGREED: True, Agreement.LESS: False}.get(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Deployed:
-    """One deployment, and which stretch of its log each policy stands for.
+    """Deployment, and the stretch of its log that each policy drove.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Deployed:
         return self.log.inputs.shape[0] * self.log.inputs.shape[1]
 
     def stretch(self, one: Deployable) -> tuple[int, int]:
-        """First sample of the stretch that a policy drove alone, and the one after the last. None of another's."""
+        """First sample that a policy drove alone, and the one after its last."""
         if one.same_as(self.designed):
             return (0, self.changes[0] if self.changes else self.samples)
         if one.same_as(self.after):
@@ -73,7 +73,7 @@ class Deployed:
         return (0, 0)
 
     def part(self, first: int, last: int, *, common: bool = False) -> Trajectory:
-        """Log from one sample to another, of several runs whole ones, `common` those that are met every time."""
+        """Log between two samples, in whole runs if several; `common` ones on request."""
         log = self.log
         runs, steps = log.inputs.shape[:2]
         chosen: Any = slice(None)
@@ -92,7 +92,7 @@ class Deployed:
 
 @dataclass(frozen=True)
 class Delivery:
-    """Outcome of a deployment, beside what was predicted and what was deployed before.
+    """Outcome of a deployment beside its prediction and the one before.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ def measured(
     pairing: Pairing, candidate: Deployable, deployed: Deployed, current: Deployable, former: Deployed, asked: Asked,
     limits: Limits | None = None,
 ) -> Evidence | None:  # fmt: skip
-    """Two policies on the samples that each drove alone under the same disturbance. None where there are none.
+    """Comparison of two policies on samples with equal disturbances; None without any.
 
     Of several runs these are common runs, of a single one the same stretch of time.
     """
@@ -158,7 +158,7 @@ def judge_deployment(
     deployed: Deployed, former: Deployed | None, current: Deployable | None, pairing: Pairing,
     predicted: Callable[[int | None], Summary], *, redesigned: bool, limits: Limits | None = None,
 ) -> Delivery:  # fmt: skip
-    """Whether a deployment stays, compared with what was deployed before it. By stretches of one policy each.
+    """Whether a deployment stays, compared with the one before.
 
     It stays if its return is not worse beyond chance; where a redesign was deployed, which must bring something, or
     where there is no interval, if it is no loss in the mean either. It must lose no more runs, and leave the limits no
@@ -203,7 +203,7 @@ def judge_deployment(
 
 
 def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:
-    """Agreement of both: apart where chance hardly ever parts them so far, open without intervals."""
+    """Agreement of a predicted and a measured return."""
     if np.isfinite(predicted.mean) and not np.isfinite(returns.mean):
         return Agreement.LESS
     if not np.isfinite([*predicted.ci95, *returns.ci95]).all():
@@ -217,7 +217,7 @@ def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> A
 
 
 def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
-    """Whether one mean lies below another by more than chance brings in one of `FALSE_ALARM` comparisons.
+    """Whether one mean lies below another beyond chance (`FALSE_ALARM`).
 
     The halves of the 95 % intervals that face each other are those of independent errors; together they are widened
     from that level to the rarer one, with as many degrees of freedom as the shorter sample has.

@@ -1,4 +1,4 @@
-"""One finished stage of a run on disk: JSON values, arrays, networks, and the hashes of all of them."""
+"""Finished stage on disk: JSON values, arrays, networks and hashes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Stage:
 
 
 def write_stage(folder: Path, stage: Stage, run: str) -> None:
-    """Write a stage of the run with that identity. It is written beside its place and moved there when it is whole."""
+    """Write a stage with the identity `run`, moved into place when whole."""
     from learning import checkpoint  # loads torch, which a wrong option need not wait for
 
     partial = folder.with_name(f"{folder.name}.partial")
@@ -46,7 +46,7 @@ def write_stage(folder: Path, stage: Stage, run: str) -> None:
 
 
 def read_stage(folder: Path, run: str) -> Stage:
-    """A finished stage of the run with that identity.
+    """Finished stage with the identity `run`.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def read_stage(folder: Path, run: str) -> Stage:
 
 
 def _check_manifest(folder: Path, run: str) -> None:
-    """Raise a `ValueError` that names the first file which is not as this run wrote it."""
+    """Raise a `ValueError` that names the first file not as written."""
     if not (folder / MANIFEST).is_file():
         raise ValueError(f"{MANIFEST} is missing")
     try:
@@ -86,7 +86,7 @@ def _check_manifest(folder: Path, run: str) -> None:
 
 
 def saved(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a network to a path. A failure is an `OSError`, as of any other file."""
+    """Write a network to a path; a failure is an `OSError`."""
     from learning.exceptions import CheckpointError
 
     try:

@@ -1,4 +1,4 @@
-"""Stages of the loop, and what each computes."""
+"""Stages of the loop."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ POLICY_ALONE = "its policy at the present design"
 
 @dataclass(frozen=True, eq=False)
 class LoopStages:
-    """Stages of one run. Each takes its generator first and returns what is to be kept."""
+    """Stages of one run; each takes its generator first."""
 
     evaluation: Evaluation  # the study, its configuration, and what the stages are measured on
     progress: bool  # show progress bars
@@ -74,7 +74,7 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, current: Deployable, twin: DigitalTwin, trust: Trust,
         history: Sequence[GenerationRecord] = (),
     ) -> Stage:  # fmt: skip
-        """First co-design on the nominal model. Later ones use the updated model, deployed if they are worth it.
+        """Co-design on the nominal model, or redesign on the updated one.
 
         A redesign is trained on the median model, with what that leaves unexplained replayed, and ranked on replays of
         the logged errors themselves: a model fitted in closed loop can mistake the road for a consequence of the state.
@@ -125,14 +125,14 @@ class LoopStages:
     def _proposals(
         self, redesign: Deployable, current: Deployable, history: Sequence[GenerationRecord]
     ) -> dict[str, Deployable]:
-        """Candidates by name. The redesign, its policy without its design, the start, and what was deployed."""
+        """Proposals by name: redesign, its policy alone, start and former deployables."""
         proposals = {"redesign": redesign}
         if not same_design(self.evaluation.problem.design, redesign.design, current.design):
             proposals[POLICY_ALONE] = replace(redesign, design=current.design)
         return proposals | {FORMER + name: service for name, service in formerly_deployed(history, current).items()}
 
     def _verdicts(self, proposals: Mapping[str, Deployable], judge: RedesignJudge) -> dict[str, Verdict]:
-        """Verdicts by name. The policy of a redesign is judged alone only if the redesign is refused."""
+        """Verdicts by name; a policy is judged alone after a refusal."""
         verdicts: dict[str, Verdict] = {}
         for name, proposal in proposals.items():
             if name != POLICY_ALONE or not verdicts["redesign"].replaces:
@@ -142,7 +142,7 @@ class LoopStages:
     def _co_designed(
         self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
-        """Co-design, with the policy and design that are deployed. Also the decisions, and what they predict."""
+        """Stage of a co-design, with what is deployed, decided and predicted."""
         history = result.history
         space = self.evaluation.problem.design
         arrays = {f"history_{name}": getattr(history, name) for name in history.__dataclass_fields__}
@@ -170,7 +170,7 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, found: Stage, current: Deployable, former: Deployed | None,
         trust: Trust, twin: DigitalTwin | None = None,
     ) -> Stage:  # fmt: skip
-        """Log of the policy on the real plant, updated on the way. Also whether it stays deployed."""
+        """Deployment with its updates, and whether it stays."""
         evaluation = self.evaluation
         study = evaluation.study
         real = study.real
@@ -215,7 +215,7 @@ class LoopStages:
                      {"agent": deployment.agent})  # fmt: skip
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
-        """Limits that a deployment violated and the one before it kept. MPC is asked on the errors that it met."""
+        """Limits that a deployment violated and the one before kept."""
         evaluation = self.evaluation
         if log.diverged.all():
             return None
@@ -224,7 +224,7 @@ class LoopStages:
         return violation(evaluation.problem, scenario, log, former, evaluation.study.real.plant)
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
-        """Quantiles of the one-step errors of the nominal model along all logs. Also how well draws hold."""
+        """Discrepancy learned from all logs, with its scores."""
         if log.diverged.all() and twin.discrepancy is not None and twin.scores is not None:
             report = ["every run diverged: nothing was learned from them"]
             values = {"scores": asdict(twin.scores), "free_running": None, "report": report}
@@ -246,7 +246,7 @@ class LoopStages:
         return Stage(values | {"report": report}, networks=_networks(updated.discrepancy))
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
-        """Twin that `learn` has left behind."""
+        """Twin after `learn`."""
         if log.diverged.all():
             return twin
         taught = twin.remembering(log)
@@ -260,13 +260,13 @@ class LoopStages:
         self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
         logs: Sequence[Residuals],
     ) -> Stage:  # fmt: skip
-        """Comparison of every controller at the design. On the model that judged it and on the real plant."""
+        """Comparison of every controller at the design."""
         return self.evaluation.comparison(
             generation, designed.design, designed=designed.agent, deployed=deployed.agent, judged_on=logs, rng=rng
         )
 
     def held_out(self, rng: np.random.Generator, history: Sequence[GenerationRecord]) -> Stage:
-        """Comparison of every controller under held-out disturbances. No generation met them; with all gains."""
+        """Comparison and gains under held-out disturbances."""
         return held_out_stage(self.evaluation, history)
 
     def evaluate(
@@ -278,32 +278,32 @@ class LoopStages:
 
 
 def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:
-    """Record of how a co-design kept its state limits. None where they were switched off."""
+    """Record of the state limits in a co-design; None if switched off."""
     if result.limits is None:
         return None
     return asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}
 
 
 def _networks(discrepancy: Discrepancy) -> dict[str, Any]:
-    """Networks that are kept of a discrepancy."""
+    """Networks of a discrepancy, by name."""
     parts = {"quantiles": discrepancy.network, "copula": discrepancy.copula}
     return {name: part for name, part in parts.items() if part is not None}
 
 
 def _shares(values: Sequence[float]) -> str:
-    """Whole per cents, one after the other."""
+    """Values in whole per cent, as text."""
     return ", ".join(f"{value:.0%}" for value in values)
 
 
 def deployable_of(found: Stage) -> Deployable:
-    """Deployable that a co-design leaves."""
+    """Deployable of a co-design's stage."""
     return Deployable(found.networks["agent"], found.arrays["design"], found.values["name"])
 
 
 def deployed_of(
     generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, updates: Sequence[Mapping[str, Any]]
 ) -> Deployed:  # fmt: skip
-    """Deployment of what was designed, from its kept updates, with the stretch that each policy drove."""
+    """Deployment of a deployable with its kept updates."""
     changes = tuple(update["after"] for update in updates if update["accepted"])
     after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
     return Deployed(generation, designed, after, log, changes)
@@ -318,5 +318,5 @@ def packed(log: Trajectory) -> dict[str, Any]:
 
 
 def unpacked(stage: Stage, dt: float) -> Trajectory:
-    """Log that a deployment has left behind."""
+    """Log of a deployment's stage."""
     return Trajectory(**stage.arrays, dt=dt)  # type: ignore[arg-type]

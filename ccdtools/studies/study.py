@@ -1,4 +1,4 @@
-"""Declaration of a case study: one object, checked when it is made."""
+"""Declaration of a case study."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ MODEL_RUNS = 200  # A deployment logs so many runs by default where the real pla
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(Immutable):
-    """A case study.
+    """Case study, checked when it is made.
 
     Attributes
     ----------
@@ -202,7 +202,7 @@ class Study(Immutable):
             try_metrics(metrics, self.plant)
 
     def _check_limits(self) -> None:
-        """Raise unless X and U can be regulated in, and the start lies within X."""
+        """Raise unless X and U hold the origin, and X the start."""
         for argument, limits in (("X", widest(self.X)), ("U", widest(self.U))):
             if limits.is_empty:
                 raise InputError(argument, "an empty set", "limits with a point between them")
@@ -238,7 +238,7 @@ class Study(Immutable):
             raise InputError("starts", error.got, error.expected, error.cure) from None
 
     def _check_real(self, real: RealPlant) -> None:
-        """Raise unless the model may describe the real plant. Its steps have to follow it."""
+        """Raise unless model and simulation steps fit the real plant."""
         check_same_plant(self.plant, real)
         if isinstance(real.plant, Plant):
             X, U = widest(self.X), widest(self.U)
@@ -246,7 +246,7 @@ class Study(Immutable):
 
     @cached_property
     def model(self) -> Model:
-        """Discrete model, exact and symbolic in the design. Or integrated to an accuracy within X, U and W.
+        """Discrete model, exact or integrated to an accuracy within X, U and W.
 
         W are the bounds of a thousand samples of the disturbance, and of 200 runs of it.
         """
@@ -267,12 +267,12 @@ class Study(Immutable):
 
     @property
     def price(self) -> RedesignPrice:
-        """Gain in return that a redesign is required to predict."""
+        """Predicted gain that a redesign must exceed."""
         return RedesignPrice.parse(self.redesign_price)
 
     @property
     def accepted_loss(self) -> float:
-        """Loss that a change may bring on any distribution, as a part of the return there."""
+        """Accepted loss on any distribution, as a part of the return."""
         return accepted_loss(self.accept_loss)
 
     @property
@@ -287,11 +287,11 @@ class Study(Immutable):
 
     @property
     def judged_in(self) -> Risk:
-        """Risk that redesigns, updates and deployments are judged by. What logged runs tell of the study's."""
+        """Risk by which redesigns, updates and deployments are judged."""
         return of_logged_runs(self.risk)
 
     def problem(self) -> CoDesignProblem:
-        """The co-design problem on the nominal model, from the evaluation's start."""
+        """Co-design problem on the nominal model."""
         return CoDesignProblem(
             self.model, self.X, self.U, self.objective, self.scenarios, self.steps,
             limit_tolerance=self.limit_tolerance, output_limits=OutputLimits.of(self.plant), risk=self.risk,
@@ -299,18 +299,18 @@ class Study(Immutable):
 
     @property
     def scenarios(self) -> FixedStart | RandomStarts:
-        """Scenarios that episodes and evaluations on the model start from and meet."""
+        """Starts and disturbances of episodes and evaluations on the model."""
         if self.starts is None:
             return FixedStart(self.x0, self.disturbance)
         return RandomStarts(self.starts, self.disturbance)
 
     def model_starts(self, runs: int, rng: np.random.Generator) -> Array:
-        """Initial states (runs, nx) of evaluations on the model. Nothing is drawn where all are x0."""
+        """Initial states (runs, nx) of evaluations on the model."""
         scenarios = self.scenarios
         return scenarios.states(runs, rng) if isinstance(scenarios, RandomStarts) else np.tile(self.x0, (runs, 1))
 
     def started(self, *, x0: ArrayLike | None = None, p0: ArrayLike | None = None) -> Study:
-        """This study from one other state or design. A real start equal to the old x0 moves along."""
+        """This study from another state or design."""
         if x0 is None:
             return self if p0 is None else replace(self, p0=p0)
         x0 = as_vector("x0", x0, self.plant.nx, of="one per state")

@@ -1,4 +1,4 @@
-"""Every tolerance of `ccdtools.studies`, with its meaning; where no unit is named it is relative [-]."""
+"""Tolerances of `ccdtools.studies`, relative [-] without a unit."""
 
 MOSTLY_OUTSIDE = 0.5  # A recording with a larger part of its samples outside X is not one of this plant.
 REAL_RUNS = 500  # The gains on a real plant of short runs are measured on so many of them.

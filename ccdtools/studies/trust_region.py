@@ -1,4 +1,4 @@
-"""Trust region: how far from what has been deployed a redesign may go."""
+"""Trust region of a redesign around what is deployed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.twin.twin import DigitalTwin
 
 @dataclass(frozen=True)
 class ErrorAttribution:
-    """Parts of the logged errors that are not known at another design."""
+    """Parts of the logged errors unknown at another design."""
 
     rest: float  # part of the errors' energy that does not enter through E(p)
     # further part that the discrepancy explains by state and input: it may change with the design otherwise than E
@@ -43,14 +43,14 @@ class ErrorAttribution:
 
 @dataclass(frozen=True)
 class Trust:
-    """Trust region's radius, as the deployments so far have left it."""
+    """Radius of the trust region, after the deployments so far."""
 
     radius: float = FIRST_RADIUS  # largest move of a parameter, as a part of its range; from 1 on there is no limit
     # whether a deployment fell short of what was predicted: from then on the region counts whatever the doubt
     betrayed: bool = False
 
     def after(self, kept: bool | None) -> Trust:
-        """Trust after a deployment that brought what was predicted, or did not. None if it says neither."""
+        """Trust after a deployment that kept its prediction (None if undecided)."""
         if kept is None:
             return self
         if kept:
@@ -63,7 +63,7 @@ class Trust:
 
 
 def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
-    """Parts of a twin's errors not known at another design. `scale` (nx,) is the extent of the states."""
+    """Parts of a twin's errors unknown at another design."""
     logs = twin.carried()
     whole = rest = entering = 0.0
     for log, left in zip(logs, twin.innovations()):
@@ -77,7 +77,7 @@ def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
-    """Problem with a narrowed box of designs. It keeps so much of each range on either side of a design.
+    """Problem with a box of designs narrowed to a radius about `centre`.
 
     A whole number may take the next one either way, however short its range or small the radius.
     """
@@ -93,13 +93,13 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
 
 
 def edges(design: Array, region: DesignSpace, space: DesignSpace) -> dict[str, str]:
-    """Parameters at a side of a region that is no bound of the whole box. With "lower" or "upper"."""
+    """Parameters at an edge of a region, with "lower" or "upper"."""
     bounds = space.active_bounds(design)
     return {name: side for name, side in region.active_bounds(design).items() if bounds.get(name) != side}
 
 
 def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpace) -> LearnedCoDesign:
-    """Result of a region as it is read in the whole box. The region's edges are no bounds of the design.
+    """Result of a region, as read in the whole box.
 
     A whole number is held by no slope: that the best one stands at an edge says as much.
     """
@@ -112,7 +112,7 @@ def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpac
 
 
 def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
-    """Split of a log carried to the newest design. Errors through the disturbance and the rest, (n, T, nx) each."""
+    """Split of a log at the newest design into two parts, (n, T, nx) each."""
     newest = twin.logs[-1].p
     if isinstance(twin.model, SampledModel):
         rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))
@@ -122,7 +122,7 @@ def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Arra
 
 
 def _identified(twin: DigitalTwin, scale: Array) -> bool:
-    """Whether E does not change over the box, or is of full column rank all over it."""
+    """Whether E is constant or of full column rank over the box."""
     space = twin.model.design
     if space is None:
         return True

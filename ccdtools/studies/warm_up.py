@@ -1,4 +1,4 @@
-"""Warm-up: how long a replay runs before it shows what a design earns, not where the log's own loop had left it."""
+"""Length of a replay before its return counts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mpc import MPCError
 
 
 def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, space: DesignSpace) -> int:
-    """Steps before a window that leave the log's own loop behind. Its return is then that of each design's own loop.
+    """Steps before a window until the logged loop no longer matters.
 
     A window starts at a state of the logged loop. Where that costs a design more, or less, than its own states would,
     and the loop settles slowly, the start outweighs the disturbance. LQR is run over windows of the logged errors at
@@ -42,7 +42,7 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
     entering = [split.disturbances(log) for log in logs]
 
     def returns(before: int) -> Array:
-        """Mean return of every design over the windows after so many steps. NaN where a run diverges."""
+        """Mean return of every design after `before` steps; NaN where a run diverges."""
         x0 = np.array([logs[i].x[run, k - before] for i, run, k in places])
         w = np.array([entering[i][run, k - before : k + window] for i, run, k in places])
         scenario = Scenario(split.replayed_model, x0, w)
@@ -58,7 +58,7 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
 
 
 def _designs(space: DesignSpace) -> Array:
-    """Designs (n, np), a few, all over the box. The corners where they are few."""
+    """A few designs (n, np) all over the box."""
     spread = space.spread()
     if 2**space.dim < WARM_UP_DESIGNS:
         return spread[:WARM_UP_DESIGNS]
@@ -66,7 +66,7 @@ def _designs(space: DesignSpace) -> Array:
 
 
 def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before: int) -> float:
-    """Mean return of saturated LQR after so many steps. NaN if there is no LQR, or a run diverges."""
+    """Mean return of saturated LQR after `before` steps; NaN if it fails."""
     try:
         controller = saturated_lqr(problem, design)
     except MPCError:
@@ -76,7 +76,7 @@ def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before:
 
 
 def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Log, run and first step of windows spread over all runs. Each has room for so many steps before it."""
+    """Log, run and first step of windows, with room for `before` steps."""
     every = [(i, run) for i, log in enumerate(logs) for run in range(log.runs)]
     some = np.unique(np.linspace(0, len(every) - 1, min(WARM_UP_WINDOWS, len(every))).round().astype(int))
     for i, run in (every[k] for k in some):
@@ -86,7 +86,7 @@ def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tup
 
 
 def _doubled(first: int, last: int) -> Iterator[int]:
-    """First number, twice that, and so on, below the last."""
+    """First number and its doubles below the last."""
     while first < last:
         yield first
         first *= 2

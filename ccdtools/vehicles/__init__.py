@@ -1,4 +1,4 @@
-"""Cars and roads: plants, road profiles, and how a ride is measured. Studies use them, nothing below does."""
+"""Cars and roads: plants, road profiles and ride metrics."""
 
 from ccdtools_ground.front_door import front_door
 

@@ -1,4 +1,4 @@
-"""Half a car and a full one of seven degrees of freedom; springs and dampers of both axles are the design.
+"""Half car and full car; springs and dampers are the design.
 
 The wheels are numbered front left, front right, rear left, rear right. Seven degrees of freedom have 14 states where
 the road is given by its heights. Where it is given by its speeds, as elsewhere in this library, the states are
@@ -63,7 +63,7 @@ class Car(Parameters):
 
     @property
     def loads(self) -> tuple[float, float]:
-        """Static loads of a front tyre and of a rear one [N]."""
+        """Static loads of a front tyre and a rear one [N]."""
         wheelbase = self.front + self.rear
         return (
             GRAVITY * (self.wheel_front + self.body / 2 * self.rear / wheelbase),
@@ -71,7 +71,7 @@ class Car(Parameters):
         )
 
     def axles(self, p: ca.SX, *, strut: RealStrut, real: bool) -> tuple[Corner, Corner]:
-        """Corners of the front axle and of the rear axle, at the design p of `axle_design`."""
+        """Corners of front and rear axle at the design p of `axle_design`."""
         front, rear = (
             Corner(p[2 * i], p[2 * i + 1], self.tyre, load, strut, nonlinear=real, real=real)
             for i, load in enumerate(self.loads)
@@ -80,7 +80,7 @@ class Car(Parameters):
 
 
 def axle_design() -> DesignSpace:
-    """Design of spring and damper of one wheel, front and rear."""
+    """Design space of spring and damper per wheel, front and rear."""
     return DesignSpace(
         ["k_f", "c_f", "k_r", "c_r"],
         lower=[1.5e4, 800.0, 1.2e4, 800.0],
@@ -92,14 +92,14 @@ def axle_design() -> DesignSpace:
 def corner_forces(
     corners: list[Corner], u: ca.SX, deflections: ca.SX, travels: ca.SX, rates: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Upward forces [N] on the body at its corners and on the wheels. A row for each corner."""
+    """Upward forces [N] on body corners and wheels, a row per corner."""
     lifts = [corner.active(u[i]) - corner.passive(travels[i], rates[i]) for i, corner in enumerate(corners)]
     pushes = [corner.ground(deflections[i]) - lifts[i] for i, corner in enumerate(corners)]
     return ca.vertcat(*lifts), ca.vertcat(*pushes)
 
 
 def half_car(*, real: bool = False, car: Car | None = None, strut: RealStrut | None = None, dt: float = 0.01) -> Plant:
-    """Half of a `Car`, with half of its body, about its static equilibrium; small angles.
+    """Half of a `Car` about its static equilibrium; small angles.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def half_car(*, real: bool = False, car: Car | None = None, strut: RealStrut | N
 
 def full_car(*, real: bool = False, road: str = "speed", twist_decay: float = 0.5, car: Car | None = None,
              strut: RealStrut | None = None, dt: float = 0.01) -> Plant:  # fmt: skip
-    """A full car about its static equilibrium; small angles.
+    """Full car about its static equilibrium; small angles.
 
     Parameters
     ----------

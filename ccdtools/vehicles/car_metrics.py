@@ -1,4 +1,4 @@
-"""What a suspension does to passengers, its stops, the road and the battery: comfort, travel, tyre load, energy."""
+"""Suspension metrics: comfort, travel, tyre load and energy."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NAMES = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SuspensionMetrics(Immutable):
-    """Metrics of how runs rode, one value per run, or per run and wheel. Smaller is better in all of them.
+    """Metrics of how runs rode, per run or per run and wheel; smaller is better.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ def suspension_metrics(
     static_load: float,
     recovered: float = 0.0,
 ) -> SuspensionMetrics:
-    """Metrics of signals whose last axis is time, all at once.
+    """Metrics of signals whose last axis is time.
 
     Of a `Trajectory` of the quarter car, x = [z_us − z₀, ż_us, z_s − z_us, ż_s]::
 
@@ -121,7 +121,7 @@ def suspension_metrics(
 
 
 def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Array]:
-    """Root mean square [m] and largest value [m] of travels (..., T). Also the largest over the stop. Each (...,).
+    """Root mean square [m], peak [m] and share of the stop of travels (..., T).
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Arr
 
 
 def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
-    """Root mean square of the dynamic load over the static one. Also the fraction of time without load, each (...,).
+    """Relative root mean square of the dynamic load, and fraction without load, each (...,).
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
 
 
 def actuator_energy(force: ArrayLike, travel: ArrayLike, *, recovered: float = 0.0) -> Array:
-    """Work of the actuator over each run, (...,) [J]. What it drives, less the recovered part of what it brakes.
+    """Work of the actuator over each run, (...,) [J].
 
     The work of a step is force times change of travel, exact for a force that is held over it. It counts with its
     sign, so a step that both drives and brakes counts as their difference: the true energy without recovery is larger

@@ -1,4 +1,4 @@
-"""One wheel of a car and what joins it to the body: a strut that is linear, or as real ones are."""
+"""One wheel of a car and its strut, linear or real."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ccdtools.plants.library.elements import Parameters, dry_friction, hardening
 
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
-    """Force c (v + a (√(v² + v₀²) − v₀)), of slope c at rest, (1 + a) c in rebound, (1 − a) c in bump beyond v₀."""
+    """Force c (v + a (√(v² + v₀²) − v₀)): more damping in rebound than in bump."""
     return damping * (rate + asymmetry * (ca.sqrt(rate**2 + knee**2) - knee))
 
 
 @dataclass(frozen=True)
 class RealStrut(Parameters):
-    """Properties of real struts that linear ones lack. Typical values, of no particular car.
+    """Properties that real struts have beside linear ones; typical values.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class RealStrut(Parameters):
 
 @dataclass(frozen=True)
 class Corner:
-    """One wheel and what joins it to the body. All forces are beyond the static ones.
+    """One wheel and its strut, with forces beyond the static ones.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Corner:
     real: bool
 
     def passive(self, travel: ca.SX, rate: ca.SX) -> ca.SX:
-        """Force that pulls body and wheel together [N], by their distance [m] and its rate [m/s]."""
+        """Force [N] that pulls body and wheel together, by distance [m] and rate [m/s]."""
         if not (self.nonlinear or self.real):
             return self.spring * travel + self.damper * rate
         strut = self.strut
@@ -82,11 +82,11 @@ class Corner:
         return force + dry_friction(strut.friction, rate, strut.sliding) if self.real else force
 
     def active(self, u: ca.SX) -> ca.SX:
-        """Force that the actuator gives where `u` is asked for [N]."""
+        """Force [N] of the actuator for a demanded `u`."""
         return limited(u, self.strut.force_limit) if self.real else u
 
     def ground(self, deflection: ca.SX) -> ca.SX:
-        """Upward force of the road on the wheel [N]. `deflection` [m] is above where it stands at rest."""
+        """Upward force [N] of the road on the wheel at a `deflection` [m] from rest."""
         if not self.real:
             return -self.tyre * deflection
         rounding = 0.1 * self.load  # of the corner at which the tyre leaves the road

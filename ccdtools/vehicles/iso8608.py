@@ -1,4 +1,4 @@
-"""Road profiles of the classes of ISO 8608: their spectrum, and seeded roads of one track or two."""
+"""Road profiles of the classes of ISO 8608."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FEWEST = 4  # The shortest wave has at least so many samples.
 
 
 def road_roughness(road_class: RoadClass) -> float:
-    """Displacement spectrum of a class at n₀ = 0.1 1/m, geometric mean [m³]. 16·10⁻⁶ for A, 4 times for each next.
+    """Displacement spectrum [m³] of a class at n₀ = 0.1 1/m, geometric mean.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def road_roughness(road_class: RoadClass) -> float:
 
 
 def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLike = BAND) -> Array:
-    """One-sided spectrum of the elevation of a class. G(n) = G(n₀) (n/n₀)⁻² [m³] within the band and 0 outside.
+    """One-sided spectrum G(n) = G(n₀) (n/n₀)⁻² [m³] of a class; 0 outside the band.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLik
 
 
 def track_coherency(frequency: ArrayLike, track: float) -> Array:
-    """Coherency γ(n) of the elevations of two parallel tracks of an isotropic road. Its square is their coherence.
+    """Coherency γ(n) of two parallel tracks of an isotropic road.
 
     γ(n) = x K₁(x) with x = 2π n b. It is real, 1 for long waves and 0 for short ones: the cross spectrum of the
     tracks is γ(n) G(n).
@@ -110,7 +110,7 @@ def generate_profile(
     band: ArrayLike = BAND,
     spacing: float = SPACING,
 ) -> tuple[Array, Array]:
-    """Road of a class of ISO 8608, of one track or two. Their coherence is that of an isotropic road.
+    """Road of an ISO 8608 class, of one track or two.
 
     The elevation is a sum of cosines with normal amplitudes and random phases, on a grid of frequencies as fine as
     that of a road at least twice as long: a stationary Gaussian process, whose spectrum has the class' power in every
@@ -178,7 +178,7 @@ def as_band(argument: str, value: Any) -> tuple[float, float]:
 
 
 def as_spacing(argument: str, value: Any, high: float) -> float:
-    """Distance between samples [m] that resolves waves of the frequency `high` [1/m]."""
+    """Distance between samples [m] that resolves the frequency `high` [1/m]."""
     spacing = as_positive(argument, value, unit="m")
     if spacing * high * FEWEST > 1 + 1e-9:
         most = f"at most {1 / (FEWEST * high):.3g} m, a quarter of the shortest wave of the band"
@@ -187,7 +187,7 @@ def as_spacing(argument: str, value: Any, high: float) -> float:
 
 
 def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
-    """Frequencies k·step of the cells (k ± ½)·step that meet the band, and ∫ n⁻² dn over what lies in it."""
+    """Frequencies k·step of the cells that meet the band, and ∫ n⁻² dn within it."""
     k = np.arange(max(1, round(low / step)), round(high / step) + 1, dtype=np.float64)
     begin = np.maximum((k - 0.5) * step, low)
     end = np.minimum((k + 0.5) * step, high)
@@ -196,6 +196,6 @@ def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
 
 
 def _waves(power: Array, rng: np.random.Generator) -> NDArray[np.complex128]:
-    """Complex normal amplitudes c of cosines Re(c exp(2πi n s)) with these variances [m²]."""
+    """Complex normal amplitudes c of cosines with these variances [m²]."""
     parts = rng.standard_normal((2, len(power)))
     return np.sqrt(power) * (parts[0] + 1j * parts[1])

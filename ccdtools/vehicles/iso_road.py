@@ -1,4 +1,4 @@
-"""Driving on a road of a class of ISO 8608: what one wheel, two or four feel."""
+"""Drives on ISO 8608 roads, for one, two or four wheels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["ISORoad"]
 
 @dataclass(frozen=True)
 class ISORoad:
-    """Disturbance ż₀ [m/s], or z₀ [m], under every wheel. A fresh road of a class of ISO 8608 for every run.
+    """Disturbance ż₀ [m/s] or z₀ [m] under every wheel, on fresh ISO 8608 roads.
 
     `ISORoad("C", speed=20.0, dt=0.01).sample(runs, steps, rng)` is ż₀ (runs, steps, nw). Each value is the mean of
     the vertical velocity of the road over its step, as `road_disturbance` says; the tyre touches the road in a point.
@@ -82,7 +82,7 @@ class ISORoad:
 
     @property
     def wheels(self) -> tuple[str, ...]:
-        """Names of the channels, in their order. Front before rear, and left before right."""
+        """Names of the channels, front before rear and left before right."""
         sides = ("",) if self.track is None else ("left", "right")
         axles = ("",) if self.wheelbase is None else ("front", "rear")
         return tuple(f"{axle} {side}".strip() or "wheel" for axle in axles for side in sides)
@@ -127,7 +127,7 @@ class ISORoad:
 
 
 def _from(start: float, distance: Array, elevation: Array) -> tuple[Array, Array]:
-    """Road that begins at a distance between two of its samples."""
+    """Road that begins at a distance between two samples."""
     if start == distance[0]:
         return distance, elevation
     ahead = distance > start

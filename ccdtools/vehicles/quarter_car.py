@@ -1,4 +1,4 @@
-"""A quarter car with an active suspension; spring and damper are the design."""
+"""Quarter car with an active suspension; spring and damper are the design."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class QuarterCar(Parameters):
 
 def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bool = False,
                 car: QuarterCar | None = None, strut: RealStrut | None = None, dt: float = 0.01) -> Plant:  # fmt: skip
-    """A quarter car, about its static equilibrium.
+    """Quarter car about its static equilibrium.
 
     Parameters
     ----------
@@ -90,6 +90,6 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
 
 
 def motion(car: QuarterCar, x: ca.SX, w: ca.SX, lift: ca.SX, ground: ca.SX) -> ca.SX:
-    """State derivative dx/dt (4, 1). By the upward forces [N] of the strut on the body and of the road on the wheel."""
+    """State derivative dx/dt (4, 1) from the forces [N] of strut and road."""
     _, wheel, _, body = ca.vertsplit(x[:4])
     return ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)

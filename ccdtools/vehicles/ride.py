@@ -1,4 +1,4 @@
-"""Ride of a vehicle, as a few numbers of a trajectory: what a table of controllers shows beside their returns."""
+"""Ride of a vehicle, as metrics of a trajectory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Ride"]
 
 @dataclass(frozen=True, eq=False)
 class Ride(Immutable):
-    """Ride of a trajectory, called with one. Says where the suspension is among the states of a vehicle.
+    """Ride metrics of a trajectory, from the places of a vehicle's states.
 
     As the `metrics` of a study it stands beside every comparison:
 
@@ -72,9 +72,9 @@ class Ride(Immutable):
         set_(self, "stop", as_positive("stop", self.stop, unit="m"))
 
     def __call__(self, run: Trajectory) -> dict[str, float]:
-        """Means over the runs, and over the wheels. Largest travel and power of all actuators are not over wheels.
+        """Means over runs and wheels, by metric name.
 
-        The power is that of what the actuators do on the suspension, without what comes back from braking.
+        Travel is the largest over the wheels; power is the sum over the actuators, without what braking gives back.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class Ride(Immutable):
         }
 
     def _forces(self, run: Trajectory) -> Array:
-        """Active forces (n, wheels, T): the inputs, or the means of the states over each step."""
+        """Active forces (n, wheels, T): inputs, or mean states over each step."""
         if self.forces is not None:
             ends = _of_wheels(run.states, self.forces)
             return 0.5 * (ends[..., 1:] + ends[..., :-1])
@@ -121,7 +121,7 @@ def _of_wheels(states: Array, indices: Sequence[int]) -> Array:
 
 
 def _indices(argument: str, value: Sequence[int]) -> tuple[int, ...]:
-    """Indices of states, all different."""
+    """Different indices of states."""
     try:
         found = tuple(value)
     except TypeError:

@@ -1,4 +1,4 @@
-"""Ride comfort by ISO 2631-1: accelerations weighted by how strongly people feel each frequency."""
+"""Ride comfort by ISO 2631-1: frequency-weighted accelerations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BUTTERWORTH = 1 / math.sqrt(2)  # Q₁, Q₂
 
 @dataclass(frozen=True)
 class Curve:
-    """Parameters of a weighting: transition from acceleration to velocity, and upward step where there is one."""
+    """Weighting parameters: acceleration-velocity transition, and upward step if any."""
 
     f3: float  # [Hz]
     f4: float  # [Hz]
@@ -39,7 +39,7 @@ CURVES = {
 
 
 def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> NDArray[np.complex128]:
-    """Transfer function of a weighting at frequencies (...) [Hz], complex. Its absolute value is the weight.
+    """Complex transfer function of a weighting at frequencies (...) [Hz].
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def _second_order(f: NDArray[np.complex128], corner: float, Q: float) -> NDArray
 
 
 def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") -> Array:
-    """Acceleration as people feel it, a_w (..., T) [m/s²]. A filter gives it that starts at rest.
+    """Frequency-weighted acceleration a_w (..., T) [m/s²], filtered from rest.
 
     The record is weighted in the frequency domain, followed by zeros until the filter has settled. Below half the
     sampling rate the weights are therefore those of the standard at every rate; the usual bilinear filter at
@@ -111,7 +111,7 @@ def weighted_acceleration(acceleration: ArrayLike, dt: float, *, weighting: Weig
 
 
 def comfort(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") -> Array:
-    """Root mean square of the weighted acceleration of each record, (...,) [m/s²]. Smaller is more comfortable.
+    """Root mean square of the weighted acceleration of each record, (...,) [m/s²].
 
     ISO 2631-1, for public transport: not uncomfortable below 0.315 m/s², fairly uncomfortable from 0.5,
     uncomfortable from 0.8, very uncomfortable from 1.25, extremely so above 2. Of a trajectory whose state i is the

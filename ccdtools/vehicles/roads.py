@@ -1,4 +1,4 @@
-"""Roads and drivers: what the wheel feels along a drive, and seeded ones where none is recorded."""
+"""Roads and drivers, recorded or generated."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def road_disturbance(
     dt: float,
     steps: int | None = None,
 ) -> Array:
-    """Vertical velocity of the road under the wheel [m/s]. ż₀ = dz₀/ds · v, one value per time step.
+    """Vertical velocity ż₀ = dz₀/ds · v of the road under the wheel [m/s].
 
     Each value is the mean of dz₀/ds · v over its step, (z₀(s(t_k + dt)) − z₀(s(t_k))) / dt: what a model that
     holds its disturbance over a step must be fed. Their sum gives the elevation back exactly, and no edge
@@ -93,7 +93,7 @@ def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array,
 
 
 def _instants(time: Array, dt: float, steps: int | None) -> Array:
-    """Instants (T+1,) at which the steps begin and the last one ends [s]."""
+    """Instants (T+1,) [s] of the steps' beginnings and the last end."""
     duration = time[-1] - time[0]
     available = math.floor(duration / dt * (1 + 1e-9))
     if available < 1:
@@ -107,7 +107,7 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
 
 
 def _travelled(time: Array, speed: Array, instants: Array) -> Array:
-    """Distance covered at the instants [m]. Exact, because the speed is linear between the knots."""
+    """Distance covered at the instants [m], exact for linear speed."""
     knots = np.union1d(time, instants)
     covered = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
     return covered[np.searchsorted(knots, instants)]
@@ -118,7 +118,7 @@ def _travelled(time: Array, speed: Array, instants: Array) -> Array:
 
 @dataclass(frozen=True)
 class Feature:
-    """One kind of obstacle. It says how long and how high it may be, and has a profile between 0 and 1.
+    """Kind of obstacle, with a profile between 0 and 1.
 
     `profile(x, length)` is the share of the height at the distance x [m] into an obstacle of that length [m].
     """
@@ -153,7 +153,7 @@ CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounde
 
 
 def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0.05) -> tuple[Array, Array]:
-    """Road of jumps, sinusoidal bumps, dents and ramps, one after the other, on filtered noise.
+    """Road of jumps, bumps, dents and ramps on filtered noise.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
 
 
 def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
-    """Noise of first order, dz = −α z ds + σ dW. Its spectrum is 2σ² / (α² + (2πn)²)."""
+    """First-order noise dz = −α z ds + σ dW, with spectrum 2σ² / (α² + (2πn)²)."""
     alpha = 2 * np.pi * CUTOFF_FREQUENCY
     sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(ROUGHNESS / 2)
     decay = math.exp(-alpha * spacing)
@@ -196,7 +196,7 @@ def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
 
 
 def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
-    """Elevation (S,) [m] of obstacles of random kind and size with plain road between. The last may be cut."""
+    """Elevation (S,) [m] of random obstacles with plain road between."""
     elevation = np.zeros_like(distance)
     kinds = tuple(FEATURES.values())
     begin = rng.uniform(*GAP)
@@ -231,7 +231,7 @@ STYLES: dict[str, Style] = {
 def generate_speed(
     duration: float, *, rng: np.random.Generator, driver: Driver = "mild", dt: float = 0.05
 ) -> tuple[Array, Array]:
-    """Speed of a driver who aims at one speed after another and accelerates within a limit.
+    """Speed of a driver with random aims.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def generate_speed(
 
 
 def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Instants and speeds between which the speed is linear: hold, change, hold, …"""
+    """Knots of the speed: hold, change, hold, …"""
     speed = rng.uniform(*style.speeds)
     knots = [0.0]
     aims = [speed]
@@ -280,7 +280,7 @@ def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Arra
 
 @dataclass(frozen=True)
 class GeneratedRoad:
-    """Disturbance ż₀ [m/s]: a fresh road and a driver of a given style for every run.
+    """Disturbance ż₀ [m/s] of a fresh road and drive per run.
 
     Attributes
     ----------

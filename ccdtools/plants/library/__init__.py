@@ -1,4 +1,4 @@
-"""Plants that are ready to use: each a function that returns a `Plant`, nominal or as a real one is (`real=True`)."""
+"""Ready-made plants, nominal or as a real one (`real=True`)."""
 
 from ccdtools.plants.library.dc_servo import Servo, dc_servo  # noqa: F401 (the stub beside this file lists them)
 from ccdtools.plants.library.illustrative import illustrative  # noqa: F401 (the stub beside this file lists them)

@@ -1,4 +1,4 @@
-"""A DC motor that turns a load with a flywheel over a gear; gear ratio and flywheel are the design."""
+"""DC motor with gear and flywheel; gear ratio and flywheel are the design."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True)
 class Servo(Parameters):
-    """Motor and load; the last five are of the real one alone.
+    """Motor and load; the last five fields are of the real one.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Servo(Parameters):
 
 
 def dc_servo(*, real: bool = False, servo: Servo | None = None, dt: float = 0.01) -> Plant:
-    """A geared DC servo, linear.
+    """Geared DC servo, linear unless `real`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Parameters and elements of real plants; elements are smooth, zero at rest and passive."""
+"""Parameters and smooth, passive elements of real plants."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GRAVITY = 9.81  # m/s²
 
 @dataclass(frozen=True)
 class Parameters:
-    """Base of the physical parameters of a plant: finite numbers, positive unless one of these names them.
+    """Base of a plant's physical parameters: finite, positive unless named below.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Parameters:
             object.__setattr__(self, field.name, self._checked(field.name, getattr(self, field.name)))
 
     def _checked(self, name: str, value: Any) -> float:
-        """The value of a field as a number, if it is one that the field can have."""
+        """Value of a field as a number, checked."""
         if name in self.shares:
             return as_number(name, value, expected="a share, from 0 to below 1", low=0.0, high=math.nextafter(1.0, 0.0))
         if name in self.may_be_zero:
@@ -43,17 +43,17 @@ class Parameters:
 
 
 def given_or_default(argument: str, given: P | None, kind: type[P]) -> P:
-    """The parameters that were given, checked; those of the source where there are none."""
+    """The parameters given, checked, or the default ones."""
     return kind() if given is None else as_instance(argument, given, kind, f"a {kind.__name__} or nothing")
 
 
 def hardening_spring(stiffness: ca.SX, deflection: ca.SX, hardening: float) -> ca.SX:
-    """k (d + h d³): `hardening` h [1/m²] of a spring of `stiffness` k at zero deflection."""
+    """k (d + h d³): spring of `stiffness` k and `hardening` h [1/m²]."""
     return stiffness * (deflection + hardening * deflection**3)
 
 
 def dry_friction(force: float, speed: ca.SX, knee: float) -> ca.SX:
-    """F tanh(v / v₀): Coulomb friction F, smoothed below the speed `knee`; it creeps where a real one sticks."""
+    """F tanh(v / v₀): Coulomb friction F, smoothed below `knee`; creeps instead of sticking."""
     return force * ca.tanh(speed / knee)
 
 
@@ -63,7 +63,7 @@ def limited(value: ca.SX, limit: float) -> ca.SX:
 
 
 def clipped(value: ca.SX, upper: float, rounding: float) -> ca.SX:
-    """`value` clipped to [0, upper], its corners rounded over the width `rounding`."""
+    """`value` clipped to [0, upper], corners rounded over the width `rounding`."""
     return (ca.sqrt(value**2 + rounding**2) - ca.sqrt((value - upper) ** 2 + rounding**2) + upper) / 2
 
 

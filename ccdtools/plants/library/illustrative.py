@@ -1,4 +1,4 @@
-"""The illustrative example of Tsai et al.: an unstable system whose input matrix is the design."""
+"""Illustrative example of Tsai et al., whose input matrix is the design."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ccdtools.plants.plant import Plant
 
 
 def illustrative(*, real: bool = False) -> Plant:
-    """An unstable discrete system of two states; the real one has a bias, a drift and a gain that varies.
+    """Unstable discrete system of two states.
 
     Parameters
     ----------
     real : bool
-        Whether to return the real system.
+        Whether to return the real system, with a bias, a drift and a gain that varies.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def illustrative(*, real: bool = False) -> Plant:
 
 
 def _unmodelled(x1: ca.SX, x2: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-    """What the real system adds to the nominal one."""
+    """Terms that the real system adds to the nominal one."""
     drift = ca.vertcat(x1 * ca.sin(x1) + x2 * ca.cos(x2), x2 * ca.sin(x2) + x1 * ca.cos(x1))
     gain = ca.vertcat(ca.sin(x1), p * ca.cos(x2))
     return ca.DM([0.1, -0.2]) + 0.1 * drift + 0.5 * gain * u

@@ -1,4 +1,4 @@
-"""Masses in a row, joined by springs and dampers and held at walls; stiffness and damping are the design."""
+"""Chain of masses, springs and dampers; stiffness and damping are the design."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SLIDING = 0.05  # m/s, below which that is smoothed
 
 def mass_chain(n: int = 10, *, mass: float = 1.0, walls: int = 2, driven: Sequence[int] = (1,),
                disturbed: Sequence[int] | None = None, real: bool = False, dt: float = 0.05) -> Plant:  # fmt: skip
-    """A chain of `n` equal masses, linear; the values are typical of no particular machine.
+    """Chain of `n` equal masses with typical values, linear unless `real`.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def mass_chain(n: int = 10, *, mass: float = 1.0, walls: int = 2, driven: Sequen
 
 
 def _links(q: ca.SX, v: ca.SX, p: ca.SX, walls: int, *, real: bool) -> ca.SX:
-    """Tensions of the n + 1 links, (n + 1, 1); the last is zero where there is no wall."""
+    """Tensions (n + 1, 1) of the links; 0 without a second wall."""
     ends = ca.SX(1, 1)
     stretch = ca.vertcat(q, ends) - ca.vertcat(ends, q)
     rate = ca.vertcat(v, ends) - ca.vertcat(ends, v)

@@ -1,4 +1,4 @@
-"""A pole on a cart, upright at x = 0; length of the pole and mass of the cart are the design."""
+"""Pole on a cart, upright at x = 0; pole length and cart mass designed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True)
 class CartPole(Parameters):
-    """A uniform pole on a cart with viscous friction; the last five are of the real one alone.
+    """Uniform pole on a cart; the last five fields are of the real one.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class CartPole(Parameters):
 
 def pendulum_on_cart(*, linear: bool = False, real: bool = False, cart: CartPole | None = None,
                      dt: float = 0.02) -> Plant:  # fmt: skip
-    """A pole on a cart, without small angles.
+    """Pole on a cart, without small angles.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def pendulum_on_cart(*, linear: bool = False, real: bool = False, cart: CartPole
 
 
 def _dynamics(x: ca.SX, u: ca.SX, w: ca.SX, p: ca.SX, cart: CartPole, *, real: bool) -> ca.SX:
-    """Newton's law for the horizontal motion of both bodies and for the rotation about the pivot."""
+    """Newton's law for horizontal motion and rotation about the pivot."""
     _, speed, angle, rate = ca.vertsplit(x)
     length, mass = ca.vertsplit(p)
     arm = length / 2  # from the pivot to the centre of the pole

@@ -1,4 +1,4 @@
-"""Two tanks, one above the other, in deviations from the levels that a constant pump holds."""
+"""Two tanks, one above the other, about a steady state."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROUNDING = 0.02  # V, over which the limits of the real pump are rounded
 
 @dataclass(frozen=True)
 class Tanks(Parameters):
-    """Pump, outlet and operating point, in centimetres as in the source; the last three are of the real ones alone.
+    """Pump, outlet and operating point; the last three fields are of the real tanks.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Tanks(Parameters):
 
 def two_tanks(*, linear: bool = False, real: bool = False, absolute: bool = False, tanks: Tanks | None = None,
               dt: float = 1.0) -> Plant:  # fmt: skip
-    """Water is pumped into the upper tank, runs into the lower one and from there away.
+    """Two tanks, the upper one filled by a pump.
 
     A hole of area a lets out a √(2g) h / (h² + ε²)^¼, which is Torricelli's a √(2gh) but for a part ε²/(4h²) of it, and
     is smooth where a tank is empty; ε is `Tanks.near_empty`.
@@ -108,7 +108,7 @@ def two_tanks(*, linear: bool = False, real: bool = False, absolute: bool = Fals
 
 
 def operating_point(tanks: Tanks, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Levels (2, 1) [cm] and voltage [V] of the model's steady state at design p, for which `Tanks.level` is kept."""
+    """Steady-state levels (2, 1) [cm] and voltage [V] at design p."""
     outflow = tanks.outlet * _torricelli(tanks, ca.SX(tanks.level))
     root = (outflow / p[2]) ** 2 / (2 * tanks.gravity)  # h² / √(h² + ε²) of the upper level h
     upper = ca.sqrt((root**2 + root * ca.sqrt(root**2 + 4 * tanks.near_empty**2)) / 2)
@@ -116,7 +116,7 @@ def operating_point(tanks: Tanks, p: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def _torricelli(tanks: Tanks, level: ca.SX) -> ca.SX:
-    """Speed of the outflow [cm/s] at a level [cm]."""
+    """Outflow speed [cm/s] at a level [cm]."""
     return (2 * tanks.gravity) ** 0.5 * level / (level**2 + tanks.near_empty**2) ** 0.25
 
 

@@ -1,4 +1,4 @@
-"""The drivetrain of a wind turbine about an operating point in strong wind; shaft and gear are the design."""
+"""Drivetrain of a wind turbine; shaft and gear are the design."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PITCHES = (0.0, 40.0)  # °, among which the operating point is looked for
 
 @dataclass(frozen=True)
 class Turbine(Parameters):
-    """Rotor, generator and operating point of a turbine of 5 MW; the last two are of the real one alone.
+    """Turbine of 5 MW; the last two fields are of the real one.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Turbine(Parameters):
 
 
 def wind_turbine(*, real: bool = False, turbine: Turbine | None = None, dt: float = 0.05) -> Plant:
-    """Two inertias on an elastic shaft, linear, in deviations from the operating point; the tower is rigid.
+    """Two inertias on an elastic shaft, about the operating point; rigid tower.
 
     Parameters
     ----------
@@ -113,19 +113,19 @@ def wind_turbine(*, real: bool = False, turbine: Turbine | None = None, dt: floa
 
 
 def power_coefficient(speed_ratio: ca.SX, pitch: ca.SX) -> ca.SX:
-    """Part of the wind's power that the rotor takes [-], at a tip-speed ratio [-] and a pitch [°]."""
+    """Power coefficient [-] at a tip-speed ratio [-] and a pitch [°]."""
     inverse = 1 / (speed_ratio + 0.08 * pitch) - 0.035 / (pitch**3 + 1)
     return 0.5176 * (116 * inverse - 0.4 * pitch - 5) * ca.exp(-21 * inverse) + 0.0068 * speed_ratio
 
 
 def aerodynamic_torque(turbine: Turbine, speed: ca.SX, wind: ca.SX, pitch: ca.SX) -> ca.SX:
-    """Torque [N·m] on a rotor that turns at `speed` [rad/s] in `wind` [m/s] at `pitch` [°]."""
+    """Torque [N·m] on a rotor at `speed` [rad/s], `wind` [m/s] and `pitch` [°]."""
     power = AIR / 2 * math.pi * turbine.radius**2 * wind**3
     return power * power_coefficient(speed * turbine.radius / wind, pitch) / speed
 
 
 def operating_pitch(turbine: Turbine) -> float:
-    """Pitch [°] at which the rotor takes the power of the operating point."""
+    """Pitch [°] that gives the power of the operating point."""
 
     def surplus(pitch: float) -> float:
         """Power above that of the operating point, relative to it [-]."""

@@ -1,4 +1,4 @@
-"""What the studies of the library's half car and full car share."""
+"""Common parts of the half-car and full-car studies."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SPREAD = [28000.0, 2500.0, 21000.0, 2000.0]  # This is the spread of `Car`'s sou
 
 
 def car_study(name: str, title: str, nominal: Plant, real: Plant, *, track: float | None = None) -> Study:
-    """Study of a car that drives on an average road, from a rest. Each state is limited and judged by what it is."""
+    """Study of a car on an average road, from rest."""
     limits, good = (by_kind(nominal.state_names, values) for values in (WHEEL | BODY, GOOD))
     X = Polytope.from_bounds(-limits, limits)
     return study_on_roads(name, title, nominal, real, X, np.diag(good**-2), _ride(nominal), track=track)
@@ -40,11 +40,11 @@ def study_on_roads(
     name: str, title: str, nominal: Plant, real: Plant, X: Polytope, Q: Array, metrics: Metrics, *,
     track: float | None = None, heights: bool = False,
 ) -> Study:  # fmt: skip
-    """Study of a car on an average road, from a rest. Within X and at the cost Q of its states."""
+    """Study of a car on an average road, with limits X and cost Q."""
     start = np.zeros(nominal.nx)
 
     def road(road_class: RoadClass) -> ISORoad:
-        """A road of a class of ISO 8608 under all wheels."""
+        """Road of an ISO 8608 class under all wheels."""
         wheelbase = CAR.front + CAR.rear
         return ISORoad(road_class, speed=SPEED, dt=nominal.dt, track=track, wheelbase=wheelbase, heights=heights)
 
@@ -68,7 +68,7 @@ def study_on_roads(
 
 
 def _ride(plant: Plant) -> Ride:
-    """Ride of a car at its centre of mass, and on its wheels."""
+    """Ride of a car."""
     names = plant.state_names
     tyres, travels = ([i for i, name in enumerate(names) if kind in name] for kind in ("tyre", "travel"))
     front, rear = CAR.loads
@@ -78,5 +78,5 @@ def _ride(plant: Plant) -> Ride:
 
 
 def by_kind(names: Sequence[str], values: dict[str, float]) -> Array:
-    """Value of each quantity, by the words that its name holds. Bryson's rule: what is good costs one."""
+    """Value of each quantity, by the words in its name."""
     return np.array([next(value for kind, value in values.items() if kind in name) for name in names])

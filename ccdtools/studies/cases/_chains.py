@@ -1,4 +1,4 @@
-"""What the studies of the library's chains of masses share."""
+"""Common parts of the mass-chain studies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PUSH = 1.0  # N, standard deviation of what shakes the last mass
 
 
 def chain_study(name: str, title: str, masses: int) -> Study:
-    """Study of a chain let go from a bow, while its last mass is shaken. The first mass is driven."""
+    """Study of a chain released from a bow, its last mass shaken."""
     limits = np.repeat([0.5, 2.0], masses)  # m, m/s
     tolerable = np.repeat([0.1, 0.5], masses)  # m, m/s
     bow = 0.3 * np.sin(np.pi * np.arange(1, masses + 1) / (masses + 1))  # m: the slowest mode

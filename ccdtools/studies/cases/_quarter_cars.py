@@ -1,4 +1,4 @@
-"""What the studies of the library's quarter car share."""
+"""Common parts of the quarter-car studies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LAGGING_FORCE = 2500.0  # N, of the state that follows it with a lag; it costs n
 
 
 def quarter_car_study(name: str, title: str, *, nonlinear: bool = False, actuator_lag: bool = False) -> Study:
-    """Study of a quarter car that drives on an average road, from a rest."""
+    """Study of a quarter car on an average road, from rest."""
     plant = quarter_car(nonlinear=nonlinear, actuator_lag=actuator_lag)
     limits = np.append(STATES, LAGGING_FORCE) if actuator_lag else STATES
     weights = np.append(GOOD**-2, 0.0) if actuator_lag else GOOD**-2
@@ -47,12 +47,12 @@ def quarter_car_study(name: str, title: str, *, nonlinear: bool = False, actuato
 
 
 def quarter_car_ride(*, stop: float, forces: list[int] | None = None) -> Ride:
-    """Ride of a quarter car whose suspension meets its stops at a travel [m]."""
+    """Ride of a quarter car with stops at a travel [m]."""
     car = QuarterCar()
     load = GRAVITY * (car.sprung + car.unsprung)
     return Ride(body=3, travels=[2], tyres=[0], stiffness=car.tyre, loads=[load], stop=stop, forces=forces)
 
 
 def _road(road_class: RoadClass) -> ISORoad:
-    """Road of a class of ISO 8608 at the sampling time of the library's cars."""
+    """Road of an ISO 8608 class at the cars' sampling time."""
     return ISORoad(road_class, speed=SPEED, dt=0.01)

@@ -1,4 +1,4 @@
-"""A geared DC servo that turns its load by one radian; gear ratio and flywheel are the design."""
+"""A geared DC servo that turns a load by 1 rad; gear and flywheel are the design."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A full car of seven degrees of freedom on roads of ISO 8608; springs and dampers of both axles are the design.
+"""A full car on ISO 8608 roads; springs and dampers are the design.
 
 Its road is given by speeds, so there are 15 states; `full_car_heights` has 14.
 """

@@ -1,4 +1,4 @@
-"""The full car of 14 states, whose roads of ISO 8608 are given by their heights.
+"""The full car of 14 states, on ISO 8608 roads given by heights.
 
 The states are where the car is, and follow the road: heights of a band that begins above 0 are bounded, and so is X.
 What is judged are suspension travels and speeds, of which the first are differences of states.
@@ -28,7 +28,7 @@ ride = Ride(8, range(4, 8), range(4), CAR.tyre, [front, front, rear, rear], WHEE
 
 
 def metrics(run: Trajectory) -> Mapping[str, float]:
-    """Metrics of the car's ride: of its tyre deflections, travels and heave rate."""
+    """Ride metrics from tyre deflections, travels and heave rate."""
     under = run.disturbances[..., : len(WHEELS)]
     road = np.concatenate([0.0 * under[:, :1], 0.5 * (under[:, 1:] + under[:, :-1]), under[:, -1:]], axis=1)
     parts = [run.states[..., :4] - road, run.states @ travels.T, run.states[..., 11:12]]

@@ -1,4 +1,4 @@
-"""Half a car on roads of ISO 8608; springs and dampers of both axles are the design."""
+"""Half a car on ISO 8608 roads; springs and dampers are the design."""
 
 from ccdtools.plants.library import half_car
 from ccdtools.studies.cases._cars import car_study

@@ -1,4 +1,4 @@
-"""The illustrative example of Tsai et al.: an unstable system whose input matrix is the design."""
+"""The example of Tsai et al., an unstable system; its input matrix is the design."""
 
 import numpy as np
 

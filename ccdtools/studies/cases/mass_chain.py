@@ -1,4 +1,4 @@
-"""Four masses in a row, driven at one end and shaken at the other; stiffness and damping are the design."""
+"""Four masses in a row; stiffness and damping are the design."""
 
 from ccdtools.studies.cases._chains import chain_study
 

@@ -1,4 +1,4 @@
-"""Ten masses in a row, 20 states: as large as the whole loop is meant to run."""
+"""Ten masses in a row, 20 states: the largest study."""
 
 from ccdtools.studies.cases._chains import chain_study
 

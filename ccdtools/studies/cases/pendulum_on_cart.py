@@ -1,4 +1,4 @@
-"""A pole on a cart, caught from 0.5 rad; length of the pole and mass of the cart are the design."""
+"""A pole on a cart, caught from 0.5 rad; length and mass are the design."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A quarter car on roads of ISO 8608; its spring and damper are the design."""
+"""A quarter car on ISO 8608 roads; spring and damper are the design."""
 
 from ccdtools.studies.cases._quarter_cars import quarter_car_study
 

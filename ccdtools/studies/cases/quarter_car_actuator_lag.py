@@ -1,4 +1,4 @@
-"""The quarter car whose active force follows the input with a lag of 1/60 s."""
+"""The quarter car with an actuator lag of 1/60 s."""
 
 from ccdtools.studies.cases._quarter_cars import quarter_car_study
 

@@ -1,4 +1,4 @@
-"""The quarter car with a spring that hardens and a damper that is stiffer in rebound, known to the model."""
+"""The quarter car with hardening spring and asymmetric damper."""
 
 from ccdtools.studies.cases._quarter_cars import quarter_car_study
 

@@ -1,4 +1,4 @@
-"""The active suspension of Tsai et al.: a quarter car whose spring and damper are the design."""
+"""The active suspension of Tsai et al.; spring and damper are the design."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ HARDENING = 0.01  # Part of k_s [1/m²] and of c_s [s/m] in the real spring and 
 
 
 def quarter_car(*, nonlinear: bool = False) -> Plant:
-    """Quarter car of the library at the paper's sampling time, or besides with the paper's real spring and damper."""
+    """Quarter car at the paper's sampling time, nominal or nonlinear."""
     car = library.QuarterCar()
     plant = library.quarter_car(car=car, dt=PAPER_DT)
     if not nonlinear:

@@ -1,4 +1,4 @@
-"""Two tanks that are filled to their levels; their areas and the upper outlet are the design.
+"""Two tanks filled to their levels; areas and outlet are the design.
 
 Both plants are in deviations from where the nominal one rests; the real one leaks and rests lower.
 """

@@ -1,4 +1,4 @@
-"""The drivetrain of a wind turbine after a gust; stiffness of the shaft and gear ratio are the design."""
+"""A wind turbine's drivetrain after a gust; shaft and gear are the design."""
 
 import numpy as np
 

@@ -1,1 +1,1 @@
-"""The report of a finished run: tables, figures and one self-contained page."""
+"""Report of a finished run: tables, figures and a self-contained page."""

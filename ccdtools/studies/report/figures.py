@@ -1,4 +1,4 @@
-"""The figures of a report, one function each."""
+"""Figures of a report, one function each."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def figures(run: FinishedRun) -> Iterator[ReportFigure]:
 
 
 def _changes(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of what changed from LQR at the start design. Also what each source brought."""
+    """Figure of the changes from LQR at the start, and their sources."""
     rows = in_first_place(run.results)
     places = run.results["gains"]
     figure = style.blank(11, 1.0 + 0.36 * max(len(rows), 2 * len(places)), quick=run.quick)
@@ -53,7 +53,7 @@ def _changes(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _history(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of return and design over the iterations of every co-design."""
+    """Figure of return and design over the iterations."""
     space = run.problem.design
     count = run.last
     figure = style.blank(max(5.5, min(3.4 * count + 1, 15)), 1.2 + 1.7 * (1 + space.dim), quick=run.quick)
@@ -107,12 +107,12 @@ def _policy_surface(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _trajectories(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of states and inputs under LQR and the learned policy. On the model and on the real plant."""
+    """Figures of states and inputs, on the model and on the real plant."""
     return [_trajectories_on(run, kind) for kind in ("model", "real")]
 
 
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
-    """Figure of states and inputs at the start design and at the final one. On the model or on the real plant."""
+    """Figure of states and inputs at the start and final design."""
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
@@ -144,14 +144,14 @@ def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
 
 
 def _signals(arrays: dict[str, Array], name: str, window: slice) -> Array:
-    """Signals of a controller side by side. States and inputs, low, mean and high, (3, T, nx + nu)."""
+    """States and inputs of a controller, (3, T, nx + nu): low, mean, high."""
     states = arrays[f"{name}_states"]
     inputs = arrays[f"{name}_inputs"]
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 
 def _active_part(states: Array, scale: Array) -> slice:
-    """Part of a long run in which the scaled state is largest in the mean square."""
+    """Liveliest part of a long run, by scaled states."""
     steps = len(states) - 1
     if steps <= SHOWN_STEPS:
         return slice(0, None)
@@ -162,13 +162,13 @@ def _active_part(states: Array, scale: Array) -> slice:
 
 
 def _quantiles(run: FinishedRun) -> list[ReportFigure]:
-    """Figure of the learned quantiles with the errors at the end of every deployment."""
+    """Figures of learned quantiles and errors after every deployment."""
     taught = [g["generation"] for g in run.results["generations"] if g["deployed_diverged"] < 1]
     return [_quantiles_of(run, generation) for generation in taught]
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
-    """Figure of the learned quantiles of one generation, with the errors at the end of its deployment."""
+    """Figure of one generation's learned quantiles and errors."""
     dt = run.study.plant.dt
     logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
     log = residuals(run.study.model, Trajectory(**logged, dt=dt))

@@ -1,4 +1,4 @@
-"""A finished run folder, read as the report needs it."""
+"""Finished run folder, as the report needs it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """A finished run folder, read as the figures need it."""
+    """Finished run folder, as the figures need it."""
 
     study: Study
     folder: RunFolder
@@ -39,7 +39,7 @@ class FinishedRun:
 
     @cached_property
     def problem(self) -> CoDesignProblem:
-        """The co-design problem on the nominal model."""
+        """Co-design problem on the nominal model."""
         return self.study.problem()
 
     @cached_property
@@ -49,13 +49,13 @@ class FinishedRun:
 
     @cached_property
     def designs(self) -> list[Array]:
-        """Designs: the start design and that of every generation."""
+        """Start design and those of every generation."""
         space = self.problem.design
         return [np.asarray(self.study.p0)] + [space.from_dict(g["design"]) for g in self.results["generations"]]
 
     @cached_property
     def histories(self) -> list[History]:
-        """Courses of all co-designs."""
+        """Histories of all co-designs."""
         names = History.__dataclass_fields__
         stages = [self.folder.read_stage(f"codesign-{g}").arrays for g in range(1, self.last + 1)]
         return [History(**{name: arrays[f"history_{name}"] for name in names}) for arrays in stages]

@@ -1,4 +1,4 @@
-"""Numbers and names as people read them: in the report, the figures and the console."""
+"""Numbers and names for report, figures and console."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FORMER = "return to "  # begins the name of a proposal that was deployed before,
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Number to so many significant digits. As a power of ten only where it is very small or large."""
+    """Number to so many significant digits, as a power of ten if extreme."""
     if value is None or not math.isfinite(value):
         return "n/a"
     if value != 0 and not 1e-3 <= abs(value) < 1e6:
@@ -28,12 +28,12 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def capitalised(text: str) -> str:
-    """Text with its first letter in upper case, the others as they are."""
+    """Text with its first letter in upper case."""
     return text[:1].upper() + text[1:]
 
 
 def limits_of(results: Mapping[str, Any]) -> str:
-    """Name of what a controller of a run leaves. "X", or "the limits" where those of outputs count, too."""
+    """Name of the limits: "X", or "the limits" with outputs."""
     return str(results.get("limits", "X"))
 
 
@@ -44,22 +44,22 @@ def duration(seconds: float) -> str:
 
 
 def place(row: Mapping[str, Any]) -> str:
-    """Place where the returns of a row or a generation were measured."""
+    """Place where a row's or a generation's returns were measured."""
     return PLACES.get(row["model"], row["model"])
 
 
 def generation_name(generation: int) -> str:
-    """Name of a generation by its number, or of the start."""
+    """Name of a generation by its number; "start" for 0."""
     return "start" if generation == 0 else f"generation {generation}"
 
 
 def active_bounds_text(active: Mapping[str, str]) -> str:
-    """Phrase for active design bounds, such as "k_s lower, c_s upper", or "none"."""
+    """Active design bounds, such as "k_s lower, c_s upper", or "none"."""
     return ", ".join(f"{name} {side}" for name, side in active.items()) or "none"
 
 
 def holding_text(row: Mapping[str, Any]) -> str:
-    """Phrase for what holds the design of a row. Active bounds, and active constraints where there are any.
+    """Active bounds and constraints of a row's design.
 
     Runs of versions that knew no constraints have none.
     """
@@ -74,7 +74,7 @@ def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Unit behind a number. Nothing for a number without one."""
+    """Unit after a number; empty if dimensionless."""
     return "" if unit == "-" else f" {unit}"
 
 

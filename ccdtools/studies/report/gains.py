@@ -1,4 +1,4 @@
-"""Where the gain comes from, and whether it holds under disturbances that no generation has met: tables and phrases."""
+"""Tables and phrases on the gains and where they hold."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WORDS = {
 
 
 def gain_percent(place: Values, source: str) -> tuple[float, float | None, float | None] | None:
-    """Gain and its interval in per cent of LQR's return. At the start design, without the cost of that design.
+    """Gain and its interval in per cent of LQR's return at the start design.
 
     None where there is none.
 
@@ -36,7 +36,7 @@ def gain_percent(place: Values, source: str) -> tuple[float, float | None, float
 
 
 def gain_text(place: Values, source: str) -> str:
-    """Gain in per cent with its interval: "+23 % [+22, +24]". "0 %" where nothing was changed."""
+    """Gain in per cent with its interval, such as "+23 % [+22, +24]"."""
     percent = gain_percent(place, source)
     if percent is None:
         return "n/a"
@@ -47,18 +47,18 @@ def gain_text(place: Values, source: str) -> str:
 
 
 def gain_rows(results: Values) -> list[list[str]]:
-    """Table of the gains. One row per source and a last one for all together, one column per place."""
+    """Table of the gains, by source and in total, a column per place."""
     sources = (*SOURCES[1:], "total")
     return [[WORDS[source], *(gain_text(place, source) for place in results["gains"])] for source in sources]
 
 
 def gain_headings(results: Values) -> list[str]:
-    """Headings of the places. Name, runs and steps, and the part of the runs left out where some diverged."""
+    """Headings of the places: name, runs, steps, part left out."""
     return [_heading(place) for place in results["gains"]]
 
 
 def held_out_rows(results: Values, steps: int) -> list[dict[str, Any]]:
-    """Table of the start and the last design, a column per place.
+    """Table of the start and last design, a column per place.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def held_out_rows(results: Values, steps: int) -> list[dict[str, Any]]:
 
 
 def held_out_phrase(results: Values) -> str:
-    """Phrase for the change of the cost on every held-out disturbance. Nothing where there is none."""
+    """Phrase for the change of cost on held-out disturbances; empty if none."""
     changes = []
     places = results.get("gains", ())[1:]
     for place in places:
@@ -88,7 +88,7 @@ def held_out_phrase(results: Values) -> str:
 
 
 def console_lines(results: Values) -> list[str]:
-    """Lines of aligned plain text with the gains by source, one per place."""
+    """Lines of plain text with the gains by source, one per place."""
     lines = ["gain in return, in % of LQR at the start design, by source [95 % interval]"]
     for heading, place in zip(gain_headings(results), results["gains"], strict=True):
         parts = [f"{source} {gain_text(place, source)}" for source in (*SOURCES[1:], "total")]
@@ -104,7 +104,7 @@ def _heading(place: Values) -> str:
 
 
 def _cell(rows: Sequence[Values], generation: int, controller: str, scale: float) -> dict[str, str] | None:
-    """Scaled return, difference to LQR in per cent and verdict of a row. None where there is no such row."""
+    """Scaled return, difference to LQR and verdict; None without such a row."""
     own = next((row for row in rows if (row["generation"], row["controller"]) == (generation, controller)), None)
     if own is None:
         return None

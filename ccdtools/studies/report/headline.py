@@ -1,4 +1,4 @@
-"""Headline: what came out, in one sentence."""
+"""Headline of a run's outcome."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Results = Mapping[str, Any]
 
 
 def headline(results: Results) -> str:
-    """Sentence with the cost on the real plant before and after. Also the sources, and what each generation did."""
+    """Sentences on cost before and after, sources and generations."""
     last = len(results["generations"])
     idle = _no_further_gain(results)
     changes = [idle] if idle else _generations(results)
@@ -45,7 +45,7 @@ def headline(results: Results) -> str:
 
 
 def _missed_predictions(results: Results) -> list[str]:
-    """Deployments of something new whose 95 % interval lies below that of their prediction."""
+    """Deployments whose 95 % interval lies below the predicted one."""
     said = []
     for generation in results["generations"]:
         expected, found = (generation["delivery"].get(name, {}) for name in ("predicted", "returns"))
@@ -60,7 +60,7 @@ def _missed_predictions(results: Results) -> list[str]:
 
 
 def _worse(results: Results) -> str:
-    """Worse numbers other than the cost, each with its change, and with the place where that is not the first one."""
+    """Worse numbers other than the cost, with change and place."""
     first = results["gains"][0]["place"] if results.get("gains") else ""
     named = [
         f"{bare(name)} {one.text.split(' [')[0]}" + ("" if one.place == first else f" ({one.place})")
@@ -70,7 +70,7 @@ def _worse(results: Results) -> str:
 
 
 def _judged_by(results: Results) -> str:
-    """Phrase for the measure that was optimised and judged by. Where it is not the mean, as the costs here are."""
+    """Phrase for the measure judged by; empty for the mean."""
     measure = results.get("measure", "mean")
     if measure != "mean":
         return f"these are mean costs, the study is judged by the {measure}"
@@ -83,7 +83,7 @@ def _judged_by(results: Results) -> str:
 
 
 def _no_further_gain(results: Results) -> str:
-    """Sentence that the later generations brought nothing, in the words of the last. Empty if one of them did."""
+    """Sentence that later generations brought nothing; empty if one did."""
     later = results["generations"][1:]
     if not later or any(_brought(generation) for generation in later):
         return ""
@@ -92,7 +92,7 @@ def _no_further_gain(results: Results) -> str:
 
 
 def _brought(generation: Mapping[str, Any]) -> bool:
-    """Whether a later generation left anything deployed that was not so before it."""
+    """Whether a later generation changed what is deployed."""
     delivery = generation["delivery"]
     if not delivery["replaces"]:
         return bool(delivery.get("carried"))  # the policy of the former generation before its updates is deployed again
@@ -106,7 +106,7 @@ def _row(results: Results, generation: int, controller: str) -> dict[str, Any]:
 
 
 def _cost(results: Results, last: int) -> str:
-    """Change of the cost from LQR at the start design to the learned policy at the last one."""
+    """Change of cost from LQR at the start design to the last policy."""
     before = _row(results, 0, "LQR")
     lqr = _row(results, last, "LQR")
     after = _row(results, last, "learned")
@@ -129,7 +129,7 @@ def _cost(results: Results, last: int) -> str:
 
 
 def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) -> str:
-    """Share of the change from the design, and from the policy."""
+    """Shares of the change from the design and the policy."""
     whole = after["mean"] - before["mean"]
     by_design = (lqr["mean"] - before["mean"]) / whole
     if abs(1 - by_design) <= SMALL_PART:
@@ -143,7 +143,7 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
 
 
 def _policy(results: Results, last: int) -> str:
-    """Comparison of policy and LQR at the same design. Where deployed, and wherever it is worse or untold."""
+    """Comparison of policy and LQR in every place."""
     rows = [row for row in results.get("held_out", ()) if row["generation"] == last]
     words: dict[str, list[str]] = {}
     for row in rows:
@@ -160,7 +160,7 @@ def _policy(results: Results, last: int) -> str:
 
 
 def _where_deployed(results: Results, last: int) -> str:
-    """Comparison of policy and LQR at the same design. On the runs where it was deployed."""
+    """Comparison of policy and LQR where deployed."""
     row = _row(results, last, "learned")
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
@@ -178,7 +178,7 @@ def _where_deployed(results: Results, last: int) -> str:
 
 
 def _limits(results: Results, last: int) -> str:
-    """Sentence that the deployed co-design violates its limits. It names what the real plant exceeds most."""
+    """Sentence that the deployed co-design violates its limits."""
     found = _limits_as_deployed(results)
     if found is None or found["kept"]:
         return ""
@@ -192,13 +192,13 @@ def _limits(results: Results, last: int) -> str:
 
 
 def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
-    """Record of how the deployed policy's co-design kept its limits. None where it says nothing of them."""
+    """Record of the deployed co-design's limits; None if unstated."""
     found = deployed_codesign(results)
     return None if found is None else found.get("limits")
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:
-    """Sentence on policy and LQR without an interval. A run is too short, or drifts too much, to foresee the next."""
+    """Sentence on policy and LQR without an interval."""
     percent = -100 * row["paired_to_lqr"]["mean"] / (size_of(row, "lqr_mean") or abs(row["lqr_mean"]))
     if abs(percent) < NOT_WORSE_PERCENT:
         costs = f"as much as LQR within {NOT_WORSE_PERCENT:g} %"
@@ -208,7 +208,7 @@ def _without_interval(row: Mapping[str, Any]) -> str:
 
 
 def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) -> str:
-    """Sentence on the return of the learned policy beside LQR's."""
+    """Sentence on the learned policy's return beside LQR's."""
     if percent is None:
         return "the learned policy equals LQR" if word == "equal" else ""
     if word == "equal":
@@ -223,7 +223,7 @@ def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) ->
 
 
 def _generations(results: Results) -> list[str]:
-    """Sentence on what each generation changed, where that is less than the design."""
+    """Sentences on generations that changed less than the design."""
     space = results["design_space"]
     width = [high - low or 1.0 for low, high in zip(space["lower"], space["upper"])]  # 1 where it is fixed
     before = results["start"]
@@ -237,7 +237,7 @@ def _generations(results: Results) -> list[str]:
 
 
 def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> str:
-    """Phrase for what one generation changed. Nothing for the first, which is expected to move the design."""
+    """Phrase for what one generation changed; empty for an expected first."""
     name = f"generation {generation['generation']}"
     redesign = generation["redesign"]
     updated = any(update["accepted"] for update in generation["online_updates"])

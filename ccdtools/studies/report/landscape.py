@@ -1,4 +1,4 @@
-"""The return of LQR over the box of designs."""
+"""Return of LQR over the box of designs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mpc import MPCError
 
 
 def landscape(run: FinishedRun) -> list[ReportFigure]:
-    """Return of LQR over one or two design parameters, with the paths of the design."""
+    """Return of LQR over one or two design parameters, with design paths."""
     space = run.problem.design
     lower, upper = space.outermost
     shown = np.flatnonzero(upper > lower).tolist()  # one whole number is no axis
@@ -73,7 +73,7 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
-    """Values of one parameter over its range, of whole numbers about as many, with those that were visited."""
+    """Grid of one parameter over its range; whole numbers with those visited."""
     lower, upper = space.outermost
     values = np.linspace(lower[i], upper[i], n)
     return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values
@@ -85,7 +85,7 @@ def _runs(run: FinishedRun) -> int:
 
 
 def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:
-    """Mean return of LQR of every design. Also half-width of its 95 % interval, and fraction of diverged runs."""
+    """Mean LQR returns, half-widths of 95 % intervals and diverged fractions."""
     rng = np.random.default_rng(np.random.SeedSequence(run.results["seed"], spawn_key=tuple(b"landscape")))
     x0, w = run.problem.scenarios.sample(_runs(run), run.study.steps, rng)
     columns = [_return_at(run, design, x0, w) for design in designs]
@@ -94,7 +94,7 @@ def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[f
 
 
 def _return_at(run: FinishedRun, design: Array, x0: Array, w: Array) -> tuple[float, float, float]:
-    """Values of `_returns_over` at one design. Where LQR does not exist, every run counts as diverged."""
+    """Values of `_returns_over` at one design; all diverged without LQR."""
     try:
         controller = saturated_lqr(run.problem, design)
     except MPCError:

@@ -1,4 +1,4 @@
-"""The table and the picture of a comparison of methods, in files and on one self-contained page."""
+"""Table, picture and page of a comparison of methods."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOOK = (
 
 
 def write_table(found: Any, folder: RunFolder) -> None:
-    """Write methods.csv of a `MethodComparison`, and make the folder where there is none."""
+    """Write methods.csv of a `MethodComparison`, making the folder if missing."""
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -34,7 +34,7 @@ def write_table(found: Any, folder: RunFolder) -> None:
 
 
 def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
-    """Write methods.csv, methods.png and methods.html of a `MethodComparison`. Returns the path of the page."""
+    """Write methods.csv, methods.png and methods.html; return the page's path."""
     write_table(found, folder)
     image = style.png(found.plot())
     folder.write_bytes(PICTURE, image)
@@ -42,7 +42,7 @@ def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
 
 
 def page(title: str, found: Any, image: bytes) -> str:
-    """Page with its picture within."""
+    """Self-contained page with its picture."""
     said = "".join(f"<li>{escape(line)}</li>" for line in found.verdict)
     name = escape(title)
     picture = base64.b64encode(image).decode("ascii")

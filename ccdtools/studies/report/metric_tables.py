@@ -1,4 +1,4 @@
-"""Tables of what a study measures beside the returns."""
+"""Tables of a study's metrics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Values = Mapping[str, Any]
 
 
 def metric_table(rows: Sequence[Values]) -> dict[str, Any] | None:
-    """Names, and values per controller, of the rows of one block of a comparison. None where nothing was measured."""
+    """Metric names and values per controller of a block; None without metrics."""
     names = list(dict.fromkeys(name for row in rows for name in metrics_in(row)))
     if not names:
         return None
@@ -26,7 +26,7 @@ def metric_table(rows: Sequence[Values]) -> dict[str, Any] | None:
 
 
 def held_out_metrics(results: Values) -> list[dict[str, Any]]:
-    """Metric tables of every held-out disturbance and design, each with a title."""
+    """Metric tables of every held-out disturbance and design, with titles."""
     blocks = dict.fromkeys((row["model"], row["generation"]) for row in results["held_out"])
     tables = []
     for model, generation in blocks:
@@ -38,6 +38,6 @@ def held_out_metrics(results: Values) -> list[dict[str, Any]]:
 
 
 def metrics_in(row: Values) -> Values:
-    """Metrics in a row. None in runs of versions that had no metrics."""
+    """Metrics in a row; empty in runs of versions without metrics."""
     found: Values = row.get("metrics", {})
     return found

@@ -1,4 +1,4 @@
-"""Sets, policies and trajectories on axes; nothing is shown, everything is returned."""
+"""Sets, policies and trajectories on axes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def plot_surfaces(
     labels: tuple[str, str],
     inputs: Sequence[str],
 ) -> list[Axes]:
-    """Plot inputs over two states. One row per input, each surface and their difference (first − second).
+    """Plot inputs over two states: each surface and their difference.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def plot_trajectories(
     time_label: str,
     title_colours: Sequence[str] = (),
 ) -> list[Axes]:
-    """Plot mean and band of every signal. One column per design, one colour per controller.
+    """Plot mean and band of every signal, one column per design.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def plot_quantiles(
     figure: Figure, time: Array, errors: Array, quantiles: Array, levels: Sequence[float], *,
     labels: Sequence[str], time_label: str,
 ) -> list[Axes]:  # fmt: skip
-    """Plot learned quantiles (T, levels, nx), with the logged one-step errors (T, nx), one row per state."""
+    """Plot learned quantiles (T, levels, nx) and logged one-step errors (T, nx)."""
     grid = figure.subplots(len(labels), 1, squeeze=False, sharex=True)[:, 0]
     outer = f"{levels[0]:g} to {levels[-1]:g} quantile"
     for i, (ax, label) in enumerate(zip(grid, labels)):

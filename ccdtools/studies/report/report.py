@@ -1,4 +1,4 @@
-"""The report of a finished run: tables, figures and one self-contained page."""
+"""Report of a finished run."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from ccdtools.studies.study import Study
 
 
 def write_report(study: Study, folder: RunFolder) -> Path:
-    """Write the tables, the figures and report.html of a finished run. Returns the path of the page.
+    """Write the tables, figures and report.html; return the page's path.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def write_report(study: Study, folder: RunFolder) -> Path:
 
 
 def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
-    """Page from results.json and the figures (name, title, caption, image in base64)."""
+    """Page from results.json and the figures (name, title, caption, base64 image)."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {
         "number": lambda value, digits=4: with_minus(number(value, digits)), "minus": with_minus, "share": share,
@@ -101,7 +101,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
 
 
 def _no_sets(run: FinishedRun) -> str:
-    """Reason why there is no figure of X_fea(p), where there is none."""
+    """Reason why there is no figure of X_fea(p)."""
     option = run.results["configuration"]["sets"]
     if option != "auto":
         return f'the run was asked for sets = "{option}"'
@@ -109,7 +109,7 @@ def _no_sets(run: FinishedRun) -> str:
 
 
 def _cards(run: FinishedRun) -> list[dict[str, Any]]:
-    """Cards of the start and every generation. Design, bounds and returns of the learned policy beside LQR's."""
+    """Cards of the start and every generation."""
     results = run.results
     generations: list[dict[str, Any]] = [{"generation": 0, "design": results["start"]}, *results["generations"]]
     rows = []
@@ -132,7 +132,7 @@ def _cards(run: FinishedRun) -> list[dict[str, Any]]:
 
 
 def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Design gradients of every co-design, with angle and length relative to the finite differences."""
+    """Design gradients of every co-design, relative to finite differences."""
     labels = {
         "finite_difference": "finite differences", "pathwise": "pathwise", "network_input": "network input (paper)",
     }  # fmt: skip
@@ -154,18 +154,18 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _errors(check: dict[str, Any], label: str, labels: dict[str, str]) -> list[float | None]:
-    """Standard errors of the gradient with that label. None where none was estimated."""
+    """Standard errors of the gradient with that label; None if not estimated."""
     name = next(name for name, own in labels.items() if own == label)
     return check.get(f"{name}_error") or [None] * len(check["names"])
 
 
 def _cosine(values: Array, reference: Array) -> float | None:
-    """Cosine of the angle between two vectors. None where one of them is zero."""
+    """Cosine of the angle between two vectors; None if one is zero."""
     return _ratio(values @ reference, np.linalg.norm(values) * np.linalg.norm(reference))
 
 
 def _ratio(value: Any, size: Any) -> float | None:
-    """Ratio `value` / `size`. None where that is not a number."""
+    """Ratio `value` / `size`; None if that is not a number."""
     return float(value / size) if size > 0 and np.isfinite(value) else None
 
 
@@ -190,7 +190,7 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """Rows of states, inputs and limited outputs with their limits, at the final design. NaN where there is none."""
+    """Limits of states, inputs and outputs at the final design; NaN if none."""
     plant = run.study.plant
     rows = []
     for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U)):
@@ -205,7 +205,7 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
 
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
-    """Rows of cost weights. Q and R as diagonals by signal name, with what lies beside them as matrices, as S is."""
+    """Rows of cost weights, diagonals by signal name."""
     plant = run.study.plant
     weights = run.study.weights
     described = run.study.objective.describe()
@@ -230,14 +230,14 @@ def _matrix_text(matrix: Array) -> str:
 
 
 def _kept_by_designs(run: FinishedRun) -> list[str]:
-    """Phrase for what a design has to keep besides its bounds."""
+    """Phrases for what a design keeps besides its bounds."""
     space = run.problem.design
     kept = {"Constraints of the design, each to be ≤ 0": space.constraint_names, "Whole numbers": space.integer}
     return [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
 
 
 def _risk_text(run: FinishedRun) -> str:
-    """Name of the measure that a co-design optimises. Empty where it is the mean."""
+    """Name of the optimised measure; empty for the mean."""
     risk = run.problem.risk
     return "" if isinstance(risk, Mean) else measure(risk)
 

@@ -1,4 +1,4 @@
-"""A figure as the report shows it."""
+"""Figure of the report."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ReportFigure:
-    """Figure with its file name, title and the sentence that says what to see."""
+    """Figure with file name, title and caption."""
 
     name: str
     title: str

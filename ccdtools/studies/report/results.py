@@ -1,4 +1,4 @@
-"""The contents of results.json."""
+"""Contents of results.json."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def generation_entry(
     generation: int, evaluation: Evaluation, *, found: Stage, deployed: Stage, learned: Stage, returns: Stage,
     design: Array,
 ) -> dict[str, Any]:  # fmt: skip
-    """Element of ``generations`` from the stages of a generation. `design` is the one deployed after it."""
+    """Element of ``generations`` from a generation's stages; `design` is deployed after it."""
     space = evaluation.problem.design
     keep = ("model", "model_return", "nominal_return", "updated_model_return")
     return {
@@ -58,7 +58,7 @@ def results(
     stages: Sequence[Stage],
     beyond: Stage,
 ) -> dict[str, Any]:
-    """Results that the tables show, with what is needed to run them again."""
+    """Results that the tables show, with what reproduces them."""
     study = evaluation.study
     config = evaluation.config
     space = evaluation.problem.design

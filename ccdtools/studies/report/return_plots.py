@@ -1,4 +1,4 @@
-"""Returns on axes: over the iterations of a co-design, over the designs, and beside LQR's."""
+"""Plots of returns: iterations, designs and differences to LQR."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SOURCE_COLOURS = ("#3D3D3D", "#D55E00", "#E69F00", "#0072B2")
 def plot_history(
     figure: Figure, histories: Sequence[History], chosen: Sequence[int], space: DesignSpace, judges: Sequence[str]
 ) -> list[Axes]:
-    """Plot return (top) and design (below) over the iterations. Every co-design, one column per generation.
+    """Plot return (top) and design (below) over the iterations.
 
     Fixed parameters are left out.
 
@@ -74,7 +74,7 @@ def plot_history(
 
 
 def _course(ax: Axes, steps: Array, values: Array, chosen: int, colour: Any) -> None:
-    """Draw a quantity over the iterations, with a star where the co-design ended."""
+    """Draw a quantity over the iterations, with a star at the end."""
     ax.plot(steps, values, "-o", color=colour, ms=2.5, lw=1.5)
     ax.plot(steps[chosen], values[chosen], "*", color=CHOSEN, mec="k", mew=0.6, ms=13, zorder=5)
 
@@ -89,7 +89,7 @@ def _bounds(ax: Axes, lower: float, upper: float) -> None:
 
 
 def plot_comparison(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> list[Axes]:
-    """Plot the paired difference to LQR in per cent of |LQR|. Generations below, plants beside each other.
+    """Plot the paired difference to LQR in per cent of |LQR|.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def plot_comparison(figure: Figure, rows: Sequence[Mapping[str, Any]]) -> list[A
 
 
 def _differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[str, Any]]) -> list[float]:
-    """Draw one panel. Returns the ends of its intervals."""
+    """Draw one panel and return the ends of its intervals."""
     colours = controller_colours(names)
     ends: list[float] = []
     ax.axvspan(-NOT_WORSE_PERCENT, 0, color=NOT_WORSE_STRIP, lw=0, zorder=0)
@@ -137,7 +137,7 @@ def _differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[st
 
 
 def plot_changes(ax: Axes, rows: Sequence[Change]) -> list[Any]:
-    """Plot changes in per cent with their intervals, one below the other. Left of zero is less."""
+    """Plot changes in per cent with their intervals."""
     artists: list[Any] = [ax.axvline(0, color="#444444", lw=1)]
     for y, row in enumerate(rows):
         note = row.text
@@ -156,7 +156,7 @@ def plot_changes(ax: Axes, rows: Sequence[Change]) -> list[Any]:
 
 
 def plot_gains(ax: Axes, places: Sequence[Mapping[str, Any]]) -> list[Any]:
-    """Plot the gain in return by source, one bar of parts per place."""
+    """Plot the gain in return by source and place."""
     artists = []
     for i, source in enumerate(SOURCES[1:]):
         parts = [(gain_percent(place, source) or (0.0,))[0] for place in places]
@@ -184,7 +184,7 @@ def plot_landscape_curve(
     ax: Axes, designs: Array, mean: Array, interval: Array, diverged: Array, paths: Sequence[Array], *, label: str,
     allowed: float, whole: bool = False,
 ) -> list[Any]:  # fmt: skip
-    """Plot LQR's return over one design parameter. The paths of the design are drawn on it.
+    """Plot LQR's return over one design parameter, with design paths.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def plot_landscape_map(
     labels: tuple[str, str],
     whole: bool = False,
 ) -> list[Any]:
-    """Plot LQR's return over two design parameters, with the paths of the design.
+    """Plot LQR's return over two design parameters, with design paths.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def plot_landscape_map(
 
 
 def _path(ax: Axes, x: Array, y: Array, g: int, *, line: str = "-") -> list[Any]:
-    """Draw the way of the design through one generation: square, dots, star."""
+    """Draw the design's path through one generation: square, dots, star."""
     colour = generation_colour(g + 1)
     way = ax.plot(x, y, ls=line, marker="o", color=colour, ms=4, lw=1.5, label=f"path of generation {g + 1}", zorder=4)
     start = ax.plot(x[0], y[0], "s", color=generation_colour(g), mec="k", ms=8, zorder=5)

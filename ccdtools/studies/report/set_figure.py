@@ -75,8 +75,9 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
 
 @dataclass(frozen=True, eq=False)
 class _ShownSets:
-    """Sets by label with their (colour, line style). Also the label of the final design, and the labels of designs
-    without a set and of those whose set is not the largest.
+    """Sets by label with their (colour, line style).
+
+    `final` is the label of the final design; `missing` have no set, `inner` one that is not the largest.
     """
 
     sets: dict[str, Polytope]
@@ -87,7 +88,7 @@ class _ShownSets:
 
 
 def _shown_sets(run: FinishedRun) -> _ShownSets:
-    """Sets X_fea of four different designs: the start, the last generation, corners, middle."""
+    """Sets X_fea of up to four designs."""
     space = run.problem.design
     places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
     candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
@@ -119,7 +120,7 @@ def _shown_sets(run: FinishedRun) -> _ShownSets:
 
 
 def _nearest(space: DesignSpace, design: Array) -> Array | None:
-    """Nearest design that can be built. None if none is found."""
+    """Nearest design that can be built; None if none is found."""
     try:
         return space.project(design)
     except InputError:
@@ -131,7 +132,7 @@ def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int,
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
     def spread(pair: tuple[int, int]) -> float:
-        """Difference of the areas of the projected and the sliced sets, relative to the largest."""
+        """Relative difference of the areas of projected and sliced sets."""
         total = 0.0
         for cut, _ in _cuts(nx):
             areas = [cut(S, pair).volume for S in sets.values()]
@@ -142,7 +143,7 @@ def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int,
 
 
 def _cuts(nx: int) -> list[_Cut]:
-    """Cuts that are drawn of sets of so many states. No projection beyond four states, where it can take hours."""
+    """Cuts drawn of sets of `nx` states; no projections beyond four."""
     projected: _Cut = (_projected, "" if nx == 2 else "projection")
     sliced: _Cut = (_sliced, "slice, other states 0")
     if nx == 2:
@@ -156,6 +157,6 @@ def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:
 
 
 def _sliced(S: Polytope, pair: tuple[int, int]) -> Polytope:
-    """Slice of a set in two states with the others zero."""
+    """Slice of a set in two states, the others zero."""
     others = [i for i in range(S.dim) if i not in pair]
     return S.slice(others, np.zeros(len(others)))

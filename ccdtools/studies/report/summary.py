@@ -1,4 +1,4 @@
-"""What was gained and what got worse, from LQR at the start design to what is deployed at the end."""
+"""Gains and losses from the start to the last deployed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COST = "cost"
 
 @dataclass(frozen=True)
 class Change:
-    """Change of one number, before and after, in one place.
+    """Change of one number in one place.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class Change:
 
     @property
     def label(self) -> str:
-        """Label of a metric by its name; of a cost with its place and the steps that it adds up."""
+        """Label: the name of a metric, place and steps of a cost."""
         return f"cost of {self.steps} steps, {self.place}" if self.name == COST else self.name
 
     @property
     def text(self) -> str:
-        """Change with its interval: "+21 % [+19, +22]"."""
+        """Change with its interval, such as "+21 % [+19, +22]"."""
         if self.percent is None:
             return "n/a"
         return percent_interval(self.percent[0], self.percent[1:], 100)
@@ -60,32 +60,32 @@ class Change:
 
 
 def changes(results: Values) -> list[Change]:
-    """Changes of the cost in every place, then of every metric in every place."""
+    """Changes of cost and of every metric in every place."""
     places = results.get("gains", ())
     found = [cost for place in places for cost in _cost(place)]
     return found + [metric for place in places for metric in _metrics(place)]
 
 
 def in_first_place(results: Values) -> list[Change]:
-    """Changes of the cost everywhere, and of the metrics where the plant was deployed."""
+    """Changes of cost everywhere, and of metrics where deployed."""
     everything = changes(results)
     first = everything[0].place if everything else ""
     return [one for one in everything if one.name == COST or one.place == first]
 
 
 def of_word(results: Values, word: str) -> dict[str, Change]:
-    """Metrics that got worse (or better) anywhere. Each in the place where it did most."""
+    """Metrics that got worse (or better), each in its most changed place."""
     named = [one for one in changes(results) if one.word == word and one.name != COST]
     return {one.name: max((other for other in named if other.name == one.name), key=_by) for one in named}
 
 
 def _by(change: Change) -> float:
-    """How far a number moved [%]. Infinite from zero."""
+    """Size of a change [%]; infinite from zero."""
     return math.inf if change.percent is None else abs(change.percent[0])
 
 
 def decided(results: Values) -> Iterator[tuple[str, Values]]:
-    """Judged changes and their verdicts: updates, proposals and deployment of each generation."""
+    """Judged changes and their verdicts in each generation."""
     for g in results["generations"]:
         generation = f"generation {g['generation']}, "
         for update in g["online_updates"]:
@@ -101,7 +101,7 @@ def bare(name: str) -> str:
 
 
 def next_steps(results: Values) -> list[str]:
-    """Next steps about numbers that got worse. Also the advice of the co-design that is deployed."""
+    """Advice about worse numbers, and of the deployed co-design."""
     steps = []
     worse = ", ".join(bare(name) for name in of_word(results, "worse"))
     if worse:
@@ -117,7 +117,7 @@ def next_steps(results: Values) -> list[str]:
 
 
 def deployed_codesign(results: Values) -> Values | None:
-    """Generation whose co-design found what is deployed at the end. None where it went back to the start."""
+    """Generation whose co-design is deployed at the end; None without one."""
     for generation in reversed(results["generations"]):
         redesign = generation["redesign"]
         if redesign is None or (redesign["chosen"] == "redesign" and generation["delivery"]["replaces"]):
@@ -149,7 +149,7 @@ def _metrics(place: Values) -> Iterator[Change]:
 
 
 def _word(percent: tuple[float, float, float] | None) -> str:
-    """Word for a change of the cost, by the rule of `metric_changes`."""
+    """Word for a change of the cost, as in `metric_changes`."""
     if percent is None:
         return "open"
     mean, low, high = percent

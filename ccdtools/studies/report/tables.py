@@ -1,4 +1,4 @@
-"""The tables of a run: CSV files, and plain text for the console."""
+"""Tables of a run: CSV files, and text for the console."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LIMIT_COLUMNS = ("violations", "depth_mean", "depth_peak", "depth_worst", "excee
 
 
 def write_tables(results: Mapping[str, Any], folder: RunFolder) -> list[Path]:
-    """Write comparison.csv, held_out.csv, gains.csv, generations.csv and learning_curves.csv. Returns their paths."""
+    """Write the CSV tables of a run and return their paths."""
     tables = {
         "held_out.csv": comparison_rows(results, "held_out"),
         "gains.csv": source_rows(results),
@@ -64,7 +64,7 @@ def source_rows(results: Mapping[str, Any]) -> list[Row]:
 
 
 def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> list[Row]:
-    """Rows of the comparison per plant, generation and controller. `table` is "comparison" or "held_out".
+    """Rows of the comparison; `table` is "comparison" or "held_out".
 
     Means of fewer runs than LQR's are left out: that of the return is `lqr_mean_on_these_runs` + `paired_to_lqr`.
     """
@@ -88,7 +88,7 @@ def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> li
 
 
 def generation_rows(results: Mapping[str, Any]) -> list[Row]:
-    """Rows of the generations, one each: its design, its returns, its quantiles per state."""
+    """Rows of the generations: design, returns, quantiles per state."""
     rows = []
     for generation in results["generations"]:
         row = _run_columns(results) | {"generation": generation["generation"]} | _design_columns(results, generation)
@@ -115,7 +115,7 @@ def generation_rows(results: Mapping[str, Any]) -> list[Row]:
 
 
 def _free_running_columns(bands: Mapping[str, Any] | None) -> Row:
-    """Coverage and spread of the free-running bands, per number of steps and state. Nothing where none was measured."""
+    """Coverage and spread of free-running bands, if measured."""
     return {
         f"free_running_{name}_{step}_{i + 1}": value
         for name in ("coverage", "spread") if bands is not None
@@ -144,7 +144,7 @@ def learning_rows(results: Mapping[str, Any], folder: RunFolder) -> list[Row]:
 
 
 def console_table(results: Mapping[str, Any]) -> str:
-    """Comparison as aligned plain text, a block per generation and plant. The active bounds are named."""
+    """Comparison as aligned plain text, a block per generation."""
     rows = results["comparison"]
     headings = tuple(f"outside {limits_of(results)}" if name == OUTSIDE else name for name in HEADINGS)
     table = Table(headings, [_cells(row, rows) for row in rows], right=NUMBERS)
@@ -163,7 +163,7 @@ def console_table(results: Mapping[str, Any]) -> str:
 
 
 def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Notes on controllers that saw fewer runs than LQR did, with both means, or that they are no baseline."""
+    """Notes on controllers with fewer runs than LQR, or with remarks."""
     notes: dict[tuple[str, int], list[str]] = {}
     for row in rows:
         reference = reference_of(rows, row)
@@ -176,13 +176,13 @@ def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
-    """Title of a block of rows: the design that it is about."""
+    """Title of a block of rows: its design."""
     bounds = holding_text(row)
     return f"{generation_name(row['generation'])}: {design_text(results, row['design'])}; active bounds: {bounds}"
 
 
 def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    """Cells of one row. A star marks a controller that saw fewer runs than LQR."""
+    """Cells of one row; a star marks fewer runs than LQR's."""
     mean, interval = difference_text(row)
     apart = row["controller"] == "LQR" or bool(row.get("remark"))
     star = " *" if saw_fewer_runs(row, reference_of(rows, row)) else ""
@@ -195,7 +195,7 @@ def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> tuple[s
 
 
 def _run_columns(results: Mapping[str, Any]) -> Row:
-    """Columns that say which run a row belongs to."""
+    """Columns that identify the run of a row."""
     return {"study": results["study"], "seed": results["seed"], "mode": "QUICK" if results["quick"] else "full"}
 
 

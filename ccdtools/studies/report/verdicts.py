@@ -1,4 +1,4 @@
-"""A controller beside LQR, in one word and in per cent."""
+"""Comparison of a controller with LQR."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def reference_of(rows: Sequence[Row], row: Row) -> Row | None:
 
 
 def saw_fewer_runs(row: Row, reference: Row | None) -> bool:
-    """Whether a controller was tried on only some of the runs that LQR was tried on."""
+    """Whether a controller was tried on only some of LQR's runs."""
     return reference is not None and _tried(row) < _tried(reference) - 0.5
 
 
 def on_same_runs(row: Row, reference: Row | None) -> Row:
-    """Row without its means and metrics where these are of fewer runs. They share no column with LQR's."""
+    """Row without its means and metrics where these are of fewer runs."""
     if not saw_fewer_runs(row, reference):
         return row
     nothing = {"mean": None, "std": None, "median": None, "ci95": (None, None)}
@@ -31,13 +31,13 @@ def on_same_runs(row: Row, reference: Row | None) -> Row:
 
 
 def _tried(row: Row) -> float:
-    """Runs that a row was measured on, diverged ones included. Infinite where all diverged, and nobody can tell."""
+    """Number of runs of a row, diverged included; infinite if all diverged."""
     finished = 1 - (row["diverged"] or 0.0)
     return row["n"] / finished if finished > 0 else float("inf")
 
 
 def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float, float] | None:
-    """Paired difference of a row and its interval in per cent of |LQR|. On the same runs; None without one.
+    """Paired difference and its interval in per cent of |LQR|; None without one.
 
     The cost of the design, which both pay, is no part of it.
     """
@@ -51,12 +51,12 @@ def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float,
 
 
 def size_of(row: Row, name: str = "mean") -> float:
-    """Size of a return of a row, without the cost of its design."""
+    """Size of a row's return, without the cost of its design."""
     return abs((row[name] or 0.0) + row.get("design_cost", 0.0))
 
 
 def verdict(row: Row, reference: Row | None) -> str:
-    """Word "equal", "better", "not worse", "worse" or "open". It ends "in return only" where X is left for it.
+    """Verdict "equal", "better", "not worse", "worse" or "open", or that "in return only".
 
     "Better" and "worse" are certain and matter: the interval of the paired difference to LQR excludes zero, and its
     mean is at least 0.5 % of LQR's return. An interval within ±0.5 % is "equal", one above −0.5 % "not worse". A
@@ -85,7 +85,7 @@ def _verdict_on_return(row: Row, reference: Row | None) -> str:
 
 
 def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
-    """Whether a verdict on the return hides that one of the two leaves X further."""
+    """Whether a verdict on the return hides a violation of X."""
     if reference is None or row is reference:
         return False
     if word == "worse":
@@ -95,12 +95,12 @@ def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
 
 
 def further_than(row: Row) -> tuple[str, ...]:
-    """Names of the controllers that leave X less than that of a row. All on the same runs."""
+    """Controllers that leave X less than that of a row."""
     return tuple(row.get("further_outside_than", ()))
 
 
 def outside_text(row: Row, rows: Sequence[Row]) -> str:
-    """Text of the violation of X beside LQR and MPC. Such as "0.99 half-widths (v > 0.5); LQR 0.4, MPC 0.04"."""
+    """Text of a violation of X, such as "0.99 half-widths (v > 0.5); LQR 0.4"."""
     same = [o for o in rows if (o["generation"], o["plant"]) == (row["generation"], row["plant"])]
     others = [o for o in same if o["controller"] in ("LQR", "MPC") and o["controller"] != row["controller"]]
     beside = ", ".join(f"{o['controller']} {number(o['depth_peak'], 2)}" for o in others)
@@ -109,7 +109,7 @@ def outside_text(row: Row, rows: Sequence[Row]) -> str:
 
 
 def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
-    """Notes on controllers whose verdict is on the return only. A line each: who leaves X, or the limits, how far."""
+    """Notes on controllers whose verdict is on the return only."""
     notes = []
     for row in rows:
         reference = reference_of(rows, row)
@@ -123,7 +123,7 @@ def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """Verdict without a comparison. LQR's return is zero, or there is no interval, or there are no pairs."""
+    """Verdict without a comparison."""
     if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
     if row["lqr_mean"] != 0:
@@ -132,7 +132,7 @@ def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
 
 
 def difference_text(row: Row) -> tuple[str, str]:
-    """Paired difference of a row and its interval as text. Differences of rounding are zero."""
+    """Paired difference and its interval as text; rounding errors are zero."""
     gain = row["paired_to_lqr"]
     if gain["mean"] is None or None in gain["ci95"]:
         return number(gain["mean"], 3), "n/a"

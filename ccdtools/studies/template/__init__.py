@@ -1,4 +1,4 @@
-"""The file that ``ccdtools new`` writes."""
+"""File that ``ccdtools new`` writes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PLACEHOLDER = "my_study"
 
 
 def write_template(name: str, folder: str | Path = ".") -> Path:
-    """Write a commented study that runs as it is to FOLDER/NAME.py. Returns its path.
+    """Write a commented study to FOLDER/NAME.py and return its path.
 
     Raises
     ------

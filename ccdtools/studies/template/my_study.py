@@ -1,4 +1,4 @@
-"""A study of your own: change it part by part, and run it with ``ccdtools run my_study.py --quick``.
+"""A study of your own: change it and run it with ``ccdtools run my_study.py --quick``.
 
 It is a cart on a spring and a damper, pushed by a force: the stiffness of the spring and the damper are the design.
 """
@@ -14,7 +14,7 @@ MASS = 1.0  # kg
 
 
 def cart(*, friction: float = 0.0) -> Plant:
-    """The cart: x = [position, velocity], u = force, w = disturbing force, p = [k, c]; `friction` in [N]."""
+    """The cart: x = [position, velocity], u, w = forces, p = [k, c]; `friction` in [N]."""
     x = ca.SX.sym("x", 2)
     u = ca.SX.sym("u")
     w = ca.SX.sym("w")
