@@ -8,7 +8,7 @@ NO_ALGEBRA := notebook or benchmark or codegen or plotting or import or bad_inpu
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run test check kernels targets lint bench docs pictures clean
+.PHONY: run test check kernels targets lint bench docs notebooks pictures clean
 .DELETE_ON_ERROR:
 
 run: $(SETUP)          ## the suspension study, start to report
@@ -38,6 +38,9 @@ bench: $(SETUP)        ## side by side with peers
 
 docs: $(SITE)          ## the site, in build/docs; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
+
+notebooks: $(SETUP)    ## run every notebook and keep what it shows, ten minutes
+	$(BIN)/jupyter execute --inplace --NotebookClient.record_timing=False notebooks/*.ipynb
 
 pictures: $(SETUP)     ## the pictures of the pages, each by its script
 	for f in docs/pictures/[!_]*.py; do $(BIN)/python $$f || exit 1; done

@@ -1,13 +1,17 @@
-"""The site: Sphinx reads the Markdown pages with MyST and the docstrings with napoleon; `make docs` builds it."""
+"""The site: Sphinx reads pages and notebooks with MyST and the docstrings with napoleon; `make docs` builds it."""
 
 import re
+import shutil
 from importlib.metadata import version as installed
+from pathlib import Path
 
 project = "ccdtools"
 author = copyright = "The ccdtools developers"
 version = release = installed("ccdtools")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+nb_execution_mode = "off"  # they are kept executed: `make notebooks`
+shutil.copytree(Path(__file__).parents[1] / "notebooks", Path(__file__).parent / "notebooks", dirs_exist_ok=True)
 myst_heading_anchors = 4  # levels of headings that a link can lead to
 suppress_warnings = ["ref.python"]  # a shape such as (nx, nu) in a docstring is no link to one of the attributes nx
 

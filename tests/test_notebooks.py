@@ -1,72 +1,98 @@
-"""Every notebook runs from top to bottom, and is kept without outputs."""
+"""Notebooks are kept executed, with their figures, and print the same numbers when they are run again."""
 
+import re
 from pathlib import Path
 
 import nbformat
 import pytest
 
 NOTEBOOKS = sorted(Path(__file__).parents[1].joinpath("notebooks").glob("*.ipynb"))
+NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d*)?(?:e[-+]?\d+)?")
+TIME = re.compile(r"[\d.]+ m?s\b")  # another one each time
+
+
+def kept(stem):
+    return nbformat.read(next(path for path in NOTEBOOKS if path.stem.startswith(stem)), as_version=4)
+
+
+def printed(notebook):
+    return ["".join(o.get("text", "") for o in cell.get("outputs", [])) for cell in notebook.cells]
+
+
+def run_again(stem, folder):
+    from nbclient import NotebookClient
+
+    notebook = kept(stem)
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}}).execute()
+    return notebook
+
+
+def same_numbers(before, after, rel):
+    """Compare what two runs printed: the same words, and numbers that are close."""
+    for one, other in zip(printed(before), printed(after), strict=True):
+        texts = [TIME.sub("", text) for text in (one, other)]
+        assert NUMBER.sub("", texts[0]).split() == NUMBER.sub("", texts[1]).split()
+        numbers = [[float(number) for number in NUMBER.findall(text)] for text in texts]
+        assert numbers[1] == pytest.approx(numbers[0], rel=rel, abs=1e-5)
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_notebook_is_kept_without_outputs(path):
-    cells = nbformat.read(path, as_version=4).cells
-    assert not any(cell.get("outputs") for cell in cells)
+def test_a_notebook_is_kept_executed_with_its_figures(path):
+    code = [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    outputs = [output for cell in code for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    assert not any(output.output_type == "error" or output.get("name") == "stderr" for output in outputs)
+    assert path.stat().st_size < 400_000
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("stem", ["02", "03"])
+def test_sets_and_laws_print_the_numbers_that_are_kept(stem, tmp_path):
+    same_numbers(kept(stem), run_again(stem, tmp_path), rel=1e-4)
 
 
 @pytest.mark.check
 def test_the_loop_runs_as_the_first_notebook_shows(tmp_path):
-    from nbclient import NotebookClient
-
-    path = next(p for p in NOTEBOOKS if p.stem.startswith("01"))
-    notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    printed = "".join(o.get("text", "") for c in notebook.cells for o in c.get("outputs", []))
-    rows = [line for line in printed.splitlines() if "learned" in line and "[" in line]
-    assert len(rows) == 2
-    assert float(rows[-1].split("[")[1].split(",")[0]) > 0  # better than LQR on the real plant, after one update
+    for notebook in (kept("01"), run_again("01", tmp_path)):
+        lines = "".join(printed(notebook)).splitlines()
+        start, found = (float(line.split("return ")[1]) for line in lines if ", return " in line)
+        assert found > start + 4  # the co-design moves
+        rows = [line for line in lines if "learned" in line and "[" in line]
+        assert len(rows) == 2
+        assert float(rows[-1].split("[")[1].split(",")[0]) > 0  # better than LQR on the real plant, after one update
 
 
 @pytest.mark.check
 def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(tmp_path):
-    from nbclient import NotebookClient
-
-    path = next(p for p in NOTEBOOKS if p.stem.startswith("06"))
-    notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    told = [o["data"]["text/plain"] for c in notebook.cells for o in c.get("outputs", []) if "data" in o]
-    table = next(text for text in told if "learned, observed" in text)
-    means = {line[:20].strip(): line[20:31] for line in table.splitlines()[1:]}
-    rows = {name: float(means[name]) for name in ("learned", "LQR", "learned, observed", "passive")}
-    assert rows["learned"] > 1.02 * rows["LQR"]  # returns are negative: hardly worse, if at all
-    assert rows["learned, observed"] > 2 * rows["learned"]
-    assert rows["passive"] < 1.5 * rows["LQR"]
-
-
-def printed_by(stem, folder):
-    from nbclient import NotebookClient
-
-    notebook = nbformat.read(next(p for p in NOTEBOOKS if p.stem.startswith(stem)), as_version=4)
-    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}}).execute()
-    return "".join(o.get("text", "") for c in notebook.cells for o in c.get("outputs", []))
+    for notebook in (kept("06"), run_again("06", tmp_path)):
+        told = [o["data"]["text/plain"] for c in notebook.cells for o in c.get("outputs", []) if "data" in o]
+        table = next(text for text in told if "learned, observed" in text)
+        means = {line[:20].strip(): line[20:31] for line in table.splitlines()[1:]}
+        rows = {name: float(means[name]) for name in ("learned", "LQR", "learned, observed", "passive")}
+        assert rows["learned"] > 1.02 * rows["LQR"]  # returns are negative: hardly worse, if at all
+        assert rows["learned, observed"] > 2 * rows["learned"]
+        assert rows["passive"] < 1.5 * rows["LQR"]
 
 
 @pytest.mark.slow
 def test_optimal_control_swings_up_and_keeps_the_track_as_its_notebook_shows(tmp_path):
-    lines = printed_by("04", tmp_path).splitlines()
-    mpc = [line for line in lines if line.startswith("nonlinear MPC, ")]
-    assert len(mpc) == 2
-    assert not any("(" in line for line in mpc)  # up from every start
-    replayed = next(line for line in lines if line.startswith("replayed"))
-    assert replayed.count("(") > 5
-    ratio = next(line for line in lines if line.startswith("real-time iteration beside"))
-    assert all(abs(float(word)) < 1 for word in ratio.split() if word[0] in "+-" and word != "+-")
+    for notebook in (kept("04"), run_again("04", tmp_path)):
+        lines = "".join(printed(notebook)).splitlines()
+        mpc = [line for line in lines if line.startswith("nonlinear MPC, ")]
+        assert len(mpc) == 2
+        assert not any("(" in line for line in mpc)  # up from every start
+        replayed = next(line for line in lines if line.startswith("replayed"))
+        assert replayed.count("(") > 5
+        ratio = next(line for line in lines if line.startswith("real-time iteration beside"))
+        assert all(abs(float(word)) < 1 for word in ratio.split() if word[0] in "+-" and word != "+-")
 
 
 @pytest.mark.slow
 def test_methods_agree_on_the_suspension_and_not_on_the_mast_as_the_notebook_shows(tmp_path):
-    suspension, mast = printed_by("05", tmp_path).split("method  ")[1:3]
-    same = next(line for line in suspension.splitlines() if line.startswith("Equal within"))
-    assert all(name in same for name in ("sequential", "nested MPC", "simultaneous gain", "CMA-ES", "learned"))
-    worse = {line.split(":")[0] for line in mast.splitlines() if " worse than nested LQR" in line}
-    assert {"sequential", "nested Riccati", "simultaneous"} <= worse
+    for notebook in (kept("05"), run_again("05", tmp_path)):
+        suspension, mast = "".join(printed(notebook)).split("method  ")[1:3]
+        same = next(line for line in suspension.splitlines() if line.startswith("Equal within"))
+        assert all(name in same for name in ("sequential", "nested MPC", "simultaneous gain", "CMA-ES", "learned"))
+        worse = {line.split(":")[0] for line in mast.splitlines() if " worse than nested LQR" in line}
+        assert {"sequential", "nested Riccati", "simultaneous"} <= worse
