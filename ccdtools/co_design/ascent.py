@@ -232,7 +232,7 @@ class Ascent:
         Climb(average, length, counted=counted, look=self._looked).run()
 
     def _looked(self) -> bool:
-        """Score the present iterate; whether leaving X has its price now, for Adam."""
+        """Score the present iterate; return whether leaving X costs anything now."""
         self.keep(self.evaluated())
         return self.limited
 

@@ -141,7 +141,7 @@ class _Pool:
         return inside
 
     def may_begin(self, x0: Array, runs: Indices) -> Mask:
-        """True if x0[i] lies within a known X_fea, or none is known."""
+        """True if the expert can start at x0[i], within X_fea where known."""
         allowed = self.regions.stabilised[runs]
         for k in np.flatnonzero(allowed):
             own = self.sets[runs[k]]
@@ -149,7 +149,7 @@ class _Pool:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """States moved along their rays into their sets, at equal fractions.
+        """States moved along rays into their sets, at the same fractions as in X.
 
         Where the set is flat or empty, it is the state itself.
         """

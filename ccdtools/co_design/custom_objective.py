@@ -107,7 +107,7 @@ class CustomObjective(Objective):
                 raise InputError(f"objective.{name}", f"shape ({len(weight)}, {len(weight)})", f"({n}, {n})")
 
     def describe(self) -> dict[str, Any]:
-        """The costs as text."""
+        """Costs as text."""
         own: dict[str, Any] = {"stage cost": str(self.stage_cost)}
         if self.terminal_cost is not None:
             own["terminal cost"] = str(self.terminal_cost)

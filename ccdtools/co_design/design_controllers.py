@@ -39,7 +39,7 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
 
 
 def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
-    """MPC of the nominal model's linearisation, within one design's limits."""
+    """MPC of the nominal model, or its linearisation at rest, within a design's limits."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)

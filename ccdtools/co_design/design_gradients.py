@@ -1,4 +1,4 @@
-"""Gradients of each run's return by the design, and their differences."""
+"""Gradients of each run's return by the design, pathwise and by differences."""
 
 from __future__ import annotations
 

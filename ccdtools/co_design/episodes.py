@@ -194,7 +194,7 @@ def episode_at(
 
 
 def fewer_runs(runs: int, steps: int) -> int:
-    """Number of episodes of `steps` steps with the samples of `runs` of 100.
+    """Number of `steps`-step episodes with about the samples of `runs` of 100.
 
     It is at least 16 of `runs`.
     """

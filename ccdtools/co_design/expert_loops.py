@@ -22,7 +22,7 @@ from mpc import LinearMPC
 
 @dataclass(frozen=True)
 class Followed:
-    """States (v, n, nx), inputs (v, n, nu) and returns (v, n) of v visits.
+    """States (v, n, nx), inputs (v, n, nu), discounted returns (v, n) of v visits.
 
     They are NaN where a run has diverged.
     """
@@ -158,7 +158,7 @@ class SetFilters:
         self._filters: dict[int, AdmissibleInputs] = {}
 
     def filtered(self, x: Array, u: Array) -> Array:
-        """Inputs (n, nu), replaced by the nearest that stay in the set."""
+        """Inputs (n, nu), if needed the nearest that stay in the set."""
         u = u.copy()
         for piece in self._pieces:
             runs = piece.runs

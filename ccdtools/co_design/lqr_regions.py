@@ -87,7 +87,7 @@ class LQRRegions:
 
     @property
     def stabilised(self) -> Mask:
-        """Which designs have an LQR, (n,)."""
+        """Whether each design has an LQR, (n,)."""
         return np.asarray(np.isfinite(self.K).all(axis=(1, 2)))
 
     def contains(self, x: Array, runs: Indices) -> Mask:

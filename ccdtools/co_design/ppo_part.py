@@ -99,7 +99,7 @@ class PPOPart:
         return loss_gradient(self.problem, self.agent, v, prepare(self.agent, rollout, self.config), self.config)
 
     def update(self, rollout: Rollout, *, factor: float, actor: bool) -> None:
-        """Update the critic, and the actor if asked, at reduced rates."""
+        """Update the critic, and the actor if asked, at `factor` times their rates."""
         for optimiser, rate in (
             (self.optimisers.actor_optimiser, self.config.learning_rate),
             (self.optimisers.critic_optimiser, self.config.value_rate),

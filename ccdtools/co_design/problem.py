@@ -253,7 +253,7 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios.x0", got, "a state within X at some design")
 
     def _check_start_outputs(self) -> None:
-        """Raise an `InputError` if the start breaks an output limit at every design."""
+        """Raise an `InputError` if the start breaks an output limit whatever design and input."""
         if self.output_limits is None or not isinstance(self.scenarios, FixedStart):
             return
         broken = self.output_limits.broken_at(self.scenarios.x0, self.model.nu, self.design.spread())

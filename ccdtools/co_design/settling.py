@@ -226,5 +226,5 @@ class Settling:
 
 
 def _better(baseline: Baseline) -> bool:
-    """True if a baseline is better beyond chance and the allowed loss."""
+    """True if a baseline gains more than the allowed loss, beyond chance if known."""
     return baseline.gain.mean > SETTLED_LOSS and not baseline.gain.ci95[0] <= 0

@@ -90,7 +90,7 @@ class Task:
 
     @property
     def moving(self) -> bool:
-        """Whether the design of a start moves, beyond whole numbers."""
+        """Whether any entry of a start's design moves, apart from whole numbers."""
         return self.designing and bool(self.problem.design.allowed.free.any())
 
 

@@ -56,7 +56,7 @@ class TradeOff(Immutable):
 
     @property
     def efficient(self) -> Mask:
-        """Designs (n,) beaten by none in cost and return.
+        """Designs (n,) that none beats in both cost and return by a thousandth of their range.
 
         None whose runs are all lost.
         """

@@ -209,7 +209,7 @@ class _DeployedPolicy:
         )  # fmt: skip
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
-        """Add the errors of a piece after so many runs; False if too few are left."""
+        """Add the errors of a piece after so many runs; False if too little is left."""
         left = int((~piece.diverged).sum())
         if left < (2 if self._several else 1):
             return False

@@ -48,7 +48,7 @@ class End:
 
 
 class DesignCost(ABC):
-    """Cost over the unit box, with slope and controller of each design.
+    """Cost (minus a return) over the unit box, with slope and controller.
 
     Attributes
     ----------

@@ -78,7 +78,7 @@ class _OnLineLaw(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecantLaw(_OnLineLaw):
-    """Saturated LQR of the linearisation over each design loop's states.
+    """Saturated LQR of the linearisation over states that its loop visits.
 
     They are visited on given scenarios.
     """
@@ -93,7 +93,7 @@ class SecantLaw(_OnLineLaw):
 
 @dataclass(frozen=True)
 class MPCLaw(_OnLineLaw):
-    """On-line MPC of every design; nonlinear by one real-time iteration a sample."""
+    """MPC of every design, on line; nonlinear by one real-time iteration per sample and run."""
 
     horizon: int = HORIZON
     nonlinear: bool = False

@@ -115,7 +115,7 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
-    """True if a policy loses runs that LQR keeps, or much return."""
+    """True if a policy loses runs that LQR keeps, or a fifth of its return."""
     drawn = copy.deepcopy(rng)
     try:
         lqr = saturated_lqr(problem, design)
@@ -200,7 +200,7 @@ def _check_objective(problem: CoDesignProblem) -> None:
 
 
 def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """Local optima of the landscape; none if unneeded."""
+    """Local optima of the landscape; none for a frozen design or single start."""
     if not task.designing or task.config.starts == 1:
         return ()
     return valleys(task.problem, design, rng=rng)

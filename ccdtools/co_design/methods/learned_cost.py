@@ -30,7 +30,7 @@ from learning.networks import ActorCritic
 
 @dataclass(eq=False)
 class LearnedCost(DesignCost):
-    """Cost of the policy trained from the last design's.
+    """Cost (minus mean return) of a policy trained from the last design's.
 
     Parameters
     ----------

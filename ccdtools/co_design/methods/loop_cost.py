@@ -28,7 +28,7 @@ from mpc import NotStabilisableError
 
 @dataclass(eq=False)
 class LoopCost(DesignCost):
-    """Cost of a law over the unit box, on the same scenarios.
+    """Cost (minus mean return) of a law on fixed scenarios, over the unit box.
 
     Parameters
     ----------

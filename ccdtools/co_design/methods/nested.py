@@ -103,7 +103,7 @@ class Nested:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """Best design and its controller, from a feasible design (np,)."""
+        """Best design and its controller, from a feasible one (np,) and other starts."""
         starts = 1 if self.inner == "rl" else self.starts
         budget = SearchBudget(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):

@@ -100,7 +100,7 @@ def at_the_mean(
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Saturated feedback u = −K x, with K among the parameters.
+    """Saturated feedback u = −K x, its K a parameter after the design.
 
     The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
     """
@@ -206,7 +206,7 @@ def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
     S = None if objective.S is None else ca.DM(objective.S)
 
     def stage(x: Any, u: Any, p: Any) -> Any:
-        """Cost of a present state; summed, next states are charged but for the first and last."""
+        """Cost by the present state; the next states' sum differs by first and last."""
         own = ca.bilin(Q, x, x) + ca.bilin(R, u, u)
         return own if S is None else own + 2 * ca.bilin(S, x, u)
 

@@ -80,7 +80,7 @@ class Simultaneous:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """Best design and its controller, from a feasible design (np,)."""
+        """Best design and its controller, from a feasible one (np,) and other starts."""
         check_open_loop(problem)
         scenarios = drawn(problem, self.runs or RUNS[self.unknowns], rng)
         found = valleys(problem, design, rng=rng) if self.starts > 1 else ()
