@@ -1,4 +1,4 @@
-"""Controller and design optimised together: the problem, the expert, the methods."""
+"""Joint optimisation of controller and design: problem, expert and methods."""
 
 from ccdtools_ground.front_door import front_door
 

@@ -1,4 +1,4 @@
-"""Filter that keeps a design within its limits for ever, where the model holds."""
+"""Filter that keeps a design within its limits for ever."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from invariant_sets import AdmissibleInputs, Polytope, maximal_control_invariant
 
 
 def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Polytope | None = None) -> AdmissibleInputs:
-    """Inputs that keep the next nominal state in X_fea(p), as a function of the state.
+    """Inputs that keep the next nominal state in X_fea(p).
 
     Parameters
     ----------

@@ -16,14 +16,14 @@ from learning.networks import ActorCritic
 
 
 def as_agent(agent: Any) -> ActorCritic | None:
-    """An agent, or None where a method is to make its own."""
+    """Agent, or None where a method makes its own."""
     if agent is not None:
         as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
     return agent  # type: ignore[no-any-return]
 
 
 def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
-    """Raise an `InputError` unless `agent` was made for the states, designs and inputs of `problem`."""
+    """Raise an `InputError` unless `agent` fits states, designs and inputs."""
     as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
     nx = problem.model.nx
     space = problem.design
@@ -41,7 +41,7 @@ def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
 
 
 def _check_actions(problem: CoDesignProblem, agent: ActorCritic) -> None:
-    """Raise an `InputError` unless an agent acts within U, or within U(p) at every design."""
+    """Raise an `InputError` unless an agent acts within U or U(p)."""
     if isinstance(problem.U, DesignLimits) or agent.action_limits is not None:
         if not _same_limits(problem, agent):
             raise InputError(
@@ -64,7 +64,7 @@ def _check_actions(problem: CoDesignProblem, agent: ActorCritic) -> None:
 
 
 def _same_limits(problem: CoDesignProblem, agent: ActorCritic) -> bool:
-    """True if both limits depend on the design and agree all over the box."""
+    """True if both limits depend on the design and agree everywhere."""
     own, other = problem.U, agent.action_limits
     if not isinstance(own, DesignLimits) or other is None:
         return False

@@ -50,7 +50,7 @@ from learning.ppo import decay_exploration
 
 
 class Ascent:
-    """The moving parts of one co-design; the agent handed over is trained in place.
+    """Moving parts of one co-design; the given agent is trained in place.
 
     Parameters
     ----------
@@ -96,22 +96,22 @@ class Ascent:
 
     @property
     def ended(self) -> bool:
-        """True if the co-design has settled, or spent its budget."""
+        """True if the co-design has settled or spent its budget."""
         return self.status is not None
 
     @property
     def limited(self) -> bool:
-        """Whether leaving X costs anything at present."""
+        """Whether leaving X costs anything now."""
         return self.limits is not None and self.limits.active
 
     @property
     def by_differences(self) -> bool:
-        """True if finite differences replace the design's gradient through the model."""
+        """True if finite differences replace the design gradient through the model."""
         wrong = self.check is not None and not self.check.trusted
         return wrong and self.region.free.sum() <= FEW_PARAMETERS and self.task.config.design_gradient == "pathwise"
 
     def block(self, bar: tqdm) -> None:
-        """Run one block of iterations and return what it brought."""
+        """Run one block of iterations and return its gain."""
         config = self.task.config
         before = self.best
         length = min(self.longer * config.block, config.iterations - self.iterations)
@@ -127,7 +127,7 @@ class Ascent:
         self._judge(before)
 
     def _judge(self, before: Iterate) -> None:
-        """Set the status, if this was the last block."""
+        """Set the status if this was the last block."""
         improving = self._improved(before)
         self.quiet = 0 if improving else self.quiet + 1
         spent = self.iterations >= self.task.config.iterations
@@ -153,14 +153,14 @@ class Ascent:
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
     def _improved(self, before: Iterate) -> bool:
-        """True if the block brought a gain that matters, or fewer lost runs or violations."""
+        """True if the block brought a worthwhile gain, fewer lost runs or violations."""
         best = self.best
         if best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation:
             return True
         return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
 
     def _climbs(self) -> bool:
-        """True if the return that scores iterates still rises along the design, inside the box."""
+        """True if the scoring return still rises along the design inside the box."""
         best = self.best
         judge = self.task.judge
         scenarios = scenario_tensors(judge, fewer_runs(512, judge.steps), self.rng)
@@ -170,25 +170,25 @@ class Ascent:
 
     @property
     def _matters(self) -> float:
-        """The gain of a slope that is worth following, or naming."""
+        """Gain of a slope that is worth following or naming."""
         return 2 * self.task.config.tolerance * self._size
 
     @property
     def _size(self) -> float:
-        """Size of the best return, without the cost of its design."""
+        """Size of the best return, without its design cost."""
         best = self.best
         return float(self.task.judge.made_by_control(best.score, to_design(self.task.judge, best.v)))
 
     def _differences(self, scenarios: ScenarioTensors) -> Differences:
-        """Finite differences of the present policy's return on the problem."""
+        """Finite differences of the present policy's return."""
         return Differences(self.task.problem, self.agent, scenarios, self.prices)
 
     def _slope_by_differences(self, scenarios: ScenarioTensors) -> Tensor:
-        """The design's gradient of the mean return by finite differences, (np,)."""
+        """Gradient (np,) of the mean return by finite differences."""
         return self._differences(scenarios).about(self.v, self.step).mean(0)
 
     def _untrusted(self) -> bool:
-        """Whether no estimate of the design gradient could be trusted."""
+        """Whether no estimate of the design gradient is trusted."""
         if self.check is None or self.check.trusted or self.task.config.design_gradient != "pathwise":
             return False
         return self.slope.unresolved(self._size) or not self.by_differences
@@ -198,7 +198,7 @@ class Ascent:
         return scenario_tensors(self.task.problem, fewer_runs(runs, self.task.problem.steps), self.rng)
 
     def keep(self, iterate: Iterate) -> None:
-        """Remember an iterate if it beats the best so far."""
+        """Keep an iterate if it beats the best so far."""
         self.best = iterate if iterate.beats(self.best) else self.best
 
     def _return_to_best(self) -> None:
@@ -208,7 +208,7 @@ class Ascent:
             self.v.copy_(self.best.v)
 
     def _climb(self, length: int, bar: tqdm) -> None:
-        """Climb by at most so many evaluations of L-BFGS-B.
+        """Climb by at most `length` evaluations of L-BFGS-B.
 
         All are on one set of scenarios.
         """
@@ -232,12 +232,12 @@ class Ascent:
         Climb(average, length, counted=counted, look=self._looked).run()
 
     def _looked(self) -> bool:
-        """Score the present iterate; whether leaving X has its price now, which moves: that is for Adam to follow."""
+        """Score the present iterate; return whether leaving X costs anything now."""
         self.keep(self.evaluated())
         return self.limited
 
     def _follow(self, length: int, bar: tqdm) -> None:
-        """Take steps of Adam on fresh scenarios, and of PPO where it has a part."""
+        """Take steps of Adam, and of PPO if used, on fresh scenarios."""
         for k in range(length):
             self.iterate(k, length)
             self.count(bar)
@@ -252,7 +252,7 @@ class Ascent:
         bar.update()
 
     def cost(self, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
-        """Mean cost at a point of the unit box, with what leaving X costs; differentiable."""
+        """Differentiable mean cost at a unit-box point, including the cost of leaving X."""
         seen = episode_at(self.task.problem, self.agent, v, scenarios, depths=self.limited)
         cost = -self.task.problem.risk.values(seen.total).mean()
         if self.limits is None or not self.limited:
@@ -263,12 +263,12 @@ class Ascent:
 
     @torch.no_grad()
     def _seen(self, iterate: Iterate | Ascent) -> Episode:
-        """An iterate on the fixed scenarios."""
+        """Iterate on the fixed scenarios."""
         v = iterate.v.detach()
         return episode_at(self.task.judge, iterate.agent, v, self.evaluation, depths=self.limits is not None)
 
     def evaluated(self) -> Iterate:
-        """The present iterate on the fixed scenarios, with a row of the history."""
+        """Present iterate on the fixed scenarios; a history row is added."""
         seen = self._seen(self)
         values = self.task.judge.risk.values(seen.total)
         mean, std, lost = of_kept_runs(self.task.judge.risk, seen.total.double().numpy(), seen.diverged.numpy())
@@ -284,7 +284,7 @@ class Ascent:
         return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), values.numpy(), violation, lost, outcome)
 
     def iterate(self, k: int, length: int) -> None:
-        """Take one step of policy and design, at the rates of iteration k."""
+        """Take one step of policy and design at iteration k's rates."""
         task = self.task
         config = task.config
         factor = 1.0 if config.constant_rates else 0.5 * (1 + np.cos(np.pi * k / length))
@@ -327,7 +327,7 @@ class Ascent:
         return -design_gradient
 
     def _move_design(self, gradient: Tensor, factor: float) -> None:
-        """Move the design by Adam on the clipped gradient, then back into bounds and constraints."""
+        """Move the design by clipped Adam, then back into bounds and constraints."""
         gradient = self.region.masked(gradient)
         norm = gradient.norm()
         if not norm.isfinite():
@@ -347,11 +347,11 @@ class Ascent:
                 self.v.copy_(torch.tensor(self.region.last if found is None else found))
 
     def _p(self) -> Tensor:
-        """The present design (np,), without its gradient."""
+        """Present design (np,), without its gradient."""
         return to_design(self.task.problem, self.v.detach())
 
     def history(self) -> History:
-        """The evaluations so far."""
+        """Evaluations so far."""
         return History(*(np.array(column) for column in zip(*self.rows)))
 
     def convergence(self) -> Convergence:
@@ -361,6 +361,6 @@ class Ascent:
 
 
 def _set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
-    """Set the learning rate of every group of an optimiser."""
+    """Set the learning rate of an optimiser's groups."""
     for group in optimiser.param_groups:
         group["lr"] = rate

@@ -1,4 +1,4 @@
-"""The states and designs that the expert's closed loops start from.
+"""States and designs where the expert's closed loops start.
 
 Candidates (x, p) fill X × design box by Latin hypercube sampling. Accepted are those whose state lies in the set of
 their own design. Where these are few (the volume of a set shrinks with the number of states), the others are moved
@@ -26,7 +26,7 @@ from invariant_sets import ParametricSet, Polytope
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Where the expert's loops begin.
+    """Starts of the expert's loops.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pool:
-    """Candidates with X_fea of each design, else the region of LQR, else X."""
+    """Candidates with X_fea of each design, else LQR's region, else X."""
 
     X: Limits
     p: Array
@@ -116,7 +116,7 @@ class _Pool:
     def of(
         cls, problem: CoDesignProblem, p: Array, family: ParametricSet, budget: SetBudget, reason: str
     ) -> _Pool:  # fmt: skip
-        """Candidates with designs p (n, np); without sets if a reason speaks against them."""
+        """Candidates with designs p (n, np), without sets if a reason is given."""
         regions = LQRRegions.of(problem, p)
         by_region = budget.option != "none" and regions.rows is not None
         if budget.option == "auto" and not reason:
@@ -129,7 +129,7 @@ class _Pool:
         return cls(problem.X, p, sets, regions, counts, by_region)
 
     def contains(self, x: Array, runs: Indices) -> Mask:
-        """Whether x[i] lies in the set of candidate runs[i], (k,)."""
+        """Whether x[i] lies in the set of runs[i], (k,)."""
         within = self.X.contains(x, self.p[runs]) if isinstance(self.X, DesignLimits) else self.X.contains(x)
         inside = within & self.regions.stabilised[runs]
         own = [self.sets[i] for i in runs]
@@ -141,7 +141,7 @@ class _Pool:
         return inside
 
     def may_begin(self, x0: Array, runs: Indices) -> Mask:
-        """True if the expert can be followed from x0[i]: within a known X_fea, else anywhere."""
+        """True if the expert can start at x0[i], within X_fea where known."""
         allowed = self.regions.stabilised[runs]
         for k in np.flatnonzero(allowed):
             own = self.sets[runs[k]]
@@ -149,7 +149,7 @@ class _Pool:
         return allowed
 
     def moved_in(self, x: Array, runs: Indices) -> Array:
-        """States moved along their rays into their sets, at the fraction of the ray that they had in X.
+        """States moved along rays into their sets, at the same fractions as in X.
 
         Where the set is flat or empty, it is the state itself.
         """
@@ -163,7 +163,7 @@ class _Pool:
         return scale[:, None] * x
 
     def _gauges(self, x: Array, runs: Indices) -> Array:
-        """Least factors (k,) by which X holds the states (k, nx) of these candidates."""
+        """Least factors (k,) by which X holds these candidates' states (k, nx)."""
         if not isinstance(self.X, DesignLimits):
             return _gauge(self.X, x)
         lower, upper = self.X.bounds(self.p[runs])
@@ -173,7 +173,7 @@ class _Pool:
 
 
 def _gauge(S: Polytope, x: Array) -> Array:
-    """Least factors (k,) by which S holds the states (k, nx); inf if 0 is not inside S."""
+    """Least factors (k,) by which S holds states (k, nx); inf without interior 0."""
     if S.is_empty or len(S.b_eq) or not (S.b > 0).all():
         return np.full(len(x), np.inf)
     return np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny)

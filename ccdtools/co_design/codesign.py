@@ -1,4 +1,4 @@
-"""One front door for every way to co-design."""
+"""Entry point of every co-design method."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ METHODS = (*MODEL_BASED, *LEARNED)
 
 
 class Method(Protocol):
-    """A way to co-design."""
+    """Way to co-design."""
 
     @property
     def name(self) -> str:
@@ -37,7 +37,7 @@ class Method(Protocol):
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The best design and controller found from a feasible design (np,)."""
+        """Best design and controller from a feasible design (np,)."""
         ...
 
 
@@ -69,7 +69,7 @@ def codesign(
     limits: LimitPenalty | None = None,
     progress: bool = False,
 ) -> CoDesignResult:
-    """The best design and controller found for `problem`.
+    """Best design and controller found for `problem`.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def codesign(
 
 
 def as_method(method: str | Method, **learning: Any) -> Method:
-    """A method by its name, or as it is.
+    """Method by its name, or as given.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def as_method(method: str | Method, **learning: Any) -> Method:
 
 
 def _own_generator(rng: np.random.Generator) -> np.random.Generator:
-    """Generator of evaluation scenarios, which takes nothing from the stream of `rng`."""
+    """Generator of evaluation scenarios, independent of the stream of `rng`."""
     try:
         return rng.spawn(1)[0]
     except TypeError:  # a bit generator without a seed sequence

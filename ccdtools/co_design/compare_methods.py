@@ -1,4 +1,4 @@
-"""Every way to co-design by its name, tried on one problem."""
+"""Comparison of all co-design methods, by name, on one problem."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def compare_methods(
     progress: bool | None = None,
     each: Callable[[MethodComparison], object] | None = None,
 ) -> MethodComparison:
-    """The methods of `codesign` on one problem, measured on the same scenarios.
+    """Methods of `codesign` on one problem and the same scenarios.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _compared(
     problem: CoDesignProblem, seed: int, ends: Mapping[str, CoDesignResult | str], reference: str,
     known: dict[str, Pairs],
 ) -> MethodComparison:  # fmt: skip
-    """Comparison of the methods that have ended; `known` keeps the measurements for each reference."""
+    """Comparison of the ended methods; `known` keeps measurements per reference."""
     results = {name: end for name, end in ends.items() if isinstance(end, CoDesignResult)}
     if reference not in results and results:
         reference = next(iter(results))
@@ -129,7 +129,7 @@ def _compared(
 def _run(
     problem: CoDesignProblem, seed: int, design: Array | None, progress: bool, method: Method
 ) -> CoDesignResult | str:
-    """Result of a method, or the reason why it refuses."""
+    """Result of a method, or why it refuses."""
     try:
         found = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design, progress=progress)
         if getattr(method, "judge", None) is None:
@@ -167,7 +167,7 @@ def named_methods(methods: Any, agent: ActorCritic | None = None) -> dict[str, M
 
 
 def known_methods() -> dict[str, Method]:
-    """Every method that has a name, with its usual settings."""
+    """Every named method with its usual settings."""
     searches = [Search(library) for library in LIBRARIES]
     programs = [Simultaneous(unknowns) for unknowns in UNKNOWNS]
     learners = [Learned(by=by) for by in LEARNING]
@@ -176,7 +176,7 @@ def known_methods() -> dict[str, Method]:
 
 
 def _named(name: str, agent: ActorCritic | None) -> Method:
-    """The method of a name."""
+    """Method of a name."""
     found = known_methods()[as_method_names([name])[0]]
     learns = isinstance(found, Learned) or (isinstance(found, Nested) and found.inner == "rl")
     return replace(found, agent=agent) if learns else found  # type: ignore[type-var]

@@ -1,4 +1,4 @@
-"""Any cost in CasADi as an objective, and the cost of a plant's outputs."""
+"""Objectives from any CasADi cost, or from a plant's outputs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.plants.symbolic_functions import as_symbolic
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CustomObjective(Objective):
-    """Any cost in CasADi: r = −ℓ(x, u, p) of a present state and input, −V_f(x_N, p) at the end.
+    """CasADi cost: r = −ℓ(x, u, p) of the present step, −V_f(x_N, p) at the end.
 
     Weights that depend on the design, costs of outputs, economic costs and soft limits are of this kind. LQR and MPC
     take half the Hessian of ℓ about x = 0, u = 0 for their weights.
@@ -61,26 +61,26 @@ class CustomObjective(Objective):
         return f"{type(self).__name__}({self.stage_cost})"
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
-        """Rewards (...,) of states (..., nx), inputs (..., nu) and designs (..., np)."""
+        """Rewards (...,) of x (..., nx), u (..., nu) and p (..., np)."""
         if x is None or p is None:
             raise InputError("x, p", "nothing", "the states before the step and the design, which the cost needs")
         return -self.stage_cost.scalar(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)[..., 0]
 
     def final_rewards(self, x: Any, p: Any) -> Any:
-        """−V_f (...,) of states (..., nx); None where there is no terminal cost."""
+        """−V_f (...,) of states (..., nx), None without a terminal cost."""
         if self.terminal_cost is None:
             return None
         return -self.terminal_cost.scalar(x.shape[-1], p.shape[-1])(x, p)[..., 0]
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """Weights given, or half the Hessian of ℓ about rest at a design (np,)."""
+        """Given weights, or half the Hessian of ℓ at rest, at a design (np,)."""
         if self.Q is not None:
             return Weights(self.Q, self.R)
         H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
         return _checked_weights(H, nx, p)
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
-        """Derivatives (·, ·, np) of the weights, given or of half the Hessian of ℓ."""
+        """Derivatives (·, ·, np) of the given weights or half the Hessian."""
         if self.Q is not None:
             return super().weight_derivatives(p, nx, nu)
         symbol = ca.SX.sym("p", len(p))
@@ -91,13 +91,13 @@ class CustomObjective(Objective):
         return Weights(T[:nx, :nx], T[nx:, nx:], T[:nx, nx:])
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """True if a cost depends on an argument, or the design has one."""
+        """True if a cost depends on anything, or the design has one."""
         if self.design_cost is not None or self.stage_cost.depends(nx, nu, designs):
             return True
         return self.terminal_cost is not None and bool(self.terminal_cost.depends(nx, designs))
 
     def check(self, nx: int, nu: int, designs: int) -> None:
-        """Raise an `InputError` unless it is a function of such states, inputs and designs."""
+        """Raise an `InputError` unless it fits these states, inputs and designs."""
         super().check(nx, nu, designs)
         self.stage_cost.scalar(nx, nu, designs)
         if self.terminal_cost is not None:
@@ -107,7 +107,7 @@ class CustomObjective(Objective):
                 raise InputError(f"objective.{name}", f"shape ({len(weight)}, {len(weight)})", f"({n}, {n})")
 
     def describe(self) -> dict[str, Any]:
-        """The costs as text."""
+        """Costs as text."""
         own: dict[str, Any] = {"stage cost": str(self.stage_cost)}
         if self.terminal_cost is not None:
             own["terminal cost"] = str(self.terminal_cost)
@@ -115,7 +115,7 @@ class CustomObjective(Objective):
 
 
 def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any) -> CustomObjective:
-    """Cost yᵀ W y + uᵀ R u of a plant's outputs y = h(x, u, p).
+    """Cost yᵀ W y + uᵀ R u of outputs y = h(x, u, p).
 
     Outputs may be body acceleration, tyre load or the force in a joint.
 
@@ -151,7 +151,7 @@ def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any)
 
 
 def _as_matrix(argument: str, value: Any, size: int) -> Array:
-    """A weight (size, size) of a matrix, its diagonal, or a number."""
+    """Weight (size, size) from a matrix, diagonal or number."""
     array = as_floats(argument, value)
     if array.ndim == 0:
         array = np.full(size, float(array))
@@ -161,7 +161,7 @@ def _as_matrix(argument: str, value: Any, size: int) -> Array:
 
 
 def _checked_weights(H: Array, nx: int, p: Array) -> Weights:
-    """Weights of the Hessian of a cost, if it is that of a regulator.
+    """Weights of a cost's Hessian, if it is a regulator's.
 
     Raises
     ------

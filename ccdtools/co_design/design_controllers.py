@@ -1,4 +1,4 @@
-"""Usual controllers of a design, for nested search and comparison with policies."""
+"""LQR and MPC of a design, for nested search and comparison."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its
 
 
 def tangent_note(problem: CoDesignProblem) -> str:
-    """Note that LQR and its kind stand on the tangent at rest; empty if linear."""
+    """Note that LQR uses the tangent at rest; empty if linear."""
     return ON_TANGENT if isinstance(problem.model, SampledModel) else ""
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """LQR of the nominal model at one design, clipped to U or U(p)."""
+    """LQR of the nominal model at a design, clipped to U."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
@@ -39,7 +39,7 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
 
 
 def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
-    """MPC of the nominal model or its linearisation at rest, within one design's limits."""
+    """MPC of the nominal model, or its linearisation at rest, within a design's limits."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
@@ -50,7 +50,7 @@ def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HO
 def nonlinear_mpc(
     problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, iterations: int | None = 1
 ) -> NonlinearMPC:
-    """MPC of the nominal model itself, linear or not, at one design.
+    """MPC of the nominal model itself at one design.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def nonlinear_mpc(
 
 
 def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Controller:
-    """The controller of a design that was found without it: "lqr" or "mpc".
+    """Controller, "lqr" or "mpc", of a design found without it.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def controller_of(kind: str, problem: CoDesignProblem, design: ArrayLike) -> Con
 
 
 def undisturbed_step(model: Model) -> ca.Function:
-    """(x, u, p) → x⁺ where w is 0, arguments and value by name."""
+    """Function (x, u, p) → x⁺ at w = 0, by name."""
     step = model.step
     kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
     names = ["x", "u", "p"]

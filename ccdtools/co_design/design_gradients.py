@@ -1,4 +1,4 @@
-"""Gradients of each run's return by the design, through the model and by differences."""
+"""Gradients of each run's return by the design, pathwise and by differences."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from learning.ppo import PPOConfig
 
 
 def inside(v: Tensor, step: float) -> Tensor:
-    """Point closest to `v` from which steps to both sides stay in the unit box."""
+    """Nearest point to `v` with room for a step to both sides."""
     return v.detach().clamp(step, 1.0 - step)
 
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Central differences of every run's return, under common random numbers.
+    """Central differences of every run's return under common random numbers.
 
     They are taken in the unit box and in double precision.
 
@@ -55,7 +55,7 @@ class Differences:
         object.__setattr__(self, "scenarios", tuple(part.double() for part in self.scenarios))
 
     def about(self, v: Tensor, step: float) -> Tensor:
-        """Slopes (n, np) about a point of the unit box, or the nearest with room for the step."""
+        """Slopes (n, np) about a point, or the nearest with room."""
         centre = inside(v.double(), step)
         columns = []
         for i, free in enumerate(self.problem.design.free):
@@ -68,7 +68,7 @@ class Differences:
         return torch.stack(columns, dim=1)
 
     def step(self, v: Tensor) -> float:
-        """The largest step that a smaller one confirms; the smallest where none is.
+        """Largest step that a smaller one confirms, else the smallest.
 
         A return that goes with 1/p bends near a small p by far more than a hundredth of the box shows.
         """
@@ -84,7 +84,7 @@ class Differences:
 
     @torch.no_grad()
     def _returns(self, v: Tensor) -> Tensor:
-        """Returns (n,), less what leaving X costs."""
+        """Returns (n,) less the cost of leaving X."""
         seen = episode_at(self.problem, self.agent, v, self.scenarios, depths=self.prices is not None)
         values = self.problem.risk.values(seen.total)
         if self.prices is None:
@@ -94,14 +94,14 @@ class Differences:
 
 
 def pathwise_by_run(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
-    """∂/∂v of every run's return through dynamics, policy and reward, (n, np)."""
+    """Pathwise slopes ∂/∂v of every run's return, (n, np)."""
     each = v.detach().expand(len(scenarios[0]), -1).clone().requires_grad_(True)
     total = problem.risk.values(episode_at(problem, agent, each, scenarios).total).sum()
     return torch.autograd.grad(total, each)[0].double()
 
 
 def standard_error(by_run: Tensor) -> Tensor:
-    """Standard error of the mean over the runs, (np,); infinite for a single run."""
+    """Standard error (np,) of the mean over runs; infinite for one."""
     if len(by_run) < 2:
         return torch.full_like(by_run[0], float("inf"))
     return by_run.std(0) / len(by_run) ** 0.5
@@ -109,7 +109,7 @@ def standard_error(by_run: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """Rise of the mean return with the design, where the unit box has room."""
+    """Rise of the mean return with the design, where there is room."""
 
     # finite differences and their standard errors, per length of the unit box; 0 where a bound leaves no room
     mean: Array  # (np,)
@@ -121,18 +121,18 @@ class Slope:
 
     @classmethod
     def none(cls, size: int) -> Slope:
-        """A level one."""
+        """Level slope."""
         level = np.zeros(size)
         return cls(level, level, np.ones(size), level, level)
 
     @classmethod
     def measured(cls, differences: Differences, v: Tensor) -> Slope:
-        """Slope by differences at a point of the unit box."""
+        """Slope by differences at a unit-box point."""
         return cls.of(differences.about(v, differences.step(v)), v)
 
     @classmethod
     def of(cls, by_run: Tensor, v: Tensor) -> Slope:
-        """Slope from those of every run (n, np) at a point."""
+        """Slope from every run's slopes (n, np) at a point."""
         both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])
         point = v.double().numpy()
         room = np.where(both[0] > 0, 1.0 - point, point)
@@ -141,7 +141,7 @@ class Slope:
         return cls(inside_box[0], inside_box[1], room, across[0], across[1])
 
     def promises(self, gain: float) -> bool:
-        """True if a slope beyond chance that falls to zero ahead brings the gain."""
+        """True if a significant slope that falls to zero ahead brings the gain."""
         return _brings(self.mean, self.error, np.minimum(self.room, SLOPE_AHEAD), gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
@@ -149,12 +149,12 @@ class Slope:
         return _brings(self.across, self.across_error, np.full(len(self.across), SLOPE_AHEAD), gain)
 
     def unresolved(self, size: float) -> bool:
-        """True if the error is too large beside returns of that size."""
+        """True if the error is too large beside such returns."""
         return bool((self.error * SLOPE_AHEAD > UNRESOLVED_SLOPE * size).any() or not np.isfinite(self.error).all())
 
 
 def _brings(slope: Array, error: Array, distance: Array, gain: float) -> bool:
-    """True if a slope (np,) beyond chance that falls to zero over its distance brings the gain."""
+    """True if a significant slope (np,) falling to zero over its distance brings the gain."""
     return bool(((np.abs(slope) > SIGNIFICANT * error) & (np.abs(slope) * distance / 2 > gain)).any())
 
 
@@ -169,7 +169,7 @@ def check_gradients(
     ppo: PPOConfig | None = None,
     network_input: bool = True,
 ) -> GradientCheck:
-    """Every design gradient beside finite differences, on the same scenarios.
+    """Every design gradient beside finite differences on common scenarios.
 
     Parameters
     ----------

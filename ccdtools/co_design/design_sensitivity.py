@@ -1,4 +1,4 @@
-"""Sensitivity of optimal cost and law to the design: LQR, linear and nonlinear MPC."""
+"""Sensitivity of optimal cost and law to the design, for LQR and MPC."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Detail: TypeAlias = LQRSensitivity | PlanSensitivity
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignSensitivity(Immutable):
-    """Derivatives of optimal cost and control law at a state, by state and design.
+    """Derivatives of optimal cost and control law by state and design.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ def design_sensitivity(
     problem: CoDesignProblem, design: ArrayLike, x0: ArrayLike | None = None, *, controller: str = "lqr",
     horizon: int = HORIZON,
 ) -> DesignSensitivity:  # fmt: skip
-    """Exact slopes of the undisturbed model's optimal cost and law by the design.
+    """Exact slopes of the undisturbed optimal cost and law by the design.
 
     Parameters
     ----------
@@ -122,14 +122,14 @@ def design_sensitivity(
 
 
 def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
-    """LQR of a design (np,), with the derivatives of its gain and cost."""
+    """LQR of a design (np,), with derivatives of gain and cost."""
     A, B, _ = problem.model.matrices(p)
     dA, dB, _ = problem.model.derivatives(p)
     return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **_weight_changes(problem, p))
 
 
 def _start(problem: CoDesignProblem, x0: ArrayLike | None) -> Array:
-    """The state, checked."""
+    """Checked state."""
     if x0 is None:
         if not isinstance(problem.scenarios, FixedStart):
             raise InputError("x0", "nothing", f"a state ({problem.model.nx},), because the problem has no FixedStart")
@@ -169,7 +169,7 @@ def _of_mpc(
 
 
 def _bound_changes(limits: Any, own: DesignLimits, p: Array) -> Array:
-    """Slopes ∂b/∂p (rows, np) of the facets a'v <= b of a box that depends on p."""
+    """Slopes ∂b/∂p (rows, np) of the facets a'v <= b of a box."""
     bounds = own.both.function(own.entries)
     symbol = ca.SX.sym("p", own.entries)
     J = np.asarray(ca.Function("changes", [symbol], [ca.densify(ca.jacobian(bounds(symbol), symbol))])(p), dtype=float)

@@ -1,4 +1,4 @@
-"""The batched, differentiable model that learning runs on."""
+"""Batched, differentiable model for learning."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ScenarioTensors: TypeAlias = tuple[Tensor, Tensor]  # initial states (n, nx) and
 
 
 class _Matrices(torch.autograd.Function):
-    """[A B E](p) with its exact derivative, both evaluated by CasADi in float64."""
+    """[A B E](p) and its exact derivative, by CasADi in float64."""
 
     @staticmethod
     def forward(ctx, p: Tensor, model: Model) -> Tensor:
@@ -39,7 +39,7 @@ class _Matrices(torch.autograd.Function):
 
 
 def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Matrices A, B, E at a design tensor (np,), or stacked for (n, np)."""
+    """Matrices A, B, E at a design (np,), or stacked for (n, np)."""
     columns = model.nx + model.nu + model.nw
     flat = _Matrices.apply(p, model) if p.ndim == 1 else torch.stack([_Matrices.apply(one, model) for one in p])
     M = flat.unflatten(-1, (columns, model.nx)).mT
@@ -47,20 +47,20 @@ def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def in_double(problem: CoDesignProblem) -> CoDesignProblem:
-    """A problem whose learned errors are in double precision."""
+    """Problem with learned errors in double precision."""
     learned = problem.discrepancy
     return problem if learned is None else replace(problem, discrepancy=learned.double())
 
 
 def to_design(problem: CoDesignProblem, v: Tensor) -> Tensor:
-    """Design tensor of a point `v` in the unit box, or of many (n, np)."""
+    """Design tensor at `v` in the unit box, or at many (n, np)."""
     lower = v.new_tensor(problem.design.lower.tolist())
     return lower + v * (v.new_tensor(problem.design.upper.tolist()) - lower)
 
 
 @dataclass(frozen=True, eq=False)
 class Stepper:
-    """One step of a problem's model, for batches of torch states."""
+    """Step of a problem's model for batches of torch states."""
 
     problem: CoDesignProblem
     # at one design `p` (np,), or stacked (n, nx, ·) at designs (n, np), one per run
@@ -73,29 +73,29 @@ class Stepper:
 
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
-        """The model at design `p` (np,) or (n, np), differentiable in it."""
+        """Model at design `p` (np,) or (n, np), differentiable in `p`."""
         return cls._of(problem, p, matrices(problem.model, p))
 
     @classmethod
     def for_each(cls, problem: CoDesignProblem, designs: Tensor, runs: int) -> Stepper:
-        """Model at designs (m, np), with `runs` runs for each in turn."""
+        """Model at designs (m, np), each for `runs` consecutive runs."""
         A, B, E = (M.repeat_interleave(runs, dim=0) for M in matrices(problem.model, designs))
         return cls._of(problem, designs.repeat_interleave(runs, dim=0), (A, B, E))
 
     @classmethod
     def _of(cls, problem: CoDesignProblem, p: Tensor, at: tuple[Tensor, Tensor, Tensor]) -> Stepper:
-        """The model of a problem with its matrices at `p`."""
+        """Model of a problem with matrices at `p`."""
         transport = None if problem.discrepancy is None else problem.discrepancy.transport
         carry = None if transport is None else transport.matrix(at[2])
         return cls(problem, *at, p, p.new_tensor(problem.limit.tolist()), carry)
 
     def __call__(self, x: Tensor, e: Tensor, u: Tensor, w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Next states (n, nx), next errors (n, nx) and rewards (n,)."""
+        """Next states (n, nx), errors (n, nx) and rewards (n,)."""
         x_next, e, penalty = self.advance(x, e, u, self.drive(w[:, None])[:, 0])
         return x_next, e, self.rewards(x_next[None], u[None], x[None])[0] - sum(penalty)
 
     def drive(self, w: Tensor) -> Tensor:
-        """Effect of a disturbance (n, T, nw) on the states of a linear model, (n, T, nx).
+        """Effect (n, T, nx) of disturbances (n, T, nw) on a linear model.
 
         The disturbance itself where the model is not linear, the noise itself where errors are learned.
         """
@@ -103,7 +103,7 @@ class Stepper:
         return w if plain else _times(self.E, w)
 
     def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Next states and errors (n, nx), with any penalty (n,) of a learned error."""
+        """Next states and errors (n, nx), and any penalty (n,)."""
         discrepancy = self.problem.discrepancy
         if isinstance(self.problem.model, SampledModel):
             return self._sampled(self.problem.model, x, e, u, drive)
@@ -117,7 +117,7 @@ class Stepper:
     def _sampled(
         self, model: SampledModel, x: Tensor, e: Tensor, u: Tensor, drive: Tensor
     ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Next states, errors and penalties of a model that is not linear."""
+        """Next states, errors and penalties of a nonlinear model."""
         discrepancy = self.problem.discrepancy
         if discrepancy is None:
             return model.pathwise(x, u, drive, self.p), e, ()
@@ -127,13 +127,13 @@ class Stepper:
         return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
 
     def rewards(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
-        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu) and present states, in one call."""
+        """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu), present states."""
         p = self.p if self.p.ndim == 1 else self.p.expand(len(x), *self.p.shape).flatten(0, 1)
         rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1), x.flatten(0, 1), p)
         return rewards.unflatten(0, x_next.shape[:2])
 
     def final_rewards(self, x: Tensor) -> Tensor | None:
-        """Rewards (n,) of the states (n, nx) that end an episode; None if nothing counts."""
+        """Rewards (n,) of final states (n, nx); None if nothing counts."""
         final: Tensor | None = self.problem.objective.final_rewards(x, self.p)
         return final
 
@@ -142,7 +142,7 @@ class Stepper:
         return ~(x.abs() <= self.limit).all(-1)
 
     def outside(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
-        """Largest violation of the limits by steps (..., n), in half-widths.
+        """Largest violation (..., n) of the limits, in half-widths.
 
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """
@@ -158,18 +158,18 @@ class Stepper:
 
     @cached_property
     def _facets(self) -> tuple[Tensor, Tensor]:
-        """Rows F x ≤ g of X, each divided by the half-width of X along it."""
+        """Rows F x ≤ g of X, each divided by X's half-width."""
         limits = StateLimits(widest(self.problem.X))
         return self.limit.new_tensor(limits.rows.tolist()), self.limit.new_tensor(limits.bounds.tolist())
 
 
 def _times(M: Tensor, x: Tensor) -> Tensor:
-    """Products M x of vectors (n, T, k) with a matrix, one for all or one a run."""
+    """Products M x of vectors (n, T, k), with common or per-run M."""
     return x @ M.mT
 
 
 def _plus_times(y: Tensor, M: Tensor, x: Tensor) -> Tensor:
-    """Sums y + M x for vectors (n, ·), with one matrix for all or one a run."""
+    """Sums y + M x of vectors (n, ·), with common or per-run M."""
     if M.ndim == 2:
         return torch.addmm(y, x, M.T)
     return torch.baddbmm(y[:, None], x[:, None], M.mT)[:, 0]
@@ -181,7 +181,7 @@ def observe(x: Tensor, p: Tensor) -> Tensor:
 
 
 def scenario_tensors(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> ScenarioTensors:
-    """Scenarios of a problem as float32 tensors (n, nx) and (n, T, nw).
+    """Scenarios as float32 tensors (n, nx) and (n, T, nw).
 
     There are `runs` of them; a worst case has at least one a case.
     """

@@ -1,4 +1,4 @@
-"""Episodes of a policy on the differentiable model: returns, divergence and violations of X.
+"""Episodes of a policy on the differentiable model.
 
 Long episodes are cut into segments that are computed again on the way back, so that memory grows with the square root
 of their length and the gradient stays exact.
@@ -28,7 +28,7 @@ Law = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """Outcome of n episodes; returns and violations are differentiable."""
+    """Outcome of n episodes, with differentiable returns and violations."""
 
     total: Tensor  # (n,): undiscounted returns, in double precision
     diverged: Tensor  # (n,) bool: runs that passed the divergence limit; they are frozen there and earn nothing more
@@ -40,7 +40,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class _Progress:
-    """State of n episodes after a segment: states, model errors and sums so far."""
+    """States, model errors and sums of n episodes after a segment."""
 
     x: Tensor
     e: Tensor
@@ -51,7 +51,7 @@ class _Progress:
     outside: Tensor
 
     def tensors(self) -> tuple[Tensor, ...]:
-        """The fields in order."""
+        """Fields in order."""
         return (self.x, self.e, self.running, self.total, self.depth, self.peak, self.outside)
 
 
@@ -63,7 +63,7 @@ def episode(
     *,
     depths: bool = False,
 ) -> Episode:
-    """Episodes of the mean policy at design `p`, differentiable end to end.
+    """Episodes of the mean policy at design `p`, fully differentiable.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def episode(
 
 
 def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
-    """Episodes of a law, states (n, nx) → inputs (n, nu), at a design."""
+    """Episodes of a law from states (n, nx) to inputs (n, nu)."""
     x0, w = scenarios
     warm_up = step.problem.warm_up
     steps = w.shape[1] - warm_up
@@ -89,7 +89,7 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
 
     def advanced(progress: _Progress, w: Tensor) -> _Progress:
-        """The progress after the steps of `w` (n, T, nw)."""
+        """Progress after the steps of `w` (n, T, nw)."""
         for part in w.split(length, dim=1):
             if recomputed:
                 tensors = checkpoint(_segment, step, law, part, depths, *progress.tensors(), use_reentrant=False)
@@ -108,14 +108,14 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
 
 
 def _counted_from_here(progress: _Progress) -> _Progress:
-    """The progress with empty sums; runs that are lost already keep their cost."""
+    """Progress with empty sums; lost runs keep their cost."""
     nothing = torch.zeros_like(progress.total)
     total = torch.where(progress.running, nothing, progress.total)
     return replace(progress, total=total, depth=nothing, peak=nothing, outside=nothing)
 
 
 def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> tuple[Tensor, ...]:
-    """The progress after the steps of `w` (n, T, nw).
+    """Progress after the steps of `w` (n, T, nw).
 
     No run is expected to diverge: whether one did is looked up at the end, and only then is the segment computed again
     with each run frozen where it was lost. A gradient must not pass through states of 1e30.
@@ -153,7 +153,7 @@ def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) 
 
 
 def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progress) -> tuple[Tensor, ...]:
-    """Like `_segment`, with each run frozen once it passes the divergence limit."""
+    """Guarded `_segment`, with each run frozen beyond the divergence limit."""
     drive = step.drive(w)
     x, e, running, total, depth, peak, outside = progress.tensors()
     for k in range(w.shape[1]):
@@ -174,14 +174,14 @@ def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progre
 
 
 def mean_law(agent: ActorCritic, p: Tensor) -> Law:
-    """Mean policy at design `p` (np,) or (n, np), as a function of states (n, nx)."""
+    """Mean policy at `p` (np,) or (n, np), from states (n, nx)."""
     latent = latent_law(agent, p)
     action_range = agent.action_range(p)
     return lambda x: scaled(latent(x), action_range)
 
 
 def latent_law(agent: ActorCritic, p: Tensor) -> Law:
-    """Latent actions (n, nu) of the mean policy, not clipped, from states (n, nx)."""
+    """Unclipped latent actions (n, nu) of the mean policy, from states (n, nx)."""
     layers = agent.mean_network.at(p, agent.observation_offset, agent.observation_scale)
     return lambda x: layers(x, torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
 
@@ -189,12 +189,12 @@ def latent_law(agent: ActorCritic, p: Tensor) -> Law:
 def episode_at(
     problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: tuple[Tensor, Tensor], *, depths: bool = False
 ) -> Episode:
-    """`episode` at a point `v` (np,) or (n, np) of the unit box."""
+    """Run `episode` at unit-box points `v` (np,) or (n, np)."""
     return episode(problem, agent, to_design(problem, v), scenarios, depths=depths)
 
 
 def fewer_runs(runs: int, steps: int) -> int:
-    """Number of episodes of `steps` steps with about as many samples as `runs` of 100.
+    """Number of `steps`-step episodes with about the samples of `runs` of 100.
 
     It is at least 16 of `runs`.
     """

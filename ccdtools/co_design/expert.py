@@ -1,4 +1,4 @@
-"""Expert inputs over the whole box of states and designs.
+"""Expert inputs over all states and designs.
 
 References
 ----------
@@ -65,7 +65,7 @@ class ExpertData(Immutable):
 
 
 def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
-    """X_fea(p): the maximal control invariant set of every design, computed when asked for."""
+    """Maximal control invariant sets X_fea(p), computed when asked for."""
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     matrices = partial(_state_and_input_matrices, problem.model)
     X, U = (limits.at if isinstance(limits, DesignLimits) else limits for limits in (problem.X, problem.U))
@@ -73,14 +73,14 @@ def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
 
 
 def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:
-    """Fraction of the states (n, nx) in known sets that one model step leads outside; 0 without any."""
+    """Fraction of states (n, nx) in known sets that a step leads outside."""
     after = np.asarray(model.advance(x, u, np.zeros(model.nw), begin.p))
     kept = [S.contains(after[i], EDGE_OF_SET) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
     return 1.0 - float(np.mean(kept)) if kept else 0.0
 
 
 def _state_and_input_matrices(model: Model, design: Array) -> tuple[Array, Array]:
-    """A(p) and B(p); a function of the module, so that the family of sets can be pickled."""
+    """A(p) and B(p), by a module-level function that can be pickled."""
     A, B, _ = model.matrices(design)
     return A, B
 
@@ -99,7 +99,7 @@ def expert_dataset(
     progress: bool = False,
     echo: Echo | None = None,
 ) -> ExpertData:
-    """States and designs with the expert's inputs and values.
+    """States and designs with expert inputs and values.
 
     Candidates (x, p) fill X × design box by Latin hypercube sampling; those with x in the set of their own design are
     accepted, and where these are few the others are moved into it. From each, and from the starts of the problem's

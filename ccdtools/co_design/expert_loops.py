@@ -1,4 +1,4 @@
-"""Closed loops of the expert, one design each, with filters that keep them in X_fea(p)."""
+"""Closed loops of the expert, with filters that keep them in X_fea(p)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mpc import LinearMPC
 
 @dataclass(frozen=True)
 class Followed:
-    """States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits.
+    """States (v, n, nx), inputs (v, n, nu), discounted returns (v, n) of v visits.
 
     They are NaN where a run has diverged.
     """
@@ -35,7 +35,7 @@ class Followed:
 def follow(
     problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *, progress: bool = False
 ) -> Followed:
-    """Closed loops on the problem's own model and disturbances, recorded after `VISITS` steps."""
+    """Closed loops on the problem's model and disturbances, recorded at `VISITS`."""
     x = loops.starts.x
     steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
@@ -63,7 +63,7 @@ def follow(
 
 
 class ExpertLoops:
-    """LQR with its inputs filtered, or MPC, at the designs of the starts.
+    """Filtered LQR, or MPC, at the designs of the starts.
 
     Parameters
     ----------
@@ -93,11 +93,11 @@ class ExpertLoops:
 
     @staticmethod
     def _law(law: LinearMPC, expert: str) -> Controller:
-        """The law itself, or its explicit form."""
+        """Law itself, or its explicit form."""
         return law.explicit() if expert == "explicit" else law  # type: ignore[return-value]
 
     def inputs(self, x: Array) -> Array:
-        """The expert's inputs (n, nu); NaN where the state is."""
+        """Expert's inputs (n, nu); NaN where the state is."""
         if self.controllers is None:
             u = self.starts.regions.inputs(x, np.arange(len(x)))
             return self.filters.filtered(x, u)
@@ -108,18 +108,18 @@ class ExpertLoops:
 
 
 class NominalSteps:
-    """Steps of the nominal model, at one design for each run."""
+    """Steps of the nominal model, one design per run."""
 
     def __init__(self, model: LQRRegions) -> None:
         self._model = model
 
     def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, float]:
-        """Next states (n, nx) of states, inputs (n, nu) and disturbances (n, nw); no penalty."""
+        """Next states (n, nx) under disturbances (n, nw), and no penalty."""
         return self._model.disturbed(x, u, w), 0.0
 
 
 class UpdatedSteps:
-    """Steps of a model at one design a run; their memory is the learned error."""
+    """Steps of a model with learned error, one design per run."""
 
     def __init__(self, problem: CoDesignProblem, p: Array) -> None:
         self._step = Stepper.at(problem, torch.tensor(p, dtype=torch.float32))
@@ -127,7 +127,7 @@ class UpdatedSteps:
 
     @torch.no_grad()
     def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
-        """Next states (n, nx) and penalties (n,) of states, inputs (n, nu) and errors or draws (n, nx).
+        """Next states (n, nx) and penalties (n,) under errors or draws (n, nx).
 
         NaN where the state is: a lost run takes its step from the origin, so that no draw is looked up at NaN.
         """
@@ -139,7 +139,7 @@ class UpdatedSteps:
 
 
 class SetFilters:
-    """Inputs that keep each run's next nominal state in its known X_fea, from in it or near.
+    """Filters that keep each run's next nominal state in its known X_fea.
 
     Runs of one design share a filter, and products of all rows with all states are formed in pieces: with 300 facets
     and 1000 runs they would not fit otherwise.
@@ -158,7 +158,7 @@ class SetFilters:
         self._filters: dict[int, AdmissibleInputs] = {}
 
     def filtered(self, x: Array, u: Array) -> Array:
-        """Inputs (n, nu) that stay in the set, by the nearest that do where needed."""
+        """Inputs (n, nu), if needed the nearest that stay in the set."""
         u = u.copy()
         for piece in self._pieces:
             runs = piece.runs
@@ -174,7 +174,7 @@ class SetFilters:
         return u
 
     def _filter(self, g: int) -> AdmissibleInputs:
-        """Filter that keeps the next state of group g in its set."""
+        """Filter that keeps states of group g in their set."""
         if g not in self._filters:
             i = self.groups[g][0]
             U = self.problem.input_limits(self.model.designs[i])
@@ -183,7 +183,7 @@ class SetFilters:
 
     @cached_property
     def _pieces(self) -> list[_Piece]:
-        """The groups, as many at once as fit."""
+        """Groups, as many at once as fit."""
         if not self.groups:
             return []
         rows = max(len(S.b) for S in self.sets)
@@ -193,7 +193,7 @@ class SetFilters:
         return [self._piece(begin, min(begin + step, len(self.groups))) for begin in range(0, len(self.groups), step)]
 
     def _piece(self, begin: int, end: int) -> _Piece:
-        """Groups from `begin` to `end`, rows scaled to the size of X."""
+        """Groups `begin` to `end`, rows scaled to X."""
         groups = self.groups[begin:end]
         rows = max(len(S.b) for S in self.sets[begin:end])
         members = max(len(runs) for runs in groups)
@@ -212,7 +212,7 @@ class SetFilters:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Groups of runs padded to one size: runs (g, r), whether each is no repetition, and rows on x, on u, and right."""
+    """Padded groups of runs (g, r), first occurrences, and rows on x, u and right."""
 
     begin: int
     runs: Indices

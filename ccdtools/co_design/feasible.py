@@ -1,4 +1,4 @@
-"""Designs that a start may take: constraints, fixed entries and whole numbers are kept.
+"""Feasible designs of a start: constraints, fixed entries and whole numbers hold.
 
 A climb is led around the constraints by the nearest feasible point: the return of a point is that of the nearest
 feasible one, less a little for the distance. Every design that is evaluated is then feasible, along an active
@@ -24,7 +24,7 @@ from ccdtools.plants.design_space import DesignSpace
 
 @dataclass(eq=False)
 class DesignRegion:
-    """The points of the unit box that one start may take."""
+    """Unit-box points that one start may take."""
 
     space: DesignSpace
     last: Array  # (np,): the feasible point that was found last; at first the start
@@ -40,21 +40,21 @@ class DesignRegion:
 
     @property
     def whole_box(self) -> bool:
-        """Whether nothing but its bounds holds the design."""
+        """Whether only bounds hold the design."""
         return bool(self.free.all()) and not self.bounded
 
     def masked(self, gradient: Tensor) -> Tensor:
-        """A gradient (np,) along the entries that move alone."""
+        """Gradient (np,) along the moving entries alone."""
         return gradient if self.free.all() else gradient * torch.as_tensor(self.free, dtype=gradient.dtype)
 
     def nearest(self, v: Array) -> Array | None:
-        """Nearest feasible point to `v` (np,), with the start's held entries; None if none is found."""
+        """Nearest feasible point (np,) with held entries kept, None if not found."""
         found = self.space.allowed.near_with(np.where(self.free, np.clip(v, 0.0, 1.0), self.last), [self.last])
         self.last = self.last if found is None else found
         return found
 
     def step(self, v: Array, gradient: Array, length: float) -> Array:
-        """Part (np,) of an ascent direction (np,) that a step of that length can follow from `v`."""
+        """Part (np,) of an ascent direction that a feasible step can follow."""
         size = float(np.linalg.norm(gradient))
         if not self.bounded or size == 0:
             return gradient
@@ -62,7 +62,7 @@ class DesignRegion:
         return gradient if reached is None else (reached - v) * size / length
 
     def extended(self, v: Array, u: Array, gradient: Array) -> tuple[float, Array]:
-        """Addition at `v` to a cost at its nearest feasible point `u`, with the gradient (np,) of both.
+        """Addition at `v` to the cost at feasible `u`, and the gradient (np,) of both.
 
         Added are ½ `PULL` of the squared distance, and the rise of the cost from `u` to `v` where it rises: where
         better designs lie within the constraints, a climb goes back from their edge as steeply as it falls there.
@@ -78,7 +78,7 @@ class DesignRegion:
         return rise + 0.5 * PULL * distance, along + (rise / distance + PULL) * away
 
     def settled(self, v: Tensor) -> Array:
-        """Design (np,) of a point in single precision, made feasible to the last digit.
+        """Feasible design (np,) of a point in single precision.
 
         Its whole numbers are exact.
         """
@@ -90,7 +90,7 @@ class DesignRegion:
 
 @dataclass(frozen=True, eq=False)
 class FeasibleSlope(Slope):
-    """Slope projected on the directions that cross no active edge of a constraint."""
+    """Slope projected on the directions that cross no active edge."""
 
     # rise of the return along its slope over the best feasible step of the distance ahead, the constraints taken as
     # straight, and its standard error
@@ -102,7 +102,7 @@ class FeasibleSlope(Slope):
 
     @classmethod
     def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Any) -> FeasibleSlope:
-        """Slope from those of every run (n, np) at a point."""
+        """Slope from every run's slopes (n, np) at a point."""
         b = by_run.mean(axis=0)
         far = best_step(limits, point, b, free)
         outward, distances = limits.edges(point)
@@ -120,16 +120,16 @@ class FeasibleSlope(Slope):
         )  # fmt: skip
 
     def promises(self, gain: float) -> bool:
-        """True if a slope beyond chance that falls to zero ahead brings the gain."""
+        """True if a significant slope that falls to zero ahead brings the gain."""
         return bool(self.ahead > SIGNIFICANT * self.ahead_error and self.ahead / 2 > gain)
 
     def rises_across_bounds(self, gain: float) -> bool:
-        """True if a wider box or a looser constraint brings such a gain."""
+        """True if a wider box or looser constraint brings such a gain."""
         return bool(((self.edges > SIGNIFICANT * self.edges_error) & (self.edges * SLOPE_AHEAD / 2 > gain)).any())
 
 
 def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) -> Slope:
-    """Slope at a point of the unit box, where a start's region has room."""
+    """Slope at a unit-box point, where the region has room."""
     if region.whole_box:
         return Slope.measured(differences, v)
     by_run = region.masked(differences.about(v, differences.step(v)))
@@ -142,7 +142,7 @@ def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) ->
 
 
 def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) -> Array:
-    """Step (np,) within straight constraints and the distance ahead that rises most."""
+    """Feasible step (np,) within the distance ahead that rises most."""
     low = np.where(free, np.maximum(-SLOPE_AHEAD, -point), 0.0)
     high = np.where(free, np.minimum(SLOPE_AHEAD, 1.0 - point), 0.0)
     size = max(float(np.abs(slope).max()), 1e-300)
@@ -155,7 +155,7 @@ def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) ->
 
 
 def _error(by_run: Array) -> Array:
-    """Standard errors (k,) of the means over runs (n, k); infinite for one run."""
+    """Standard errors (k,) of means over (n, k); infinite for one run."""
     if len(by_run) < 2:
         return np.full(by_run.shape[1], np.inf)
     return np.asarray(by_run.std(axis=0, ddof=1) / np.sqrt(len(by_run)))

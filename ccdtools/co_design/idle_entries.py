@@ -1,4 +1,4 @@
-"""Entries of the design that change nothing, alone or together.
+"""Design entries without effect, alone or together.
 
 Whatever value they end at would be no result.
 
@@ -36,7 +36,7 @@ UNDISTURBED = "Give the scenarios a disturbance, or remove it from the DesignSpa
 
 
 def check_every_entry_acts(problem: Any) -> None:
-    """Raise an `InputError` if free entries of a problem's design change nothing; name them.
+    """Raise an `InputError` that names free entries without effect.
 
     An entry acts if a term depends on it by its expression and takes another value at another design, at one of 500
     states within ten times X, with inputs within ten times U. One that scales nothing but a disturbance does not act
@@ -53,7 +53,7 @@ def check_every_entry_acts(problem: Any) -> None:
 
 
 def acting_together(problem: Any) -> str:
-    """Entries of a problem's design that can change together without effect; empty if none.
+    """Design entries that can change together without effect; empty if none.
 
     Slopes of the dynamics, costs, limits and constraints by the design are compared at random states, inputs and
     disturbances. Of a problem with learned errors nothing is said.
@@ -77,7 +77,7 @@ def acting_together(problem: Any) -> str:
 
 
 def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
-    """Entries that change no term, of those given, with disturbances of one size."""
+    """Given entries that change no term, with disturbances of one size."""
     extents = _extents(problem, disturbance)
     for term in _terms(problem, extents):
         entries = entries[~_acting(term, problem.design, entries, extents)] if len(entries) else entries
@@ -85,7 +85,7 @@ def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
 
 
 def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
-    """Functions that the design may enter, as `p` or as the only argument.
+    """Functions that the design may enter as `p` or alone.
 
     Of a linear model it enters [A B E], each column times the extent of what it is multiplied by.
     """
@@ -110,7 +110,7 @@ def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
 
 
 def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[str, Any]) -> Any:
-    """Whether each of some entries changes a term."""
+    """Whether each entry changes a term."""
     place = _names(term).index("p")
     acting = np.isin(entries, term.jac_sparsity(0, place).get_triplet()[1])
     rng = np.random.default_rng(0)
@@ -132,7 +132,7 @@ def _acting(term: ca.Function, space: DesignSpace, entries: Any, extents: dict[s
 
 
 def _slopes(term: ca.Function) -> ca.Function:
-    """Slopes (rows, np) of all values of a term by the design, as a function."""
+    """Function for the slopes (rows, np) of a term by the design."""
     names = _names(term)
     given = [ca.MX.sym(name, term.size1_in(i)) for i, name in enumerate(names)]
     slopes = ca.jacobian(ca.vec(term(*given)), given[names.index("p")])
@@ -140,7 +140,7 @@ def _slopes(term: ca.Function) -> ca.Function:
 
 
 def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random.Generator) -> Array:
-    """Slopes (n, np) of a term's values at a design (np,) and random points, without rounding."""
+    """Slopes (n, np) of a term at a design (np,) and random points."""
     count = 100 if slopes.n_in() > 1 else 1
     found = np.asarray(slopes(*_drawn(slopes, np.tile(p, (count, 1)), extents, rng)), dtype=float)
     rows = np.concatenate(np.split(found, count, axis=1))
@@ -150,7 +150,7 @@ def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random
 
 
 def _without_effect(rows: Array) -> Array:
-    """Unit directions (k, np) of zero slopes (n, np), of entries that have slopes."""
+    """Unit directions (k, np) of zero slope in slopes (n, np)."""
     acting = np.flatnonzero(rows.any(axis=0))
     scaled = rows[:, acting] / np.abs(rows).max(axis=1, keepdims=True)
     scaled /= np.linalg.norm(scaled, axis=0)
@@ -161,7 +161,7 @@ def _without_effect(rows: Array) -> Array:
 
 
 def _drawn(term: ca.Function, designs: Array, extents: dict[str, Any], rng: np.random.Generator) -> list[Array]:
-    """Arguments of a term, one column for each of some designs: within ten times their extents, in all magnitudes."""
+    """Random arguments of a term, one column per design, within ten times their extents."""
     given = []
     for i, name in enumerate(_names(term)):
         size = np.broadcast_to(extents.get(name, 1.0), term.size1_in(i))[:, None]
@@ -187,6 +187,6 @@ def _disturbance(problem: Any, runs: int) -> Array:
 
 
 def _extents(problem: Any, disturbance: Any) -> dict[str, Any]:
-    """Largest size of each state and input within their limits, and of each disturbance."""
+    """Largest size of each state, input and disturbance."""
     boxes = {"x": widest(problem.X).bounding_box(), "u": widest(problem.U).bounding_box()}
     return {name: np.max(np.abs(box), axis=0) for name, box in boxes.items()} | {"w": disturbance}

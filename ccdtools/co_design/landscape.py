@@ -1,4 +1,4 @@
-"""Return of saturated LQR over the box of designs: a map of promising starts.
+"""Map of saturated LQR's return over the design box, for starts.
 
 LQR at each design is the optimum where no input saturates, and close to it where inputs saturate little, so that its
 map J(p) has the valleys of the co-design itself. (A valley is one of the cost, a hill of the return.)
@@ -32,7 +32,7 @@ RUNS = 96  # Every design is simulated on the same scenarios, so many.
 
 
 class Landscape:
-    """Mean returns of saturated LQR over the unit box, on the same scenarios.
+    """Mean returns of saturated LQR over the unit box.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Landscape:
         self._x0, self._w = scenario_tensors(problem, fewer_runs(as_count("runs", runs), problem.steps), rng)
 
     def returns(self, points: ArrayLike) -> Array:
-        """Mean returns (n,) at points (n, np) of the unit box; −inf without an LQR.
+        """Mean returns (n,) at points (n, np); −inf without an LQR.
 
         Nothing can be built where a constraint is broken, or between whole numbers.
         """
@@ -76,7 +76,7 @@ class Landscape:
 
     @torch.no_grad()
     def _simulated(self, V: Array, K: Array) -> Array:
-        """Mean returns (n,) of the gains `K` (n, nu, nx) at points `V` (n, np)."""
+        """Mean returns (n,) of gains `K` (n, nu, nx) at points `V` (n, np)."""
         runs = len(self._x0)
         gains = torch.tensor(K, dtype=torch.float32).repeat_interleave(runs, dim=0)
         designs = to_design(self.problem, torch.tensor(V, dtype=torch.float32))
@@ -93,7 +93,7 @@ class Landscape:
 
 
 def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """Distinct local optima, best first, with the one that `design` (np,) leads to.
+    """Distinct local optima, best first, including that of `design` (np,).
 
     A space-filling set of designs is simulated with its corners (of up to three parameters); the hills among them are
     climbed by compass search, and hilltops that no ridge parts are one. Of more than three parameters the best sample
@@ -129,13 +129,13 @@ def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Gener
 
 
 def combinations(space: DesignSpace) -> float:
-    """Number of combinations of whole numbers; 1 without whole numbers."""
+    """Number of combinations of whole numbers, at least 1."""
     lower, upper = (bound[space.whole] for bound in space.outermost)
     return float(np.prod(upper - lower + 1.0))
 
 
 def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
-    """Feasible points (n, np) of the unit box, with every combination of few whole numbers."""
+    """Feasible points (n, np), with every combination of few whole numbers."""
     moving = np.flatnonzero(space.free)
     points = np.zeros((0, space.dim))
     if combinations(space) > CLIMBED_COMBINATIONS or not space.integer:
@@ -153,13 +153,13 @@ def _samples(space: DesignSpace, rng: np.random.Generator) -> Array:
 
 
 def _spread(size: int, rng: np.random.Generator) -> Array:
-    """Points (n, size) of the unit box: a Sobol sequence, and few corners."""
+    """Sobol points (n, size) of the unit box, and few corners."""
     points = qmc.Sobol(size, rng=rng).random(MAP_POINTS.get(size, 128))
     return np.vstack([points, list(product((0.0, 1.0), repeat=size))]) if size in MAP_POINTS else points
 
 
 def _feasible(space: DesignSpace, V: Array) -> Array:
-    """Points (n, np) moved to the nearest that keep the constraints and their whole numbers."""
+    """Points (n, np) moved to the nearest feasible ones."""
     V = V.copy()
     for i in np.flatnonzero(space.allowed.violation(V) > 0):
         found = space.allowed.near_with(V[i])
@@ -168,7 +168,7 @@ def _feasible(space: DesignSpace, V: Array) -> Array:
 
 
 def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array, list[int]]:
-    """Points (n, np), returns, and the highest local optima of the best combinations.
+    """Points (n, np), returns, and the best combinations' highest optima.
 
     Where there are more than a few combinations, they are found by a climb along the whole numbers too.
     """
@@ -186,7 +186,7 @@ def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[
 
 
 def _hilltops(V: Array, J: Array) -> list[int]:
-    """Indices of the points that are higher than all their neighbours, highest first."""
+    """Indices of the points higher than all neighbours, highest first."""
     neighbours = min(len(V), 2 * V.shape[1] + 2)
     _, near = cKDTree(V).query(V, k=neighbours)
     tops = [i for i in range(len(V)) if np.isfinite(J[i]) and J[i] >= J[near[i]].max()]
@@ -196,7 +196,7 @@ def _hilltops(V: Array, J: Array) -> list[int]:
 def _climbed(
     landscape: Landscape, V: Array, J: Array, *, across: bool = False, seen: bool = False
 ) -> tuple[Array, Array]:
-    """End of compass search from each point (n, np), and the returns there.
+    """Ends of compass searches from points (n, np), and their returns.
 
     With `across`, along whole numbers too, one at least at a time; with `seen`, all points that were looked at.
     """
@@ -232,7 +232,7 @@ def _climbed(
 
 
 def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
-    """Feasible points (n, np) that moves (m, np) from a point lead to.
+    """Feasible points (n, np) after moves (m, np) from a point.
 
     Beside a constraint they are made once more with the other entries giving way along it: of a budget that is spent,
     what one entry leaves goes to another.
@@ -250,7 +250,7 @@ def _about(space: DesignSpace, v: Array, moves: Array, reach: float) -> Array:
 
 
 def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float) -> bool:
-    """True if the straight path of two local optima never falls a ridge below the lower."""
+    """True if no ridge parts two local optima on a straight path."""
     whole = landscape.problem.design.whole
     if not np.array_equal(np.round(higher[whole], 9), np.round(lower[whole], 9)):
         return False

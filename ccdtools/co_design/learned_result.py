@@ -1,4 +1,4 @@
-"""Result of a co-design by learning: agent, and history of policy and design."""
+"""Result of a co-design by learning, with agent and history."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROWS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GradientCheck(Immutable):
-    """Design gradient (np,) of the mean return by each method, per unit-box length.
+    """Design gradients (np,) of the mean return, per unit-box length.
 
     Attributes
     ----------
@@ -67,19 +67,19 @@ class GradientCheck(Immutable):
         return f"GradientCheck(cosine with finite differences: {', '.join(cosines)}; pathwise {verdict})"
 
     def cosine(self, method: str) -> float:
-        """Cosine of the angle between a method's gradient and the finite differences."""
+        """Cosine between a method's gradient and the finite differences."""
         a = getattr(self, method)
         b = self.finite_difference
         return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
     def length(self, method: str) -> float:
-        """Length of a method's gradient relative to that of the finite differences."""
+        """Length of a method's gradient relative to the finite differences'."""
         reference = max(float(np.linalg.norm(self.finite_difference)), 1e-300)
         return float(np.linalg.norm(getattr(self, method))) / reference
 
     @property
     def trusted(self) -> bool:
-        """Whether the pathwise gradient agrees with finite differences in length and direction.
+        """Whether pathwise gradient and finite differences agree in length and direction.
 
         The difference of the two vectors is at most a fifth of the reference's length, beyond three standard errors and
         a slope that does not matter. With one parameter, that is length and sign.
@@ -143,7 +143,7 @@ class Convergence(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class LearnedCoDesign(CoDesignResult):
-    """The best evaluated iterate of the best start of a co-design by learning.
+    """Best iterate of the best start of a co-design by learning.
 
     Attributes
     ----------
@@ -170,17 +170,17 @@ class LearnedCoDesign(CoDesignResult):
 
     @property
     def policy(self) -> LearnedPolicy:
-        """The policy at the design found, as a controller."""
+        """Policy at the design found, as a controller."""
         assert isinstance(self.controller, LearnedPolicy)
         return self.controller
 
     def _values(self) -> dict[str, Any]:
-        """Status, and the evidence for it, as plain values."""
+        """Status and its evidence as plain values."""
         convergence = None if self.convergence is None else asdict(self.convergence)
         return super()._values() | {"gains": dict(self.gains), "convergence": convergence}
 
     def _ended(self) -> list[str]:
-        """Status, and the methods that did the work, one line each."""
+        """Status and gains of each part, one line each."""
         ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
         lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
         if self.gains:

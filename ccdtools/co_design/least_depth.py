@@ -1,4 +1,4 @@
-"""Least violation of X that a start forces on every controller."""
+"""Least violation of X that a start forces on all controllers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.limits import StateLimits
 def least_depth(
     problem: CoDesignProblem, design: ArrayLike, *, x0: ArrayLike | None = None, steps: int | None = None
 ) -> float:
-    """Least peak violation of X [half-widths] that inputs in U reach from a start without disturbance.
+    """Least peak violation of X [half-widths] by inputs in U, without disturbance.
 
     A linear program over the inputs of the first `steps` samples of the nominal model at one design; 0 where X can be
     kept. What a disturbance adds is not in it, so no controller does better.
@@ -48,7 +48,7 @@ def least_depth(
 
 
 def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, float]:
-    """Least violation at a design, and over designs spread over the box if it is above 0."""
+    """Least violation at a design, and over spread designs if above 0."""
     here = least_depth(problem, design)
     if here <= NO_VIOLATION:
         return 0.0, 0.0
@@ -58,7 +58,7 @@ def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, f
 
 
 def unavoidable_text(here: float, anywhere: float) -> str:
-    """Sentence on the outcome of `unavoidable_depth`; empty if the limits can be kept."""
+    """Sentence on `unavoidable_depth`; empty if the limits can be kept."""
     if here == 0.0:
         return ""
     where = f"; the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "; other designs can keep it"
@@ -66,7 +66,7 @@ def unavoidable_text(here: float, anywhere: float) -> str:
 
 
 def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
-    """Issue a `LimitWarning` if a fixed start forces every controller outside X at a design.
+    """Issue a `LimitWarning` if a fixed start forces every controller outside X.
 
     Starts that were logged may lie anywhere, and are what they are.
     """
@@ -84,7 +84,7 @@ def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
 
 
 def _starts(problem: CoDesignProblem) -> Array:
-    """The states where episodes start, (n, nx), each once."""
+    """Distinct starts of episodes, (n, nx)."""
     if isinstance(problem.scenarios, FixedStart):
         return np.asarray(problem.scenarios.x0)[None]
     x0, _ = problem.scenarios.sample(8, problem.steps, np.random.default_rng(0))
@@ -92,7 +92,7 @@ def _starts(problem: CoDesignProblem) -> Array:
 
 
 def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
-    """The least s ≥ 0 with rows·x_k ≤ bounds + s for k = 1 … N, states and inputs in units of X and U."""
+    """Least s ≥ 0 with rows·x_k ≤ bounds + s for all k, in units of X and U."""
     limits = StateLimits(problem.state_limits(p))
     A, B, _ = problem.model.matrices(p)
     size = problem.state_scale

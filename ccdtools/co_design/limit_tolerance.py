@@ -1,4 +1,4 @@
-"""Tolerance of a design: what the user allows, or what MPC violates there."""
+"""Tolerance of a design, by the user or by MPC."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"
 
 @dataclass(frozen=True)
 class Pair:
-    """Violation of X: the fraction of states outside, and the peak depth in half-widths."""
+    """Fraction of states outside X, and peak depth in half-widths."""
 
     fraction: float
     depth: float
 
     def values(self) -> tuple[float, float]:
-        """Both, in that order."""
+        """Both values in order."""
         return (self.fraction, self.depth)
 
 
 @dataclass(frozen=True, eq=False)
 class Tolerance:
-    """The tolerance at designs of the unit box.
+    """Tolerance at designs of the unit box.
 
     Attributes
     ----------
@@ -52,14 +52,14 @@ class Tolerance:
     slopes: Tensor | None = None
 
     def at(self, v: Tensor) -> Tensor:
-        """Fraction and depth allowed at a design, (2,); differentiable."""
+        """Fraction and depth allowed at a design, (2,), differentiable."""
         allowed = torch.tensor(self.allowed.values(), dtype=torch.float64)
         if self.v is None or self.slopes is None:
             return allowed
         return (allowed * torch.exp(self.slopes @ (v - self.v).double())).clamp(min=LEAST_TOLERANCE)
 
     def holds_at(self, v: Tensor) -> bool:
-        """Whether the design is one that the tolerance was made for."""
+        """Whether the tolerance was made for this design."""
         return self.v is not None and float((v - self.v).abs().max()) <= MEASURED_NEARBY
 
 
@@ -68,7 +68,7 @@ UNTIL_LEFT = Tolerance(Pair(LEAST_TOLERANCE, LEAST_TOLERANCE), "never left furth
 
 
 def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-    """Tolerance at and beside a design: a quarter more than MPC violates.
+    """Tolerance near a design: a quarter more than MPC violates.
 
     MPC runs on the first few of some scenarios.
     """
@@ -90,7 +90,7 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
 
 
 def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> tuple[Pair, Pair]:
-    """Tolerance by MPC at one design, with standard errors; the least without MPC."""
+    """Tolerance by MPC at a design, with standard errors; least without MPC."""
     try:
         seen = mpc_episodes(problem, v, scenarios)
     except NotStabilisableError:
@@ -100,14 +100,14 @@ def tolerance_at(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
 
 
 def _beside(seen: Episode) -> Tensor:
-    """Tolerance (2,) by episodes of MPC; the least where MPC loses every run."""
+    """Tolerance (2,) by MPC episodes; the least if all are lost."""
     fraction, depth = measured(seen).values()
     beside = BESIDE_MPC * torch.tensor([fraction, depth], dtype=torch.float64)
     return beside.nan_to_num(nan=LEAST_TOLERANCE).clamp(min=LEAST_TOLERANCE)
 
 
 def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
-    """Episodes of online MPC with relaxed state limits, on the first few scenarios."""
+    """Episodes of online MPC with relaxed state limits, on few scenarios."""
     mpc = linear_mpc(problem, problem.design.from_unit(v.detach().double().numpy()))
     x0, w = scenarios
     runs = fewer_runs(MPC_RUNS, w.shape[1])
@@ -117,18 +117,18 @@ def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, T
 
 
 def measured(episode: Episode) -> Pair:
-    """Mean fraction outside and mean peak depth of the runs kept; NaN without any."""
+    """Mean fraction outside and peak depth of kept runs; NaN without any."""
     kept = ~episode.diverged
     return Pair(float(episode.outside.detach()[kept].mean()), float(episode.peak.detach()[kept].mean()))
 
 
 def expected_at_most(episode: Episode) -> Pair:
-    """Measures plus one standard error, which fresh runs are expected to keep to."""
+    """Measures plus one standard error, expected to bound fresh runs."""
     return Pair(*(sum(pair) for pair in zip(measured(episode).values(), measurement_errors(episode).values())))
 
 
 def measurement_errors(episode: Episode) -> Pair:
-    """Standard errors of what is `measured`; 0 of fewer than two runs."""
+    """Standard errors of `measured`; 0 below two runs."""
     kept = ~episode.diverged
     parts = (episode.outside.detach()[kept], episode.peak.detach()[kept])
     fraction, depth = (float(part.std()) / len(part) ** 0.5 if len(part) > 1 else 0.0 for part in parts)

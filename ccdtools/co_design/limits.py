@@ -1,4 +1,4 @@
-"""State limits in a co-design, by an augmented Lagrangian on violations of X.
+"""Augmented Lagrangian for state limits in a co-design.
 
 The two measures are the fraction of the states outside X and the mean over the runs of the peak depth. Each counts with
 a standard error of the runs on top, so that fresh runs are expected to keep the limits, too. Their excess over the
@@ -50,7 +50,7 @@ from ccdtools.co_design.tolerances import (
 
 @dataclass(frozen=True)
 class LimitsOutcome:
-    """Violation of the state limits by a co-design, beside its tolerance.
+    """Violation of the state limits, beside its tolerance.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class LimitsOutcome:
 
     @property
     def kept(self) -> bool:
-        """Whether neither measure exceeds its tolerance beyond chance."""
+        """Whether neither measure significantly exceeds its tolerance."""
         measures = zip(self.achieved.values(), self.errors.values(), self.tolerance.values())
         return all(value - EXCESS_ERRORS * error <= most for value, error, most in measures)
 
@@ -96,7 +96,7 @@ class LimitsOutcome:
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """Prices of the mean depth, the peak depth, and a design step (np,)."""
+    """Prices of mean depth, peak depth, and design step (np,)."""
 
     depth: float
     peak: float
@@ -105,7 +105,7 @@ class Prices:
 
 @dataclass(frozen=True, eq=False)
 class StateLimitPenalty:
-    """The augmented Lagrangian at one iterate; `updated` gives the next.
+    """Augmented Lagrangian at one iterate; `updated` gives the next.
 
     Attributes
     ----------
@@ -130,16 +130,16 @@ class StateLimitPenalty:
 
     @property
     def active(self) -> bool:
-        """Whether leaving X costs anything at present."""
+        """Whether leaving X costs anything now."""
         return any(multiplier > 0 for multiplier in self.multipliers.values())
 
     def violation(self, episode: Episode) -> float:
-        """Excess over the tolerance of the present design; 0 where it is kept."""
+        """Excess over the tolerance of the present design, else 0."""
         pairs = zip(expected_at_most(episode).values(), self._allowed.values())
         return max(0.0, *(value - most for value, most in pairs))
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """Cost () of leaving X at the point `v`, as part of the return; differentiable.
+        """Cost () of leaving X at `v`, as part of the return.
 
         It is differentiable.
 
@@ -152,7 +152,7 @@ class StateLimitPenalty:
         return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """Price of either depth, and of another design, for episodes such as these."""
+        """Prices of depths and design for episodes such as these."""
         depth, peak, v = (tensor.detach().clone().requires_grad_(True) for tensor in (episode.depth, episode.peak, v))
         with torch.enable_grad():
             cost = self.cost(replace(episode, depth=depth, peak=peak), v)
@@ -163,7 +163,7 @@ class StateLimitPenalty:
         return Prices(float(of_depth.sum()), float(of_peak.sum()), of_design)
 
     def updated(self, episode: Episode, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
-        """Penalty after an evaluation on `scenarios` at the point `v`."""
+        """Penalty after an evaluation on `scenarios` at `v`."""
         seen = expected_at_most(episode)
         tolerance = self._tolerance(seen, v, scenarios)
         excess = _relative_excess(torch.tensor(seen.values(), dtype=torch.float64), tolerance.at(v))
@@ -173,24 +173,24 @@ class StateLimitPenalty:
         return replace(self, tolerance=tolerance, v=v, seen=seen, multipliers=Pair(*multipliers), spread=spread)
 
     def dearer(self, factor: float) -> StateLimitPenalty:
-        """This penalty with a multiplied price of each measure that exceeded its tolerance."""
+        """Penalty with a multiplied price of each exceeded measure."""
         broken = (value > most for value, most in zip(self.seen.values(), self._allowed.values()))
         prices = (price * factor if is_so else price for price, is_so in zip(self.multipliers.values(), broken))
         return replace(self, multipliers=Pair(*prices))
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
-        """Violation of the limits by the iterate of these episodes."""
+        """Violation of the limits by these episodes."""
         outputs = self.judge.output_limits is not None
         achieved, errors = measured(episode), measurement_errors(episode)
         return LimitsOutcome(achieved, self._allowed, self.tolerance.source, self.multipliers, outputs, errors)
 
     @property
     def _allowed(self) -> Pair:
-        """The tolerance at the present design."""
+        """Tolerance at the present design."""
         return self.tolerance.allowed if self.v is None else Pair(*self.tolerance.at(self.v).tolist())
 
     def _tolerance(self, seen: Pair, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Tolerance:
-        """Tolerance of the design `v`: the user's, or by MPC where X is left."""
+        """Tolerance at `v`: the user's, or MPC's once X is left."""
         asked = self.judge.limit_tolerance
         if not isinstance(asked, str):
             return Tolerance(Pair(*asked), "asked for")
@@ -200,12 +200,12 @@ class StateLimitPenalty:
 
 
 def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:
-    """Excess (2,) of each measure over the multipliers' aim, relative to the tolerance."""
+    """Excess (2,) over the multipliers' aim, relative to the tolerance."""
     return (means - AIMED_SHARE * allowed) / allowed.clamp(min=LEAST_TOLERANCE)
 
 
 def _penalty(over: Tensor) -> Tensor:
-    """(exp(c z) − 1)/c of relative excesses z, (2,), straight beyond `LARGEST_EXCESS`.
+    """(exp(c z) − 1)/c of excesses z (2,), straight beyond `LARGEST_EXCESS`.
 
     Its slope is what a multiplier grows by.
     """
@@ -214,7 +214,7 @@ def _penalty(over: Tensor) -> Tensor:
 
 
 def _next_multiplier(multiplier: float, over: float) -> float:
-    """The multiplier after an evaluation with a relative excess: larger above zero, smaller below."""
+    """Next multiplier, larger for excess above zero and smaller below."""
     start = max(multiplier, FIRST_PRICE) if over > 0 else multiplier
     moved = start * math.exp(GROWTH * min(max(over, -LARGEST_EXCESS), LARGEST_EXCESS))
     return moved if moved > LEAST_PRICE else 0.0

@@ -1,4 +1,4 @@
-"""States from which saturated LQR stays within X for ever, exact by simulation.
+"""States that saturated LQR keeps within X for ever, by simulation.
 
 A state belongs to the region of its design if the nominal loop x⁺ = A x + B clip(−K x) stays within X until it
 enters an ellipsoid in which −K x needs no clipping and x stays within X; the ellipsoid is invariant. So the region is a
@@ -30,7 +30,7 @@ from mpc import NotStabilisableError, lqr
 
 @dataclass(frozen=True, eq=False)
 class LQRRegions:
-    """Regions of n designs, one each.
+    """Regions of n designs.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class LQRRegions:
 
     @classmethod
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
-        """The regions of designs (n, np)."""
+        """Regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
         K = lqr_gains(problem, A, B, designs)
         lower, upper = problem.input_bounds_at(np.asarray(designs, dtype=float))
@@ -80,18 +80,18 @@ class LQRRegions:
         return cls(A, B, E, K, lower, upper, rows, shapes, np.asarray(designs, dtype=float), sampled)
 
     def of_runs(self, runs: Indices) -> LQRRegions:
-        """The regions of some of the designs."""
+        """Regions of some of the designs."""
         parts: dict[str, Any] = {name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes", "designs")}
         parts |= {"lower": _own(self.lower, runs, 1), "upper": _own(self.upper, runs, 1)}
         return replace(self, rows=None if self.rows is None else _own(self.rows, runs, 2), **parts)
 
     @property
     def stabilised(self) -> Mask:
-        """Which designs have an LQR, (n,)."""
+        """Whether each design has an LQR, (n,)."""
         return np.asarray(np.isfinite(self.K).all(axis=(1, 2)))
 
     def contains(self, x: Array, runs: Indices) -> Mask:
-        """Whether x[i] (k, nx) lies in the region of design runs[i] (k,)."""
+        """Whether x[i] (k, nx) lies in region runs[i] (k,)."""
         inside = np.zeros(len(x), bool)
         if self.rows is None:
             return inside
@@ -110,7 +110,7 @@ class LQRRegions:
         return inside
 
     def inputs(self, x: Array, runs: Indices) -> Array:
-        """Saturated LQR of states (k, nx) at the designs `runs`, (k, nu)."""
+        """Saturated LQR inputs (k, nu) of states (k, nx) at designs `runs`."""
         return np.clip(-times(self.K[runs], x), _own(self.lower, runs, 1), _own(self.upper, runs, 1))
 
     def step(self, x: Array, u: Array, runs: Indices) -> Array:
@@ -120,13 +120,13 @@ class LQRRegions:
         return times(self.A[runs], x) + times(self.B[runs], u)
 
     def disturbed(self, x: Array, u: Array, w: Array) -> Array:
-        """Next states (n, nx), one run at each design, under disturbances (n, nw)."""
+        """Next states (n, nx) under disturbances (n, nw), one design per run."""
         if self.sampled is not None:
             return np.asarray(self.sampled.advance(x, u, w, self.designs))
         return times(self.A, x) + times(self.B, u) + times(self.E, w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
-        """About the largest scales (k,) in [0, 1] that keep scale · x in the region.
+        """Approximate largest scales (k,) in [0, 1] with scale · x in the region.
 
         They are 0 where none is known.
 
@@ -162,7 +162,7 @@ def times(M: Array, x: Array) -> Array:
 
 
 def _quadratic(M: Array, x: Array) -> Array:
-    """x[i]' M[i] x[i] for every i; inf where M is."""
+    """x[i]' M[i] x[i] for every i, inf where M is."""
     known = np.isfinite(M).all(axis=(1, 2))
     values = np.full(len(x), np.inf)
     values[known] = np.einsum("ni,nij,nj->n", x[known], M[known], x[known])
@@ -170,7 +170,7 @@ def _quadratic(M: Array, x: Array) -> Array:
 
 
 def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
-    """LQR gains (n, nu, nx) of designs (n, np) with A and B; NaN where none stabilises."""
+    """LQR gains (n, nu, nx) of designs (n, np), NaN where none stabilises."""
     K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
     for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
         with suppress(NotStabilisableError):
@@ -179,12 +179,12 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
 
 
 def _own(value: Array, of: Any, usual: int) -> Array:
-    """Rows of an array for a design, or the array itself if all share it."""
+    """Rows for a design, or the whole array if shared."""
     return value[of] if value.ndim > usual else value
 
 
 def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
-    """X as rows with right-hand side 1, of each design if it depends on it; None where 0 is not well inside X and U."""
+    """Rows of X with right-hand side 1; None where 0 is not well inside X and U."""
     lower, upper = problem.input_bounds_at(np.asarray(designs, dtype=float))
     if not (lower < 0).all() or not (upper > 0).all():
         return None
@@ -201,7 +201,7 @@ def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
 
 
 def _ellipsoid(closed: Array, limits: Array, scale: Array) -> Array:
-    """M (nx, nx) with x'Mx <= 1 invariant under x⁺ = closed x and inside {limits x <= 1}; inf where none is found.
+    """Invariant ellipsoid M (nx, nx), x'Mx <= 1, inside {limits x <= 1}; inf if none found.
 
     Solved in states divided by `scale`, so that units do not matter.
     """

@@ -1,4 +1,4 @@
-"""Comparison of methods on one problem: designs found, closed-loop returns, and reasons."""
+"""Comparison of methods: designs, closed-loop returns and reasons."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEAD = (
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MethodComparison(Immutable):
-    """Comparison of methods on one problem, with one row per method and a verdict.
+    """Comparison of methods, with one row per method and a verdict.
 
     It is iterated like a list of `MethodRow`, and indexed by number or by the name of a method.
 
@@ -67,7 +67,7 @@ class MethodComparison(Immutable):
 
     @property
     def best(self) -> MethodRow:
-        """Best method on common scenarios, of those that keep the limits and lose fewest runs.
+        """Best method of those that keep limits and lose fewest runs.
 
         As far as limits are left by all, those that leave them as the reference does.
         """
@@ -82,25 +82,25 @@ class MethodComparison(Immutable):
 
     @property
     def verdict(self) -> list[str]:
-        """Sentences on which methods are equal, which one wins, and why."""
+        """Sentences on equal methods, the winner and why."""
         return method_verdicts(self)
 
     def percent(self, difference: float) -> float:
-        """A difference in per cent of `size`."""
+        """Difference in per cent of `size`."""
         return 100 * difference / self.size
 
     def table(self) -> list[dict[str, Any]]:
-        """Plain values, one dictionary per method; NaN or "" where there is nothing."""
+        """One dictionary of plain values per method; NaN or "" for nothing."""
         return [self._cells(row) for row in self.rows]
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write the table as a CSV file; its path."""
+        """Write the table as CSV and return its path."""
         target = writable_path("path", path)
         target.write_text(csv_text(self.table()), encoding="utf-8", newline="")
         return target
 
     def plot(self) -> Any:
-        """Figure of return against time, and of designs on the landscape of saturated LQR.
+        """Figure of return against time, and of designs on the landscape.
 
         Of more than two parameters the designs are shown in parts of their ranges.
         """
@@ -109,7 +109,7 @@ class MethodComparison(Immutable):
         return plot_methods(self)
 
     def _cells(self, row: MethodRow) -> dict[str, Any]:
-        """The values of a row."""
+        """Values of a row."""
         space = self.problem.design
         found = row.result
         nothing = (np.nan, np.nan)
@@ -137,21 +137,21 @@ class MethodComparison(Immutable):
         }  # fmt: skip
 
     def __str__(self) -> str:
-        """The table in aligned columns, and below it what it says."""
+        """Table in aligned columns, with the verdict below."""
         return "\n".join([*self.printed.aligned(), "", *self.verdict])
 
     def markdown(self) -> str:
-        """The printed table for a page in Markdown."""
+        """Printed table in Markdown."""
         return self.printed.markdown
 
     @property
     def printed(self) -> Table:
-        """The table as it is printed."""
+        """Table as it is printed."""
         head = (*HEAD[:5], f"to {self.reference}", *HEAD[6:])
         return Table(head, [self._texts(row) for row in self.rows], right=frozenset({2, 4, 6, 7, 8}))
 
     def _texts(self, row: MethodRow) -> tuple[str, ...]:
-        """The cells of a printed row; two of a method that refused."""
+        """Cells of a printed row, two if the method refused."""
         if row.result is None:
             return row.name, f"refused: {row.refused}"
         found = row.result
@@ -168,7 +168,7 @@ class MethodComparison(Immutable):
         )  # fmt: skip
 
     def difference_text(self, row: MethodRow) -> str:
-        """The difference of a row to the reference in per cent, with its interval."""
+        """Difference to the reference in per cent, with its interval."""
         if row.name == self.reference:
             return "reference"
         if row.difference is None:
@@ -178,12 +178,12 @@ class MethodComparison(Immutable):
 
 
 def held(result: CoDesignResult) -> str:
-    """Text on the active bounds and constraints of a design; empty if there are none."""
+    """Active bounds and constraints of a design as text, maybe empty."""
     bounds = [f"{name} {side}" for name, side in result.active_bounds.items()]
     return ", ".join([*bounds, *result.active_constraints])
 
 
 def _summary(loop: ClosedLoopReturns) -> tuple[float, tuple[float, float], int]:
-    """Mean, interval and number of the runs that are not lost."""
+    """Mean, interval and number of the kept runs."""
     summary = loop.summary
     return summary.mean, summary.ci95, summary.n

@@ -16,7 +16,7 @@ SHORT = {"nested": "nested LQR", "search": "CMA-ES"}  # what `codesign` means by
 
 
 def as_method_names(names: Sequence[str], argument: str = "methods") -> list[str]:
-    """The names of methods as tables write them, whatever their capitals and hyphens.
+    """Method names as tables write them, ignoring capitals and hyphens.
 
     Raises
     ------
@@ -34,5 +34,5 @@ def as_method_names(names: Sequence[str], argument: str = "methods") -> list[str
 
 
 def _key(name: str) -> str:
-    """A name as it is looked up."""
+    """Name as it is looked up."""
     return " ".join(name.lower().replace("-", " ").replace("_", " ").split())

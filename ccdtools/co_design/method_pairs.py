@@ -1,4 +1,4 @@
-"""Closed-loop returns of controllers, and of methods in pairs with one of them."""
+"""Closed-loop returns of controllers, and of methods in pairs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ UNSOUND = (CoDesignStatus.DIVERGING, CoDesignStatus.INFEASIBLE, CoDesignStatus.L
 def closed_loop_returns(
     problem: CoDesignProblem, controller: Any, design: ArrayLike, rng: np.random.Generator, *, runs: int | None = None
 ) -> ClosedLoopReturns:
-    """Returns of a controller at a design, on scenarios with the problem's learned errors.
+    """Returns of a controller at a design, with learned errors included.
 
     Two controllers with generators of the same seed meet the same scenarios, the one with fewer runs the first of them.
 
@@ -126,12 +126,12 @@ class MethodRow(Immutable):
 
     @property
     def sound(self) -> bool:
-        """True if a design was found without lost runs or broken limits of its own."""
+        """True if a design was found without lost runs or broken limits."""
         return self.result is not None and self.result.status not in UNSOUND
 
 
 class Pairs:
-    """Differences of results to the reference on scenarios that both share."""
+    """Differences of results to the reference on shared scenarios."""
 
     def __init__(self, problem: CoDesignProblem, seed: int, reference: CoDesignResult) -> None:
         self.problem = problem
@@ -143,7 +143,7 @@ class Pairs:
         self._seen: dict[Any, ClosedLoopReturns] = {}
 
     def row(self, name: str, result: CoDesignResult) -> MethodRow:
-        """The row of a result."""
+        """Row of a result."""
         assert result.closed_loop is not None
         assert self.reference.closed_loop is not None
         runs = min(len(result.closed_loop.values), len(self.reference.closed_loop.values))
@@ -166,14 +166,14 @@ class Pairs:
         )  # fmt: skip
 
     def _first(self, result: CoDesignResult, runs: int) -> ClosedLoopReturns:
-        """Closed-loop returns of a result on the first so many of its scenarios."""
+        """Closed-loop returns of a result on its first `runs` scenarios."""
         assert result.closed_loop is not None
         if len(result.closed_loop.values) == runs:
             return result.closed_loop
         return self._measured((id(result), runs), result.controller, result.design, runs)
 
     def _lqr(self, design: Array, runs: int) -> ClosedLoopReturns | None:
-        """Saturated LQR of a design on them; None where there is none."""
+        """Returns of a design's saturated LQR, None without one."""
         try:
             controller = saturated_lqr(self.problem, design)
         except MPCError:
@@ -181,7 +181,7 @@ class Pairs:
         return self._measured((tuple(design), runs), controller, design, runs)
 
     def _measured(self, key: Any, controller: Any, design: Array, runs: int) -> ClosedLoopReturns:
-        """Returns on the scenarios that `codesign` measures on, once each."""
+        """Returns on the scenarios of `codesign`, measured once each."""
         if key not in self._seen:
             drawn = scenarios_of(self.seed)
             self._seen[key] = closed_loop_returns(self.problem, controller, design, drawn, runs=runs)
@@ -189,5 +189,5 @@ class Pairs:
 
 
 def scenarios_of(seed: int) -> np.random.Generator:
-    """Generator of the scenarios of a seed that `codesign` measures on."""
+    """Generator of the scenarios that `codesign` measures on."""
     return np.random.default_rng(seed).spawn(1)[0]

@@ -1,4 +1,4 @@
-"""Pictures of a comparison: return against time, and designs on the landscape."""
+"""Plots of a comparison: return against time, and the landscape."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MARKERS = "osD^vPX*<>h"
 
 
 def plot_methods(comparison: Any) -> Figure:
-    """Plot return against time and the designs of a `MethodComparison`.
+    """Plot returns against time and designs of a `MethodComparison`.
 
     Designs of more than two parameters are shown in parts of their ranges.
     """
@@ -51,7 +51,7 @@ def plot_methods(comparison: Any) -> Figure:
 
 
 def _returns(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any]) -> None:
-    """Return in closed loop against the time that a method took.
+    """Closed-loop return against the time of a method.
 
     What is drawn is the reference's return and the paired difference to it, with the interval of the difference: that
     of a return itself is mostly the scenarios'.
@@ -89,20 +89,20 @@ def _returns(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, An
 
 
 def _axes_of(space: DesignSpace) -> list[int]:
-    """The parameters that can be chosen."""
+    """Parameters that can be chosen."""
     lower, upper = space.outermost
     return [int(i) for i in np.flatnonzero(upper > lower)]
 
 
 def _axis(space: DesignSpace, i: int, count: int) -> Array:
-    """Values of one parameter over its range; its whole numbers, as many as are shown."""
+    """Values of a parameter over its range, or its whole numbers."""
     lower, upper = space.outermost
     values = np.linspace(lower[i], upper[i], count)
     return np.unique(np.round(values)) if space.whole[i] else values
 
 
 def _landscape(comparison: Any, shown: Sequence[int]) -> tuple[list[Array], Array]:
-    """Axes, and returns of saturated LQR over them; NaN without LQR or with lost runs."""
+    """Axes and returns of saturated LQR; NaN without LQR or with lost runs."""
     space = comparison.problem.design
     axes = [_axis(space, i, {1: 41, 2: 13}[len(shown)]) for i in shown]  # designs per axis
     over = np.stack(np.meshgrid(*axes), axis=-1)
@@ -116,7 +116,7 @@ def _landscape(comparison: Any, shown: Sequence[int]) -> tuple[list[Array], Arra
 
 
 def _curve(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], i: int) -> None:
-    """The landscape over one parameter, with what each method found on it."""
+    """Landscape over one parameter, with the design of each method."""
     space = comparison.problem.design
     (values,), returns = _landscape(comparison, [i])
     ax.plot(values, returns, color="#9FB8CC", lw=4, alpha=0.8, solid_capstyle="round", zorder=1,
@@ -142,7 +142,7 @@ def _curve(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any]
 def _map(
     ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]
 ) -> None:
-    """The landscape over two parameters, with the ways of the methods."""
+    """Landscape over two parameters, with the paths of the methods."""
     space = comparison.problem.design
     (x, y), returns = _landscape(comparison, shown)
     draw_map(ax, x, y, np.nan_to_num(returns), np.isfinite(returns), label="return of saturated LQR",
@@ -162,7 +162,7 @@ def _map(
 def _ranges(
     ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]
 ) -> None:
-    """Draw where in its range every parameter ended, one row each."""
+    """Draw where in its range each parameter ended, one row each."""
     space = comparison.problem.design
     middle = (len(rows) - 1) / 2
     for y, i in enumerate(shown):
@@ -182,7 +182,7 @@ def _ranges(
 
 
 def _way(row: Any) -> Array:
-    """Designs (k, np) of a method that were each the best so far, with its end."""
+    """Successive best designs (k, np) of a method, with its end."""
     history = row.result.history
     values = np.where(history.diverged > 0, -np.inf, np.nan_to_num(history.model_return, nan=-np.inf))
     best = np.maximum.accumulate(values)
@@ -191,13 +191,13 @@ def _way(row: Any) -> Array:
 
 
 def _axis_label(space: DesignSpace, i: int) -> str:
-    """A parameter with its unit."""
+    """Parameter with its unit."""
     unit = space.units[i]
     return space.names[i] if unit == "-" else f"{space.names[i]} [{unit}]"
 
 
 def plot_trade_off(found: Any) -> Figure:
-    """Plot control's gain over the design cost, and designs over the price, of a `TradeOff`."""
+    """Plot gain by control over design cost, and designs over price."""
     space = found.space
     shown = _axes_of(space)
     with styled():

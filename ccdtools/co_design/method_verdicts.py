@@ -13,7 +13,7 @@ SAME = 0.5  # Two methods are equal if they differ by at most this part of the r
 
 
 def method_verdicts(comparison: Any) -> list[str]:
-    """Verdicts on a `MethodComparison`: methods that are equal, win, lose or refused, and why."""
+    """Verdicts on methods that are equal, win, lose or refused, and why."""
     rows = [row for row in comparison.rows if row.result is not None]
     refused = [f"{row.name} refused: {row.refused}" for row in comparison.rows if row.result is None]
     if not rows:
@@ -30,17 +30,17 @@ def method_verdicts(comparison: Any) -> list[str]:
 
 
 def leaves_limits(comparison: Any, row: Any) -> bool:
-    """Whether a method is outside the limits more often than the reference may be."""
+    """Whether a method leaves limits more often than the reference may."""
     return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE_SHARE)
 
 
 def signed(percent: float) -> str:
-    """Number as text with sign and two decimals; what rounds to nothing is 0."""
+    """Signed number with two decimals, 0 if rounded away."""
     return f"{percent:+.2f}" if abs(percent) >= 0.005 else "0"
 
 
 def _percent(comparison: Any, row: Any) -> tuple[float, float, float]:
-    """Difference to the reference with its interval [%]; NaN without pairs."""
+    """Difference to the reference with interval [%], NaN without pairs."""
     if row.difference is None:
         return (np.nan, np.nan, np.nan)
     low, high = row.difference.ci95
@@ -48,12 +48,12 @@ def _percent(comparison: Any, row: Any) -> tuple[float, float, float]:
 
 
 def _differs(comparison: Any, row: Any) -> bool:
-    """Whether a method differs from the reference by more than counts as equal."""
+    """Whether a method and the reference are not equal."""
     return not abs(_percent(comparison, row)[0]) <= SAME
 
 
 def _equal(comparison: Any, rows: list[Any]) -> str:
-    """The methods that are as good as the reference."""
+    """Methods as good as the reference."""
     if comparison[comparison.reference].closed_loop.lost.all():
         return f"Every run of {comparison.reference} is lost: there is nothing to compare with."
     same = [row for row in rows if not _differs(comparison, row)]
@@ -74,7 +74,7 @@ def _equal(comparison: Any, rows: list[Any]) -> str:
 
 
 def _winner(comparison: Any) -> str:
-    """The best method, and by what, if it is better than the reference."""
+    """Best method and its lead, if better than the reference."""
     best = comparison.best
     if sum(row.result is not None for row in comparison.rows) == 1:
         return ""
@@ -91,7 +91,7 @@ def _winner(comparison: Any) -> str:
 
 
 def _difference(comparison: Any, row: Any) -> str:
-    """The difference in words."""
+    """Difference in words."""
     mean, low, high = _percent(comparison, row)
     if np.isnan(mean):
         return f"no run in common with {comparison.reference} that is not lost"
@@ -102,7 +102,7 @@ def _difference(comparison: Any, row: Any) -> str:
 
 
 def _parts(comparison: Any, row: Any) -> str:
-    """Measured parts of a difference: by the design, the controller, and their objective.
+    """Measured parts of a difference: design, controller and objective.
 
     No cause is named: that would take the same method without the supposed cause.
     """
@@ -122,7 +122,7 @@ def _parts(comparison: Any, row: Any) -> str:
 
 
 def _unsound(comparison: Any, rows: list[Any]) -> list[str]:
-    """Methods that lose runs, leave the limits or break constraints, or whose risk has no interval."""
+    """Methods with lost runs, broken limits or constraints, or no interval."""
     lines = []
     for row in rows:
         loop = row.closed_loop

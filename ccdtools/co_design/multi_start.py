@@ -1,4 +1,4 @@
-"""Co-design from many first designs: whether they agree, and on what."""
+"""Co-design from many first designs, and their agreement."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ccdtools.table import Table
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class MultiStart(Immutable):
-    """Results of a method from several first designs, all with the same seed.
+    """Results of a method from several first designs, with one seed.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class MultiStart(Immutable):
 
     @property
     def best(self) -> CoDesignResult:
-        """The one of the highest return in closed loop on the common scenarios.
+        """Result with the highest closed-loop return on the common scenarios.
 
         Of those that keep the limits, as far as methods say so; and of these, of those that lose fewest runs.
         """
@@ -62,7 +62,7 @@ class MultiStart(Immutable):
 
     @property
     def spread(self) -> float:
-        """Largest distance of designs found from the best, in parts of the ranges."""
+        """Largest distance of designs from the best, in parts of ranges."""
         return float(np.abs(self.space.to_unit(self.designs) - self.space.to_unit(self.best.design)).max())
 
     def table(self) -> list[dict[str, Any]]:
@@ -77,7 +77,7 @@ class MultiStart(Immutable):
         ]  # fmt: skip
 
     def __str__(self) -> str:
-        """The table in aligned columns."""
+        """Table in aligned columns."""
         lines = [
             (self.space.describe(start), self.space.describe(result.design), f"{_value(result):.5g}",
              f"{result.seconds:.3g} s", result.status.name.lower().replace("_", " "))
@@ -141,7 +141,7 @@ def _from(problem: CoDesignProblem, method: Method, seed: int, design: Array) ->
 
 
 def _value(result: CoDesignResult) -> float:
-    """The return in closed loop of the runs that are not lost."""
+    """Closed-loop return of the runs that are not lost."""
     assert result.closed_loop is not None
     return result.closed_loop.summary.mean
 

@@ -1,4 +1,4 @@
-"""Objective of a co-design: costs of steps, end and design."""
+"""Objective of a co-design: step, end and design costs."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ccdtools.plants.symbolic_functions import as_symbolic
 
 
 class Weights(NamedTuple):
-    """x'Qx + 2x'Su + u'Ru of a step: what LQR and MPC take."""
+    """Quadratic step cost x'Qx + 2x'Su + u'Ru for LQR and MPC."""
 
     Q: Array
     R: Array
     S: Array | None = None
 
     def keywords(self) -> dict[str, Any]:
-        """Q, R and, where there is one, S by name."""
+        """Q, R and any S by name."""
         return {name: value for name, value in self._asdict().items() if value is not None}
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Objective(Immutable):
-    """Base of the objectives: what is added to the cost of the steps.
+    """Base of the objectives: additions to the cost of steps.
 
     The return of an episode is minus the cost of its steps and of its end, less the cost of the design.
 
@@ -54,11 +54,11 @@ class Objective(Immutable):
 
     @property
     def looks_back(self) -> bool:
-        """Whether a reward depends on the state before the step, or on the design."""
+        """Whether a reward depends on the previous state or the design."""
         return True
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
-        """Rewards (...,) of a step; NumPy arrays or torch tensors.
+        """Rewards (...,) of a step, NumPy or torch.
 
         Parameters
         ----------
@@ -69,54 +69,54 @@ class Objective(Immutable):
         raise NotImplementedError
 
     def final_rewards(self, x: Any, p: Any) -> Any:
-        """Rewards (...,) of the state (..., nx) that ends an episode; None if nothing counts."""
+        """Rewards (...,) of final states (..., nx); None if nothing counts."""
         return None
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """Quadratic cost of a step about rest at a design (np,), for LQR and MPC."""
+        """Quadratic step cost about rest at a design (np,)."""
         raise NotImplementedError
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
-        """Derivatives (·, ·, np) of the weights; zeros unless a subclass has others."""
+        """Derivatives (·, ·, np) of the weights, zeros by default."""
         return Weights(*(np.zeros((m, n, len(p))) for m, n in ((nx, nx), (nu, nu), (nx, nu))))
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """Whether anything that is chosen changes it: a state, an input or the design."""
+        """Whether a state, an input or the design changes it."""
         return True
 
     def check(self, nx: int, nu: int, designs: int) -> None:
-        """Raise an `InputError` unless it fits a model of so many states, inputs and design parameters."""
+        """Raise an `InputError` unless it fits a model of these sizes."""
         if self.design_cost is not None:
             self.design_cost.scalar(designs)
 
     def cost_of_design(self, p: Any, steps: int) -> Any:
-        """J_d (...,) of designs (..., np), as far as a run of so many steps pays for it; 0.0 where there is none."""
+        """J_d (...,) of designs (..., np) for a run of these steps; 0.0 without one."""
         if self.design_cost is None:
             return 0.0
         return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
 
     def made_by_control(self, value: Any, p: Any, steps: int) -> Any:
-        """Size (...,) of a return without its design cost, which differences are compared with.
+        """Size (...,) of a return without its design cost.
 
         A large J_d is a part of every return, and nothing that a controller does would matter beside it.
         """
         return abs(value + self.cost_of_design(p, steps))
 
     def over(self, steps: int) -> Self:
-        """This objective with `design_cost` set against an episode of so many steps.
+        """Objective with `design_cost` per episode of `steps` steps.
 
         An objective that states its own episode keeps it.
         """
         return self if self.design_cost is None or self.episode is not None else replace(self, episode=steps)
 
     def describe(self) -> dict[str, Any]:
-        """Plain values that tell it, for tables and results."""
+        """Plain values for tables and results."""
         return {} if self.design_cost is None else {"design cost": str(self.design_cost), "episode": self.episode}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QuadraticObjective(Objective):
-    """Reward r = −x⁺ᵀ Q x⁺ − uᵀ R u − 2 xᵀ S u, with x⁺ the *next* state and x the present one.
+    """Reward r = −x⁺ᵀ Q x⁺ − uᵀ R u − 2 xᵀ S u of next state x⁺, present x.
 
     A subclass may override `rewards`; it must then take NumPy arrays and torch tensors alike, and the weights remain
     those of the LQR and MPC that it is compared with.
@@ -158,11 +158,11 @@ class QuadraticObjective(Objective):
 
     @property
     def looks_back(self) -> bool:
-        """True if there is a cross weight, or a subclass has rewards of its own."""
+        """True with a cross weight, or rewards of a subclass."""
         return self.S is not None or type(self).rewards is not QuadraticObjective.rewards
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
-        """Rewards (...,) of next states (..., nx) and inputs (..., nu), and of states (..., nx) where there is an S."""
+        """Rewards (...,) of next x (..., nx), u (..., nu), and x (..., nx) with an S."""
         rewards = -((x_next @ _as_is(self.Q, x_next)) * x_next).sum(-1) - ((u @ _as_is(self.R, u)) * u).sum(-1)
         if self.S is None:
             return rewards
@@ -171,23 +171,23 @@ class QuadraticObjective(Objective):
         return rewards - 2 * ((x @ _as_is(self.S, x)) * u).sum(-1)
 
     def weights(self, p: Array, nx: int, nu: int) -> Weights:
-        """Q, R and S, the same at every design."""
+        """Q, R and S, equal at every design."""
         return Weights(self.Q, self.R, self.S)
 
     def judges(self, nx: int, nu: int, designs: int) -> bool:
-        """True if there is a weight, a design cost, or a subclass with own rewards."""
+        """True with a weight, a design cost, or a subclass's rewards."""
         own = type(self).rewards is not QuadraticObjective.rewards
         return own or self.design_cost is not None or bool(self.Q.any() or self.R.any())
 
     def check(self, nx: int, nu: int, designs: int) -> None:
-        """Raise an `InputError` unless the weights are those of so many states and inputs."""
+        """Raise an `InputError` unless the weights fit states and inputs."""
         super().check(nx, nu, designs)
         for name, size, n in (("Q", len(self.Q), nx), ("R", len(self.R), nu)):
             if size != n:
                 raise InputError(f"objective.{name}", f"shape ({size}, {size})", f"({n}, {n})")
 
     def describe(self) -> dict[str, Any]:
-        """The weights."""
+        """Weights."""
         own = {"Q": self.Q, "R": self.R} | ({} if self.S is None else {"S": self.S})
         return own | super().describe()
 
@@ -204,7 +204,7 @@ def as_objective(argument: str, value: Any) -> Objective:
 
 
 def is_semidefinite(H: Array) -> bool:
-    """True if a symmetric matrix is finite and positive semidefinite up to rounding, scaled."""
+    """True if a symmetric matrix, scaled, is finite and positive semidefinite."""
     if not np.isfinite(H).all():
         return False
     size = np.sqrt(np.abs(np.diag(H)))
@@ -213,5 +213,5 @@ def is_semidefinite(H: Array) -> bool:
 
 
 def _as_is(weight: Array, like: Any) -> Any:
-    """A weight as an array or a tensor, as `like` is."""
+    """Weight as an array or tensor, like `like`."""
     return weight if isinstance(like, np.ndarray) else like.new_tensor(weight.tolist())

@@ -1,4 +1,4 @@
-"""Movement of the best design with a weight or datum, by solving anew beside it."""
+"""Movement of the best design with a datum, by solving anew."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class OptimumSensitivity(Immutable):
 
     @property
     def agrees(self) -> bool:
-        """True if the slopes to both sides agree within a tenth, up to negligible amounts."""
+        """True if the slopes to both sides agree within a tenth."""
         size = max(abs(self.value), np.finfo(float).tiny)
         gap, slope = ((part / self.width) * size for part in (self.ahead - self.behind, self.slope))
         return bool(np.linalg.norm(gap) <= SAME_SENSITIVITY * np.linalg.norm(slope) + SMALL_SENSITIVITY)
@@ -79,7 +79,7 @@ def optimum_sensitivity(
     problem_of: ProblemOf, value: float, *, design: ArrayLike | None = None, inner: str = "lqr", step: float = 0.02,
     runs: int | None = None, seed: int = 0,
 ) -> OptimumSensitivity:  # fmt: skip
-    """Slope dp*/dθ of the best design by nested co-design, for a value θ.
+    """Slope dp*/dθ of the best nested design, by a value θ.
 
     The best designs of θ and of a little more and less are searched along exact slopes on the same scenarios. Bounds,
     constraints and scenarios may depend on θ too. Limits on states are counted in it as far as the objective counts
@@ -136,7 +136,7 @@ def optimum_sensitivity(
 
 
 def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: int) -> tuple[Array, float]:
-    """Best design (np,) that a search from another one finds, and its cost.
+    """Best design (np,) found by a search, and its cost.
 
     Raises
     ------

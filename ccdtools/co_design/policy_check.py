@@ -1,4 +1,4 @@
-"""Check that a policy is at an optimum, by retuning its last layer.
+"""Optimality check of a policy, by retuning its last layer.
 
 The latent action l of a policy, before it is clipped to U, becomes exp(a) l + b + k x: a gain, an offset and a linear
 law beside it, for every input; b and k in units of what the policy itself does and sees. Along these few numbers the
@@ -32,7 +32,7 @@ from learning.networks import scaled
 
 
 class Retuned:
-    """A policy whose last layer is changed by numbers r (nu, 2 + nx), or (n, nu, 2 + nx) for each run.
+    """Policy with its last layer changed by r (nu, 2 + nx), or (n, nu, 2 + nx) per run.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Retuned:
 
     @torch.no_grad()
     def _root_mean_squares(self) -> tuple[Tensor, Tensor]:
-        """Sizes of the states (nx,) that the policy visits, and its latent actions (nu,)."""
+        """Sizes of visited states (nx,) and latent actions (nu,)."""
         squares: list[Tensor] = []
         limit = self._stepper.limit.double()
 
@@ -94,7 +94,7 @@ class Retuned:
 
 
 def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> GradientCheck:
-    """Slopes of a policy along a few random changes of its last layer.
+    """Policy slopes along random changes of its last layer.
 
     They are taken through the model, and by differences.
     """
@@ -116,7 +116,7 @@ def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenario
 
 @torch.no_grad()
 def _differences(retuned: Retuned, directions: Tensor, step: float) -> Tensor:
-    """Slopes (n, k) of every run's return along directions (m, k)."""
+    """Slopes (n, k) of returns along directions (m, k)."""
     steps = (step * directions.T).reshape(-1, *retuned.shape)
     return torch.stack([(retuned.values(r) - retuned.values(-r)) / (2 * step) for r in steps], dim=1)
 
@@ -136,7 +136,7 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
 def better_by_search(
     problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
 ) -> PairedDifference:
-    """Gain on fresh scenarios of the best policy that a search finds.
+    """Gain on fresh scenarios of the best policy by search.
 
     None that leaves the limits further, or loses more runs, counts.
     """
@@ -146,7 +146,7 @@ def better_by_search(
     most = _left(retuned.episode(nothing, depths=True))
 
     def cost(z: Array) -> float:
-        """Cost of a vector of numbers; infinite where limits are left further."""
+        """Cost of a vector; infinite where limits are left further."""
         seen = retuned.episode(torch.tensor(z.reshape(retuned.shape)), depths=True)
         return -float(problem.risk.values(seen.total).mean()) if (_left(seen) <= most).all() else np.inf
 
@@ -161,5 +161,5 @@ def better_by_search(
 
 
 def _left(seen: Episode) -> Array:
-    """Frequency and depth of violations, and the share of lost runs, (3,)."""
+    """Frequency and depth of violations, and share lost, (3,)."""
     return np.array([float(part.double().mean()) for part in (seen.outside, seen.peak, seen.diverged)])

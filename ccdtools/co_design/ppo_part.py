@@ -1,4 +1,4 @@
-"""PPO in a co-design: sampled episodes, updates, and the paper's design gradient."""
+"""PPO in a co-design: episodes, updates and design gradient."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from learning.rollout import Rollout, collect
 
 
 class DesignEnv:
-    """Environment of `runs` episodes; observations (x, p), actions u in the plant's units.
+    """Environment of `runs` episodes with observations (x, p) and actions u.
 
     Episodes end together at the problem's time limit: truncated, or terminated where the objective has a terminal cost.
     One that diverges terminates and restarts from its own initial state.
@@ -38,7 +38,7 @@ class DesignEnv:
         self.move(p)
 
     def move(self, p: Tensor) -> None:
-        """Change the design; takes effect at the next reset."""
+        """Change the design from the next reset on."""
         self._step = Stepper.at(self.problem, p.detach())
 
     def reset(self) -> Tensor:
@@ -50,7 +50,7 @@ class DesignEnv:
         return observe(self._x, self._step.p)
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """(observation to act on next, successor, reward, terminated, truncated); see `learning.VectorEnv`."""
+        """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
         terminated = self._step.left(x)
         self._k += 1
@@ -69,7 +69,7 @@ class DesignEnv:
 
 
 class PPOPart:
-    """Agent with its episodes and its optimisers, which live as long as the training.
+    """Agent with episodes and optimisers for the whole training.
 
     Attributes
     ----------
@@ -95,11 +95,11 @@ class PPOPart:
         return collect(self.env, self.agent, steps=self.problem.steps, generator=self.generator)
 
     def network_input_gradient(self, rollout: Rollout, v: Tensor) -> Tensor:
-        """The paper's design gradient (np,), from the loss before the update."""
+        """Design gradient (np,) of the paper, before the update."""
         return loss_gradient(self.problem, self.agent, v, prepare(self.agent, rollout, self.config), self.config)
 
     def update(self, rollout: Rollout, *, factor: float, actor: bool) -> None:
-        """Update the critic and, if asked, the actor, at a part of their first rates."""
+        """Update the critic, and the actor if asked, at `factor` times their rates."""
         for optimiser, rate in (
             (self.optimisers.actor_optimiser, self.config.learning_rate),
             (self.optimisers.critic_optimiser, self.config.value_rate),
@@ -118,7 +118,7 @@ def network_input_gradient(
     runs: int,
     config: PPOConfig,
 ) -> Tensor:
-    """−∂/∂v of the PPO loss through the design inputs of policy and value network, states constant, (np,)."""
+    """−∂/∂v (np,) of the PPO loss through design inputs, with constant states."""
     env = DesignEnv(problem, to_design(problem, v), runs=runs, rng=rng)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     rollout = collect(env, agent, steps=problem.steps, generator=generator)
@@ -126,7 +126,7 @@ def network_input_gradient(
 
 
 def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch: Batch, config: PPOConfig) -> Tensor:
-    """−∂/∂v of the PPO loss on a batch, through the design columns of its observations."""
+    """−∂/∂v of a batch's PPO loss, through its design columns."""
     v = v.detach().clone().requires_grad_(True)
     x = batch.observations[:, : problem.model.nx]
     moved = Batch(observe(x, to_design(problem, v)), batch.latents, batch.log_probs, batch.advantages, batch.targets)

@@ -1,4 +1,4 @@
-"""Co-design with disturbances known ahead, which the model carries in its state."""
+"""Co-design with disturbances known ahead, as states of the model."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def previewed_problem(
 
 
 def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits:
-    """Limits of the state (x, w_k, …, w_{k+N−1}): X and, for each sample, W.
+    """Limits X of the state x, and W of each previewed sample.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits
 
 
 def previewed_objective(objective: Objective, steps: int, *, channels: int = 1) -> Objective:
-    """An objective of the state (x, w_k, …, w_{k+N−1}) that judges x alone."""
+    """Objective of the state (x, w_k, …, w_{k+N−1}) that judges x alone."""
     length = as_count("steps", steps) * as_count("channels", channels)
     as_objective("objective", objective)
     if type(objective) is not QuadraticObjective:
@@ -108,7 +108,7 @@ def previewed_objective(objective: Objective, steps: int, *, channels: int = 1) 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreviewedObjective(Objective):
-    """Rewards of another objective, of all states but those of the register.
+    """Rewards of another objective, without the register's states.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class PreviewedObjective(Objective):
 
     @classmethod
     def of(cls, own: Objective, length: int) -> PreviewedObjective:
-        """Objective `own` before a register, with the design cost of `own`."""
+        """Objective `own` before a register, with its design cost."""
         return cls(own, length, design_cost=own.design_cost, episode=own.episode)
 
     def __repr__(self) -> str:
@@ -134,7 +134,7 @@ class PreviewedObjective(Objective):
         return self.own.looks_back
 
     def rewards(self, x_next: Any, u: Any, x: Any = None, p: Any = None) -> Any:
-        """Rewards (...,) of states (..., nx + register) and inputs (..., nu)."""
+        """Rewards (...,) of x (..., nx + register) and u (..., nu)."""
         return self.own.rewards(self._own(x_next), u, None if x is None else self._own(x), p)
 
     def final_rewards(self, x: Any, p: Any) -> Any:
@@ -146,7 +146,7 @@ class PreviewedObjective(Objective):
         return _with_register(self.own.weights(p, nx - self.length, nu), self.length)
 
     def check(self, nx: int, nu: int, designs: int) -> None:
-        """Raise an `InputError` unless the other fits a model of so many states less."""
+        """Raise an `InputError` unless `own` fits without the register."""
         self.own.check(nx - self.length, nu, designs)
 
     def describe(self) -> dict[str, Any]:
@@ -154,12 +154,12 @@ class PreviewedObjective(Objective):
         return self.own.describe()
 
     def _own(self, x: Any) -> Any:
-        """The states without the register."""
+        """States without the register."""
         return x[..., : x.shape[-1] - self.length]
 
 
 def _with_register(own: Weights, length: int) -> Weights:
-    """The weights with none on a register of that length."""
+    """Weights with none on the register."""
     S = None if own.S is None else np.vstack([own.S, np.zeros((length, len(own.R)))])
     return Weights(block_diag(own.Q, np.zeros((length, length))), own.R, S)
 
@@ -169,7 +169,7 @@ def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
     own = limits.outputs
 
     def outputs(x: Any, u: Any, p: Any) -> Any:
-        """Outputs of CasADi columns, from the states without the register."""
+        """Outputs of CasADi columns, without the register."""
         return own.function(nx, u.numel(), p.numel())(x[:nx], u, p)
 
     return replace(limits, outputs=outputs)
@@ -177,7 +177,7 @@ def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
 
 @dataclass(frozen=True, eq=False)
 class PreviewedScenarios(Immutable):
-    """Scenarios of a model with a register: first its content, then its disturbance.
+    """Scenarios of a model with register: its content, then its disturbance.
 
     Attributes
     ----------
@@ -198,11 +198,11 @@ class PreviewedScenarios(Immutable):
 
     @property
     def disturbance(self) -> Any:
-        """Disturbance of the model where its register does not matter; None without one."""
+        """Disturbance of the model without register, None without one."""
         return getattr(self.own, "disturbance", None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx + N·channels) and disturbances (runs, steps, nw)."""
+        """Initial states (runs, nx + N·channels), disturbances (runs, steps, nw)."""
         x0, w = self.own.sample(runs, steps + self.steps, rng)
         return previewed_state(x0, w[:, : self.steps], self.channels), shifted(w, self.steps, self.channels)
 
@@ -218,7 +218,7 @@ def shifted(w: Array, steps: int, channels: Sequence[int]) -> Array:
 
 
 def _drawn_bounds(problem: CoDesignProblem, known: tuple[int, ...]) -> tuple[ArrayField, ArrayField]:
-    """Bounds of the disturbances known ahead, symmetric, from a few episodes."""
+    """Symmetric bounds of the previewed disturbances, from a few episodes."""
     _, w = problem.scenarios.sample(200, problem.steps, np.random.default_rng(0))
     largest = PREVIEW_ROOM * np.abs(as_array("scenarios, disturbances", w)).max(axis=(0, 1))[list(known)]
     if not (largest > 0).all():

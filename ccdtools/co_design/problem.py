@@ -48,7 +48,7 @@ class Scenarios(Protocol):
 
 
 class ErrorModel(Protocol):
-    """Error of a twin's model, as learned from logs: a `Discrepancy`."""
+    """Learned error of a twin's model, a `Discrepancy`."""
 
     @property
     def noise(self) -> str:
@@ -62,7 +62,7 @@ class ErrorModel(Protocol):
 
     @property
     def transport(self) -> Any:
-        """Carries errors from the design they were learned at to others: a `Transport`, or None."""
+        """Transport of errors between designs, a `Transport` or None."""
         ...
 
     def advance(self, e: Any, x: Any, u: Any, p: Any, w: Any) -> tuple[Any, Any]:
@@ -97,7 +97,7 @@ class FixedStart(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoDesignProblem(Immutable):
-    """Design task with the measure that designs and policies are compared by.
+    """Design task, and the measure that designs and policies are compared by.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ class CoDesignProblem(Immutable):
         check_every_entry_acts(self)
 
     def _check_over_designs(self) -> None:
-        """Raise an `InputError` unless designs cost something finite, and all have weights for LQR and MPC."""
+        """Raise an `InputError` unless designs have finite costs and weights for LQR and MPC."""
         designs = self.design.spread()
         designs = designs[self.design.violation(designs) <= FEASIBLE]
         cost = np.broadcast_to(self.objective.cost_of_design(designs, self.steps), len(designs))
@@ -214,7 +214,7 @@ class CoDesignProblem(Immutable):
             self.weights(p)
 
     def _check_discrepancy(self) -> None:
-        """Raise an `InputError` if `discrepancy` is no model of this model's error."""
+        """Raise an `InputError` unless `discrepancy` models this model's error."""
         if self.discrepancy is None:
             return
         has_method("discrepancy", self.discrepancy, "advance", "a Discrepancy or None")
@@ -223,7 +223,7 @@ class CoDesignProblem(Immutable):
             raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")
 
     def _check_scenarios(self) -> None:
-        """Raise an `InputError` unless one sample of the scenarios fits the model."""
+        """Raise an `InputError` unless a sample of the scenarios fits."""
         has_method("scenarios", self.scenarios, "sample", "scenarios, such as FixedStart(x0, disturbance)")
         drawn = self.scenarios.sample(1, self.steps, np.random.default_rng(0))
         if not (isinstance(drawn, tuple) and len(drawn) == 2):
@@ -244,7 +244,7 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
 
     def _check_start_room(self) -> None:
-        """Raise an `InputError` if the fixed start lies within X(p) at none of the designs that are looked at."""
+        """Raise an `InputError` if no design has the fixed start within X(p)."""
         if not isinstance(self.X, DesignLimits) or not isinstance(self.scenarios, FixedStart):
             return
         designs = self.design.spread()
@@ -253,7 +253,7 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios.x0", got, "a state within X at some design")
 
     def _check_start_outputs(self) -> None:
-        """Raise an `InputError` if the fixed start breaks a limit of an output at every design, whatever the input."""
+        """Raise an `InputError` if the start breaks an output limit whatever design and input."""
         if self.output_limits is None or not isinstance(self.scenarios, FixedStart):
             return
         broken = self.output_limits.broken_at(self.scenarios.x0, self.model.nu, self.design.spread())
@@ -262,7 +262,7 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """Disturbance, draws or errors (runs, steps, ·) for any number of steps.
+        """Disturbance, draws or errors (runs, steps, ·) for any `steps`.
 
         They are nw disturbances, or nx draws or errors.
 
@@ -283,16 +283,16 @@ class CoDesignProblem(Immutable):
 
     @property
     def design(self) -> DesignSpace:
-        """The box of designs."""
+        """Box of designs."""
         assert self.model.design is not None
         return self.model.design
 
     def weights(self, p: Array) -> Weights:
-        """The weights of LQR and MPC at a design (np,)."""
+        """Weights of LQR and MPC at a design (np,)."""
         return self.objective.weights(p, self.model.nx, self.model.nu)
 
     def made_by_control(self, value: Any, p: Any) -> Any:
-        """Size of the return of an episode at a design, without the design's cost."""
+        """Size of an episode's return, without the design cost."""
         return abs(value + self.cost_of_design(p))
 
     def cost_of_design(self, p: Any) -> Any:
@@ -300,7 +300,7 @@ class CoDesignProblem(Immutable):
         return self.objective.cost_of_design(p, self.steps - self.warm_up)
 
     def kept_by_mpc(self, p: Array) -> Polytope:
-        """States that MPC keeps at a design: X, and linear output limits of states alone."""
+        """States that MPC keeps: X, and linear output limits of states."""
         X = self.state_limits(p)
         return X if self.output_limits is None else self.output_limits.within(X, self.model.nu, p)
 
@@ -313,22 +313,22 @@ class CoDesignProblem(Immutable):
         return limits_at(self.U, p)
 
     def input_bounds_at(self, p: Any) -> tuple[Any, Any]:
-        """Lower and upper input bounds at designs (..., np), arrays or tensors: (nu,), or (..., nu) of a U(p)."""
+        """Input bounds (nu,) or of U(p) (..., nu), at designs (..., np)."""
         return bounds_at(self.U, p)
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
-        """Input bounds, lower and upper (nu,); the widest of a U(p)."""
+        """Lower and upper input bounds (nu,), widest of a U(p)."""
         return widest(self.U).bounding_box()
 
     @property
     def action_bounds(self) -> tuple[Array, Array] | DesignLimits:
-        """Bounds of a policy for `fit_actor_critic`: U, or a function of the design."""
+        """Action bounds for `fit_actor_critic`: U, or its function of designs."""
         return self.U if isinstance(self.U, DesignLimits) else self.input_bounds
 
     @property
     def state_scale(self) -> Array:
-        """Largest |x| per state within X, at any design, (nx,)."""
+        """Largest |x| within X, at any design, (nx,)."""
         return np.max(np.abs(widest(self.X).bounding_box()), axis=0)
 
     @property
@@ -338,7 +338,7 @@ class CoDesignProblem(Immutable):
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:
-        """Range of the observation (x, p), each (nx + np,); that of a fixed entry of p is as wide as it is large."""
+        """Range of the observation (x, p), each (nx + np,), with room at fixed entries."""
         scale = self.state_scale
         lower, upper = self.design.lower, self.design.upper
         room = np.where(self.design.free, 0.0, np.where(lower == 0, 1.0, 0.5 * np.abs(lower)))
@@ -346,7 +346,7 @@ class CoDesignProblem(Immutable):
 
 
 def _check_widths(design: DesignSpace) -> None:
-    """Raise an `InputError` if single precision, which policies work in, cannot tell the designs of the box apart."""
+    """Raise an `InputError` if single precision cannot tell the designs apart."""
     size = np.maximum(np.abs(design.lower), np.abs(design.upper))
     narrow = np.flatnonzero(design.free & (design.upper - design.lower < NARROWEST * size))
     if len(narrow):
@@ -359,7 +359,7 @@ def _check_widths(design: DesignSpace) -> None:
 
 
 def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpace) -> Limits:
-    """Limits as a set of that dimension; an `InputError` if unbounded or empty."""
+    """Bounded limits of that dimension, else an `InputError`."""
     limits = as_limits_over(name, value, size, of, space)
     if isinstance(limits, DesignLimits):
         return limits

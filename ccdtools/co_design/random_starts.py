@@ -1,4 +1,4 @@
-"""Episodes with random starts: uniform in a set, by a distribution, or among states."""
+"""Random starts: uniform in a set, by distribution, or among states."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = "a Polytope, a distribution such as Uniform(lower, upper), or states (n,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RandomStarts(Immutable):
-    """Starts from a state of its own for every run, with fresh disturbances.
+    """Starts drawn for every run, with fresh disturbances.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class RandomStarts(Immutable):
         return np.asarray(self.x0.sample(runs, 1, rng)[:, 0])
 
     def check_within(self, X: Polytope) -> None:
-        """Raise an `InputError` if a start may lie outside X; an unbounded distribution may begin anywhere."""
+        """Raise an `InputError` if a start may lie outside X; unbounded distributions pass."""
         if isinstance(self.x0, np.ndarray):
             outside = np.flatnonzero(~X.contains(self.x0))
             if len(outside):
@@ -125,7 +125,7 @@ def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
 
 
 def _check_body(S: Polytope) -> None:
-    """Raise an `InputError` unless a set is bounded and has an interior."""
+    """Raise an `InputError` unless a set is bounded with interior."""
     if S.is_empty:
         raise InputError("x0", "an empty set", "one with at least one point")
     if not np.isfinite(np.concatenate(S.bounding_box())).all():

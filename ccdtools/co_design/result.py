@@ -1,4 +1,4 @@
-"""Result of every co-design: design, controller, their worth and history."""
+"""Result of a co-design: design, controller, worth and history."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.statistics import PairedDifference, Summary
 
 @dataclass(frozen=True, eq=False, repr=False)
 class History(Immutable):
-    """The course of a co-design, one row per evaluation.
+    """Course of a co-design, one row per evaluation.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class History(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Valley(Immutable):
-    """Local optimum of J(p) by saturated LQR, with the end of a co-design from it.
+    """Local optimum of J(p) by saturated LQR, with its co-design's end.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Valley(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClosedLoopReturns(Immutable):
-    """Returns of a controller at a design, run by run, on a problem's scenarios.
+    """Returns of a controller at a design, run by run.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class ClosedLoopReturns(Immutable):
         return f"ClosedLoopReturns({self})"
 
     def __str__(self) -> str:
-        """Value of the risk, with the numbers of runs kept and lost."""
+        """Value of the risk, with numbers of kept and lost runs."""
         found = self.summary
         low, high = found.ci95
         what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
@@ -127,11 +127,11 @@ class ClosedLoopReturns(Immutable):
 
     @cached_property
     def summary(self) -> Summary:
-        """Risk, its 95 % interval and more of the runs kept: see `summarise_in_risk`."""
+        """Risk and 95 % interval of kept runs, see `summarise_in_risk`."""
         return summarise_in_risk(self.risk, self.values, self.lost)
 
     def parts(self, runs: Indices) -> Array:
-        """The parts (k,) of runs with these numbers in the risk; see `parts_of_risk`."""
+        """Parts (k,) of these runs in the risk, see `parts_of_risk`."""
         return parts_of_risk(self.risk, self.values[runs], runs=runs)
 
     @property
@@ -142,7 +142,7 @@ class ClosedLoopReturns(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Baseline(Immutable):
-    """Baseline that a result was compared with before it was called settled.
+    """Baseline that a result is compared with before it is called settled.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class Baseline(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class CoDesignResult(Immutable):
-    """The design and controller that a method found.
+    """Design and controller that a method found.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class CoDesignResult(Immutable):
         return f"{type(self).__name__}({self.method}: {found}{loop}, {self.history!r})"
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for a file: JSON has what is not finite as null."""
+        """Plain values for a file; JSON has null if not finite."""
         plain: dict[str, Any] = jsonable(self._values())
         return plain
 
@@ -264,7 +264,7 @@ class CoDesignResult(Immutable):
         }  # fmt: skip
 
     def describe(self) -> list[str]:
-        """Status, active constraints of the design, and other local optima, one line each."""
+        """Status, active constraints and other local optima, one line each."""
         lines = ([f"design: {self.described}"] if self.described else []) + self._ended()
         if self.active_constraints:
             values = (f"{name} = {value:.3g}" for name, value in self.active_constraints.items())
@@ -302,7 +302,7 @@ class CoDesignResult(Immutable):
 
 
 def _warnings(objective: float, summary: Summary) -> list[str]:
-    """Warnings where the closed loop contradicts the method's own objective."""
+    """Warnings where the closed loop contradicts the objective."""
     lines = []
     size = abs(summary.mean)
     if summary.std > FEW_RUNS_DECIDE * size:
@@ -316,5 +316,5 @@ def _warnings(objective: float, summary: Summary) -> list[str]:
 
 
 def _short(design: Array) -> str:
-    """A design in few digits."""
+    """Design in few digits."""
     return "[" + ", ".join(f"{value:.5g}" for value in design) + "]"

@@ -1,4 +1,4 @@
-"""Risk measures of returns: mean, tail, or mean of the worst case."""
+"""Risk measures of returns: mean, tail, or worst case."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ TINY = float(np.finfo(np.float32).tiny)  # added to a variance: the root of none
 
 
 class Risk(Protocol):
-    """Turns returns into values whose mean is what is optimised."""
+    """Measure that turns returns into values with the optimised mean."""
 
     def values(self, returns: Any) -> Any:
-        """Values (..., n) of returns (..., n), NumPy arrays or torch tensors; differentiable."""
+        """Differentiable values (..., n) of returns (..., n), NumPy or torch."""
         ...
 
 
 @dataclass(frozen=True)
 class Mean:
-    """The mean return."""
+    """Mean return."""
 
     def values(self, returns: Any) -> Any:
-        """The returns."""
+        """Returns."""
         return returns
 
     def describe(self) -> str:
@@ -42,7 +42,7 @@ MEAN = Mean()
 
 @dataclass(frozen=True)
 class MeanSpread:
-    """The mean return less `weight` times its standard deviation over the runs."""
+    """Mean return less `weight` times its standard deviation over runs."""
 
     weight: float = 1.0
 
@@ -51,7 +51,7 @@ class MeanSpread:
         object.__setattr__(self, "weight", weight)
 
     def values(self, returns: Any) -> Any:
-        """(..., n) of returns (..., n): each less its part of the spread, as that moves with it."""
+        """Returns (..., n), each less its part of the spread."""
         squares = (returns - returns.mean(-1)[..., None]) ** 2
         spread = (squares.mean(-1)[..., None] + TINY) ** 0.5
         return returns - self.weight * (spread + squares / spread) / 2
@@ -63,7 +63,7 @@ class MeanSpread:
 
 @dataclass(frozen=True)
 class CVaR:
-    """Mean of the worst `share` of the returns, at least one: conditional value at risk.
+    """Conditional value at risk: mean of the worst `share`, at least one.
 
     References
     ----------
@@ -79,7 +79,7 @@ class CVaR:
         object.__setattr__(self, "share", share)
 
     def values(self, returns: Any) -> Any:
-        """(..., n) of returns (..., n): the quantile, less what the worst are below it."""
+        """Values (..., n): the quantile, less the shortfall of the worst."""
         n = returns.shape[-1]
         worst = max(1, math.ceil(self.share * n - 1e-9))
         order = returns.argsort(-1)[..., worst - 1 : worst]
@@ -96,7 +96,7 @@ class CVaR:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Mean return of the worst case, of several masses, roads or drivers.
+    """Mean return of the worst case, such as a mass or road.
 
     The cases are those of the scenarios' `Cases`, met by the runs in turn. Within a case chance is averaged; between
     the cases nothing is. The least of the means has a kink where two cases are alike, which is where robust designs
@@ -130,7 +130,7 @@ class WorstCase:
         return "worst case" if self.cases is None else f"worst of {self.cases} cases"
 
     def over(self, scenarios: Any) -> WorstCase:
-        """This worst case with the cases of scenarios, or of a disturbance.
+        """Worst case with the cases of scenarios or a disturbance.
 
         Raises
         ------
@@ -144,7 +144,7 @@ class WorstCase:
         return replace(self, cases=cases)
 
     def means(self, returns: Any) -> Any:
-        """The mean return of every case, (..., m), of returns (..., n).
+        """Mean return (..., m) of every case, from returns (..., n).
 
         There must be one run of every case at least.
 
@@ -157,7 +157,7 @@ class WorstCase:
         return returns @ members.T / members.sum(-1)
 
     def values(self, returns: Any) -> Any:
-        """(..., n) of returns (..., n): the measure, and by how much a run of the worst cases differs from their mean.
+        """Values (..., n): the measure, plus deviations of worst-case runs from their mean.
 
         Their mean is the measure; so their spread says how well it is known.
         """
@@ -168,7 +168,7 @@ class WorstCase:
         return measure + counted * (returns - means @ members)
 
     def _smoothed(self, means: Any) -> tuple[Any, Any]:
-        """Risk of the means of the cases (..., 1), with its slopes in them (..., m)."""
+        """Risk (..., 1) of the case means, with its slopes (..., m)."""
         exp, log = (np.exp, np.log) if isinstance(means, np.ndarray) else map(methodcaller, ("exp", "log"))
         worst, _ = _least(means)
         tau = self.smoothing * abs(worst) + TINY
@@ -176,7 +176,7 @@ class WorstCase:
         return worst - tau * log(parts.mean(-1)[..., None]), parts / parts.sum(-1)[..., None]
 
     def _members(self, returns: Any) -> Any:
-        """1 where a run is one of a case, else 0, (m, n)."""
+        """Membership (m, n) of runs in cases, 1 or 0."""
         if self.cases is None:
             raise InputError("risk", "a worst case that does not know its cases", "the number of cases",
                              "Take the risk of a problem, or say WorstCase(cases=3).")  # fmt: skip
@@ -186,24 +186,24 @@ class WorstCase:
 
 
 def check_followed(risk: Risk, method: str, design_gradient: str) -> None:
-    """Raise an `InputError` if a method follows the mean where something else is asked for."""
+    """Raise an `InputError` if a method follows the mean of another risk."""
     if not isinstance(risk, Mean) and ("ppo" in method or design_gradient != "pathwise"):
         got = f'"{method}" with the design gradient "{design_gradient}"'
         raise InputError("method", got, '"pathwise" for both: PPO follows the mean return, and the problem has a risk')
 
 
 def fewest_runs(risk: Risk) -> int:
-    """Least number of runs that a risk needs: one of every case."""
+    """Least number of runs of a risk, one per case."""
     return (risk.cases or 1) if isinstance(risk, WorstCase) else 1
 
 
 def has_cases(scenarios: Any) -> bool:
-    """Whether scenarios, or a disturbance, have cases that the runs take in turn."""
+    """Whether scenarios, or a disturbance, have cases in turn."""
     return _cases_of(scenarios) > 1
 
 
 def _cases_of(scenarios: Any) -> int:
-    """After how many runs the cases of scenarios, or of a disturbance, come again."""
+    """Number of runs after which cases of scenarios come again."""
     parts = (scenarios, getattr(scenarios, "disturbance", None), getattr(scenarios, "x0", None))
     return math.lcm(*map(cases_in, parts))
 
@@ -217,7 +217,7 @@ def of_logged_runs(risk: Risk) -> Risk:
 
 
 def _least(means: Any) -> tuple[Any, Any]:
-    """The least mean, (..., 1), and its slopes in the means, (..., m); where several are least, they share it."""
+    """Least mean (..., 1), with slopes (..., m) shared by equal ones."""
     if isinstance(means, np.ndarray):
         worst = means.min(-1, keepdims=True)
         parts = (means == worst).astype(float)

@@ -1,4 +1,4 @@
-"""Risks of runs, with intervals; lost runs are counted and not averaged in.
+"""Risks of runs, with intervals; lost runs are only counted.
 
 References
 ----------
@@ -19,7 +19,7 @@ NONE = (float("nan"), float("nan"))
 
 
 def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
-    """Risk of returns (n,); for a worst case with `runs` numbered, the least mean.
+    """Risk of returns (n,); for a worst case, the least mean.
 
     NaN where nothing can be said: of no run, or of a worst case without a run of one of its cases.
     """
@@ -33,7 +33,7 @@ def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
 def parts_of_risk(
     risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None
 ) -> Array:  # fmt: skip
-    """Part (g,) of each group of runs in a risk of returns (n,); their mean is the risk.
+    """Part (g,) of each group in a risk of returns (n,); the risk is their mean.
 
     The part of a group is how far the risk moves when it is left out; of runs that are groups of their own, and a risk
     of this package, by its derivative. NaN of a single group.
@@ -59,7 +59,7 @@ def parts_of_risk(
 
 
 def in_tail(risk: Risk, runs: Indices) -> int:
-    """Number of the runs (n,) that decide a risk.
+    """Number of runs (n,) that decide a risk.
 
     It is the risk's share of them, or the runs of the rarest case.
     """
@@ -71,7 +71,7 @@ def in_tail(risk: Risk, runs: Indices) -> int:
 
 
 def too_few(risk: Risk, runs: Indices) -> str:
-    """Why a risk of these runs has no interval; empty where it has."""
+    """Reason why a risk has no interval, else empty."""
     count = in_tail(risk, runs)
     if isinstance(risk, Mean) or count >= FEWEST_RUNS:
         return ""
@@ -79,7 +79,7 @@ def too_few(risk: Risk, runs: Indices) -> str:
 
 
 def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
-    """Risk, with 95 % interval, of returns (n,) without those of `lost` (n,) runs.
+    """Risk, with 95 % interval, of returns (n,) without `lost` (n,) runs.
 
     `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
     that fewer than ten runs decide the risk, which then has no interval.
@@ -98,14 +98,14 @@ def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
 
 
 def of_kept_runs(risk: Risk, returns: Array, lost: Mask) -> tuple[float, float, float]:
-    """Risk and standard deviation of the returns kept, and the fraction lost."""
+    """Risk and standard deviation of kept returns, and lost fraction."""
     runs = np.flatnonzero(~lost)
     std = float(returns[runs].std(ddof=1)) if len(runs) > 1 else 0.0
     return risk_of(risk, returns[runs], runs), std, float(lost.mean())
 
 
 def difference_of_parts(risk: Risk, parts: Array, runs: Indices) -> PairedDifference:
-    """Mean difference of parts (n,) in a risk of common runs, with its 95 % interval."""
+    """Mean difference of parts (n,) on common runs, with 95 % interval."""
     mean = float(parts.mean()) if len(parts) else float("nan")
     if isinstance(risk, Mean):
         return PairedDifference(mean, summarise(parts).ci95)
@@ -113,7 +113,7 @@ def difference_of_parts(risk: Risk, parts: Array, runs: Indices) -> PairedDiffer
 
 
 def _interval(risk: Risk, returns: Array, parts: Array, runs: Indices) -> tuple[float, float]:
-    """The 95 % interval of a risk; of a worst case from those of its cases, any of which may be the worst.
+    """95 % interval of a risk; for a worst case, from all its cases.
 
     The least mean lies above the least of the lower ends, and below every upper end. The more cases are alike, the
     rarer it is that all lower ends miss it. Each of the m upper ends is taken to miss it in 5 / m %.
@@ -126,7 +126,7 @@ def _interval(risk: Risk, returns: Array, parts: Array, runs: Indices) -> tuple[
 
 
 def _parts_of_case(risk: WorstCase, returns: Array, runs: Indices) -> Array:
-    """The parts of the runs in the least mean: how much those of the worst case lie above or below it."""
+    """Parts of the runs in the least mean, from the worst case's deviations."""
     assert risk.cases is not None
     means = [case.mean() if len(case) else np.nan for case in _by_case(risk, returns, runs)]
     worst = runs % risk.cases == np.argmin(means)
@@ -134,6 +134,6 @@ def _parts_of_case(risk: WorstCase, returns: Array, runs: Indices) -> Array:
 
 
 def _by_case(risk: WorstCase, values: Array, runs: Indices) -> list[Array]:
-    """The values (n,) of runs with these numbers, case by case."""
+    """Values (n,) of these runs, case by case."""
     assert risk.cases is not None
     return [values[runs % risk.cases == case] for case in range(risk.cases)]

@@ -1,4 +1,4 @@
-"""Mean cost on fixed scenarios, smooth in one vector of weights and design, and its climb."""
+"""Mean cost on fixed scenarios by weights and design, and its climb."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VA
 
 
 class SampleAverage:
-    """Relative cost and gradient at a vector z (m,), which sets weights and design.
+    """Relative cost and gradient at z (m,) of weights and design.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class SampleAverage:
         self.bounds = free + [(0.0, 1.0 / UNIT_OF_Z)] * designs
 
     def put(self, z: Array) -> bool:
-        """Let policy and design be those of `z`, the design as near as it may be; whether there is such a place."""
+        """Set policy and nearest feasible design to `z`; return whether one was found."""
         values = torch.tensor(UNIT_OF_Z * z, dtype=torch.float32).split([part.numel() for part in self._parts])
         found = None if self._region is None else self._region.nearest(self._raw(z))
         with torch.no_grad():
@@ -72,11 +72,11 @@ class SampleAverage:
         return self._region is None or found is not None
 
     def _raw(self, z: Array) -> Array:
-        """The point of the unit box in `z`, (np,)."""
+        """Unit-box point in `z`, (np,)."""
         return np.asarray(UNIT_OF_Z * z[-len(self._parts[-1]) :])
 
     def __call__(self, z: Array) -> tuple[float, Array]:
-        """Cost, beyond `COMPRESS_ABOVE` its logarithm, and the clipped gradient (m,).
+        """Cost, logarithmic beyond `COMPRESS_ABOVE`, and the clipped gradient (m,).
 
         Where the cost is not finite, it is `LOST_VALUE` and level.
         """
@@ -103,11 +103,11 @@ class SampleAverage:
 
 
 class _StoppedError(Exception):
-    """The evaluations are spent, or the climb is to end."""
+    """Raised when the climb is to end."""
 
 
 class Climb:
-    """Climb by at most so many evaluations of a cost and its gradient.
+    """Climb by at most `length` evaluations of cost and gradient.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Climb:
         self._new = False  # whether the lowest point has not been looked at
 
     def run(self) -> None:
-        """Climb until it is level or the evaluations are spent; policy and design are those of the lowest point."""
+        """Climb until level or spent, and set policy and design to the lowest point."""
         options = CLIMB_OPTIONS | {"maxfun": 10 * self._left, "maxiter": self._left}
         bounds = self._average.bounds
         with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
@@ -142,7 +142,7 @@ class Climb:
             self._look()
 
     def __call__(self, z: Array) -> tuple[float, Array]:
-        """Cost and gradient (m,), as parts of the return."""
+        """Relative cost and gradient (m,)."""
         if self._left == 0:
             raise _StoppedError
         self._left -= 1

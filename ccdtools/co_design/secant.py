@@ -1,4 +1,4 @@
-"""LQR of the linearisation over the states its own loop visits, beside the tangent's.
+"""LQR of the linearisation over visited states, beside the tangent's.
 
 Friction, dead zones and springs that stiffen look at rest like another plant than where the loop goes. Fitted are the
 matrices that predict x⁺ best, in least squares over the states and inputs of the loop; the loop with their LQR visits
@@ -32,7 +32,7 @@ from mpc import NotStabilisableError, lqr
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Immutable):
-    """Linearisation x⁺ ≈ A x + B u over visited states, and its LQR.
+    """Linearisation x⁺ ≈ A x + B u over visited states, and LQR.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Linearisation(Immutable):
 
     @property
     def better(self) -> bool:
-        """True if the secant's return in closed loop exceeds the tangent's by 0.5 %."""
+        """True if the secant's closed-loop return exceeds the tangent's by 0.5 %."""
         return not self.tangent_return >= self.mean_return - SECANT_GAIN * self.size
 
     def __str__(self) -> str:
@@ -68,7 +68,7 @@ class Linearisation(Immutable):
 def stochastic_linearisation(
     problem: CoDesignProblem, design: ArrayLike, rng: np.random.Generator
 ) -> Linearisation:  # fmt: skip
-    """Linearisation at a design over the states that its own LQR visits on scenarios.
+    """Linearisation at a design over the states visited by its LQR.
 
     Of four rounds, each fitted over the loop of the one before, the best in closed loop is returned.
 
@@ -91,23 +91,23 @@ def stochastic_linearisation(
 
 
 def visited(problem: CoDesignProblem, rng: np.random.Generator) -> ScenarioTensors:
-    """The scenarios that a fit is over."""
+    """Scenarios that a fit is over."""
     x0, w = scenario_tensors(problem, fewer_runs(32, problem.steps), rng)
     return x0.double(), w.double()
 
 
 def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Linearisation:
-    """Best linearisation of the rounds on given scenarios, from the design (np,) alone."""
+    """Best linearisation of the rounds on given scenarios, at a design (np,)."""
     rng = np.random.default_rng(0)
     bounds = problem.input_bounds_at(p)
     weights = problem.weights(p).keywords()
 
     def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
-        """States and inputs (n, ·) that the loop visits before diverging, and the mean return."""
+        """States and inputs (n, ·) visited before divergence, and the mean return."""
         pairs = []
 
         def followed(x: Tensor) -> Tensor:
-            """The inputs, remembered with their states."""
+            """Inputs, remembered with their states."""
             u = law(x.numpy())
             pairs.append((x.numpy(), u))
             return x.new_tensor(u)
@@ -146,7 +146,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
 def _least_squares(
     problem: CoDesignProblem, p: Array, states: Array, inputs: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:  # fmt: skip
-    """A and B that predict the undisturbed step best, over the loop's pairs of state and input and over mixed pairs.
+    """A and B that predict the undisturbed step best, over loop and mixed pairs.
 
     In the loop the inputs follow from the states; mixed, they tell what is done by which.
     """

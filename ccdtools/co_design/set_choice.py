@@ -1,4 +1,4 @@
-"""Choice of each design's set: X_fea(p) within the budget, LQR's region, or X.
+"""Choice of each design's set: X_fea(p), LQR's region, or X.
 
 The budget is one of work, which every machine counts alike: steps of the recursion times the square of the facets, as
 each facet of a step is held against all others. A time limit is stated as the seconds that such work takes on a usual
@@ -27,7 +27,7 @@ USABLE = (Status.CONVERGED, Status.EMPTY)
 
 @dataclass(frozen=True)
 class SetBudget:
-    """Budget of sets, with whether bars are shown.
+    """Budget of sets, and whether bars are shown.
 
     Attributes
     ----------
@@ -44,13 +44,13 @@ class SetBudget:
 
     @property
     def seconds(self) -> float:
-        """The time limit, infinite if there is none [s]."""
+        """Time limit [s], infinite if there is none."""
         return np.inf if self.time_limit is None else self.time_limit
 
 
 @dataclass(frozen=True)
 class SetCounts:
-    """Number of designs with each kind of set, and the reason.
+    """Numbers of designs with each kind of set, with reason.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class SetCounts:
     leaving: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for results.json: counts and reason, without times."""
+        """Plain values for results.json, without times."""
         return {"option": self.option, "X_fea": self.feasible, "lqr": self.lqr, "X": self.limits,
                 "reason": self.reason, "text": str(self)}  # fmt: skip
 
@@ -95,7 +95,7 @@ class SetCounts:
 def affordable_designs(
     problem: CoDesignProblem, sets: ParametricSet, samples: int, budget: SetBudget
 ) -> tuple[int, str]:
-    """Number of designs that can have a set within the budget, with any reason.
+    """Number of designs with a set within the budget, with any reason.
 
     It is `samples` if every candidate can have its own.
     """
@@ -113,7 +113,7 @@ def affordable_designs(
 
 
 def found_sets(sets: ParametricSet, designs: Array, budget: SetBudget) -> tuple[list[Polytope | None], SetCounts]:
-    """X_fea of each design (n, np), None where the recursion fails, with counts."""
+    """X_fea of each design (n, np), None where it fails, with counts."""
     begun = time.thread_time()
     unique, index = np.unique(designs, axis=0, return_inverse=True)
     order = np.unique(index.ravel(), return_index=True)[1].argsort()  # as they come
@@ -134,7 +134,7 @@ def found_sets(sets: ParametricSet, designs: Array, budget: SetBudget) -> tuple[
 
 
 def limited(sets: ParametricSet, budget: SetBudget) -> ParametricSet:
-    """The family with the facets of one set that the budget allows; far beyond it, its time is limited."""
+    """Family with facets limited by the budget, and a late time limit."""
     if not np.isfinite(budget.seconds):
         return sets
     facets = max(min(sets.max_facets, int(8 * budget.seconds)), 1)  # 8 for every second of the limit

@@ -50,7 +50,7 @@ from mpc import MPCError
 
 @dataclass(frozen=True, eq=False)
 class Settling:
-    """The check of results on one set of fresh scenarios.
+    """Check of results on one set of fresh scenarios.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Settling:
     designing: bool = True
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
-        """Result with its closed loop, limits and baselines, and the status they leave."""
+        """Result with closed loop, limits, baselines and the status they leave."""
         at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
         own = (getattr(self.problem.model, "jump", ""), acting_together(self.problem))
@@ -87,13 +87,13 @@ class Settling:
         return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
 
     def _loop(self, controller: Any, design: Array, runs: int | None = None) -> ClosedLoopReturns:
-        """Returns of a controller at a design on the fresh scenarios."""
+        """Returns of a controller on the fresh scenarios."""
         return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios), runs=runs)
 
     def _limits(
         self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
     ) -> LimitsOutcome | None:  # fmt: skip
-        """Violations of a closed loop beside its design's tolerance; None without one.
+        """Violations of a closed loop beside the tolerance; None without one.
 
         What a method found to be asked for, `own`, stands, unless it never saw the limits left.
         """
@@ -115,14 +115,14 @@ class Settling:
         return LimitsOutcome(seen, allowed, source, NOTHING, self.problem.output_limits is not None, errors)
 
     def _drawn(self, number: int, runs: int = SETTLING_RUNS) -> tuple[torch.Tensor, torch.Tensor]:
-        """Scenarios of the checks, others for every number."""
+        """Scenarios of the checks, other ones per number."""
         rng = copy.deepcopy(self.scenarios)
         for _ in range(number):
             rng = np.random.default_rng(rng.integers(2**63, size=4))
         return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), rng)
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
-        """LQR and MPC of the same design, and nested LQR from there; of those that keep the limits and their runs.
+        """LQR and MPC of the design, and nested LQR from there, within limits.
 
         MPC is a baseline of a policy, which could be as good.
         """
@@ -141,7 +141,7 @@ class Settling:
         return [one for one in found if one is not None]
 
     def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
-        """LQR of a design: of the tangent at rest, where there is one, and of the secant where that is better."""
+        """LQR of the tangent at rest, if any, and of a better secant."""
         with suppress(MPCError, InputError):
             yield "LQR of the same design", saturated_lqr(self.problem, design)
         if isinstance(self.problem.model, SampledModel):
@@ -165,7 +165,7 @@ class Settling:
     def _nearer(
         self, kept: Baseline, beyond: Array, loop: ClosedLoopReturns, limits: LimitsOutcome
     ) -> Baseline:  # fmt: skip
-        """The best LQR within the limits on the way to a design beyond them: a search aims a little within them."""
+        """Best LQR within the limits on the way to a design beyond."""
         space = self.problem.design
         begin, end = space.to_unit(kept.design), space.to_unit(beyond)
         near, far = 0.0, 1.0
@@ -184,14 +184,14 @@ class Settling:
     def _at(
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
     ) -> Baseline | None:  # fmt: skip
-        """The baseline of a controller at another design, with the design in its name."""
+        """Baseline of a controller at another design, which it names."""
         return self._baseline(f"{name}, at {self.problem.design.describe(design)}", controller, design, loop, limits)
 
     def _baseline(
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None,
         runs: int | None = None,
     ) -> Baseline | None:  # fmt: skip
-        """Baseline at a design; None where it loses runs or leaves the limits."""
+        """Baseline at a design, None if it loses runs or leaves limits."""
         other = self._loop(controller, design, runs)
         limits = self._limits(other, design, limits)
         if other.lost.any() or not (limits is None or limits.kept):
@@ -201,14 +201,14 @@ class Settling:
         return self._in_parts(name, design, gain, loop)
 
     def _in_parts(self, name: str, design: Array, gain: PairedDifference, loop: ClosedLoopReturns) -> Baseline:
-        """The baseline of a gain, in parts of the return that control makes, in the risk of the problem."""
+        """Baseline of a gain, relative to the return made by control."""
         size = float(self.problem.made_by_control(loop.summary.mean, design)) or 1.0
         low, high = gain.ci95
         relative = PairedDifference(gain.mean / size, (low / size, high / size))
         return Baseline(name, design, relative, measure(self.problem.risk))
 
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
-        """Result of a policy; settled if at an optimum, by its gradient and a plain search."""
+        """Result of a policy, settled if its gradient and a search confirm it."""
         policy = result.controller
         assert isinstance(policy, LearnedPolicy)
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
@@ -226,5 +226,5 @@ class Settling:
 
 
 def _better(baseline: Baseline) -> bool:
-    """True if a baseline is better, beyond chance, by more than a settled result may lose; in the mean without one."""
+    """True if a baseline gains more than the allowed loss, beyond chance if known."""
     return baseline.gain.mean > SETTLED_LOSS and not baseline.gain.ci95[0] <= 0

@@ -22,7 +22,7 @@ class CoDesignStatus(Enum):
 
     @property
     def settled(self) -> bool:
-        """Whether more effort is not expected to gain anything; see `Settling` for what was checked."""
+        """Whether more effort is expected to gain nothing, see `Settling`."""
         return self in (CoDesignStatus.CONVERGED, CoDesignStatus.AT_BOUND, CoDesignStatus.EDGE_OF_TRUST)
 
     @property

@@ -17,34 +17,34 @@ from learning.networks import ActorCritic
 
 
 class LimitPenalty(Protocol):
-    """Penalty of state limits: its multipliers grow while they are not kept."""
+    """Penalty of state limits; its multipliers grow while they are broken."""
 
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
-        """Cost () of leaving X at the point `v`, as part of the return; differentiable.
+        """Cost () of leaving X at `v`, as part of the return.
 
         It is differentiable.
         """
         ...
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """Price of either depth, and of another design, for episodes such as these."""
+        """Prices of depths and design for episodes such as these."""
         ...
 
     def violation(self, episode: Episode) -> float:
-        """Excess over the tolerance; 0 where it is kept."""
+        """Excess over the tolerance, else 0."""
         ...
 
     @property
     def active(self) -> bool:
-        """Whether leaving X costs anything at present."""
+        """Whether leaving X costs anything now."""
         ...
 
     def updated(self, episode: Episode, v: Tensor, scenarios: ScenarioTensors) -> LimitPenalty:
-        """Penalty of the next steps, after an evaluation's episodes at the point `v`."""
+        """Penalty after an evaluation's episodes at `v`."""
         ...
 
     def outcome(self, episode: Episode) -> LimitsOutcome:
-        """Violation of the limits by the iterate of these episodes."""
+        """Violation of the limits by these episodes."""
         ...
 
 
@@ -79,24 +79,24 @@ class Task:
 
     @property
     def smooth(self) -> bool:
-        """True if policy and design follow gradients through the model alone, and one moves."""
+        """True if policy or design moves, by gradients through the model alone."""
         alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"
         return alone and (self.pathwise or self.moving)
 
     @property
     def designing(self) -> bool:
-        """Whether another design than the given one may be found."""
+        """Whether a design other than the given may be found."""
         return self.config.design_rate > 0
 
     @property
     def moving(self) -> bool:
-        """Whether the design of a start moves: not one of whole numbers alone, which the starts differ in."""
+        """Whether any entry of a start's design moves, apart from whole numbers."""
         return self.designing and bool(self.problem.design.allowed.free.any())
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A design and its policy, with what the fixed scenarios say of them."""
+    """Design and policy, with their results on the fixed scenarios."""
 
     v: Tensor
     agent: ActorCritic
@@ -111,7 +111,7 @@ class Iterate:
         return float(self.returns.mean())
 
     def beats(self, other: Iterate) -> bool:
-        """True if this iterate is preferred, by limits kept, then by violation or return."""
+        """True if this iterate is preferred, by violation, then return."""
         if self.violation > 0 or other.violation > 0:
             return self.violation < other.violation
         return self.score > other.score

@@ -1,4 +1,4 @@
-"""Tolerances of `ccdtools.co_design`, relative [-] where no unit is named."""
+"""Tolerances of `ccdtools.co_design`, relative [-] unless a unit is named."""
 
 # --- what a slope or a gain may say -----------------------------------------------------------------------------------
 AGREEING = 0.05  # Slopes that differ by less than this part of themselves agree.

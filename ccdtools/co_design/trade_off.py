@@ -1,4 +1,4 @@
-"""Trade-off of control against design cost, over a price or another datum."""
+"""Trade-off of control against design cost, over a datum."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ProblemOf = Callable[[float], CoDesignProblem]
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class TradeOff(Immutable):
-    """The best designs over a price, or over any other datum of a problem.
+    """Best designs over a price or another datum.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class TradeOff(Immutable):
 
     @property
     def efficient(self) -> Mask:
-        """Designs (n,) that none beats in cost and return by a thousandth of their range.
+        """Designs (n,) that none beats in both cost and return by a thousandth of their range.
 
         None whose runs are all lost.
         """
@@ -89,7 +89,7 @@ class TradeOff(Immutable):
         ]  # fmt: skip
 
     def plot(self) -> Any:
-        """Figure of return against design cost, and of designs over the price."""
+        """Figure of return against design cost, and designs over price."""
         from ccdtools.co_design.method_plots import plot_trade_off
 
         return plot_trade_off(self)
@@ -98,7 +98,7 @@ class TradeOff(Immutable):
         return f"TradeOff({len(self.values)} designs over {self.values.min():g} to {self.values.max():g})"
 
     def __str__(self) -> str:
-        """The table in aligned columns."""
+        """Table in aligned columns."""
         lines = []
         for row, design in zip(self.table(), self.designs):
             beaten = "" if row["efficient"] else ", another is better in both"
@@ -112,7 +112,7 @@ def trade_off(
     problem: CoDesignProblem | ProblemOf, values: ArrayLike, *, method: str | Method = "nested", seed: int = 0,
     design: ArrayLike | None = None, jobs: int = 1, progress: bool = False,
 ) -> TradeOff:  # fmt: skip
-    """Best designs over prices of the design, or any other datum.
+    """Best designs over prices, or any other datum.
 
     With a weighted sum the convex part of the set of efficient designs is found: where returns and costs have a dent,
     the designs jump over it.
@@ -177,7 +177,7 @@ def trade_off(
 
 
 def stated(problem_of: ProblemOf, value: float, *, argument: str = "problem") -> CoDesignProblem:
-    """The problem that a function states at a value.
+    """Problem that a function states at a value.
 
     Raises
     ------
@@ -191,19 +191,19 @@ def stated(problem_of: ProblemOf, value: float, *, argument: str = "problem") ->
 
 
 def _priced_or_stated(problem: CoDesignProblem | ProblemOf, value: float) -> CoDesignProblem:
-    """The problem at a price, or the one stated at a value."""
+    """Problem at a price, or stated at a value."""
     return _at_price(problem, value) if isinstance(problem, CoDesignProblem) else stated(problem, value)
 
 
 def _at_price(problem: CoDesignProblem, price: float) -> CoDesignProblem:
-    """A problem whose design costs so many times as much."""
+    """Problem whose design costs `price` times as much."""
     cost = problem.objective.design_cost.function(problem.design.dim)
     objective: Any = replace(problem.objective, design_cost=lambda p: price * cost(p))
     return replace(problem, objective=objective)
 
 
 def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -> tuple[Any, ...]:
-    """Result at a value, the design's cost, the return without it, and the box."""
+    """Result at a value, design cost, return without it, and box."""
     problem = of(value)
     result = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
     assert result.closed_loop is not None
@@ -213,7 +213,7 @@ def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -
 
 
 def _intervals(results: tuple[CoDesignResult, ...], costs: Array, returns: Array) -> Array:
-    """Intervals (n, 2) of returns without design costs, by pairs with the highest."""
+    """Intervals (n, 2) of returns without design costs, paired to the highest."""
     loops = [result.closed_loop for result in results if result.closed_loop is not None]
     runs = min(len(loop.values) for loop in loops)  # of longer episodes fewer are measured
     kept = np.flatnonzero(~np.logical_or.reduce([loop.lost[:runs] for loop in loops]))
@@ -224,7 +224,7 @@ def _intervals(results: tuple[CoDesignResult, ...], costs: Array, returns: Array
 
 
 def _check_prices(problem: CoDesignProblem, prices: Array) -> None:
-    """Raise an `InputError` unless prices are not negative and there is a design cost to multiply."""
+    """Raise an `InputError` unless prices are ≥ 0 and designs cost something."""
     if (prices < 0).any():
         raise InputError("values", f"a price of {prices.min():g}", "prices ≥ 0")
     if problem.objective.design_cost is None:

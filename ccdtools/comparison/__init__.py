@@ -1,1 +1,1 @@
-"""Controllers side by side: the baselines, and every controller on the same disturbances."""
+"""Comparison of controllers and baselines on the same disturbances."""

@@ -97,7 +97,7 @@ class Score:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Scores of all controllers on one scenario: a table with one row per controller.
+    """Scores of all controllers on one scenario, one row each.
 
     It is iterated like a list of scores, and indexed by number or by the name of a controller. `limits` says what
     violations are of: "X", or "the limits" where those of outputs count, too; `baseline` is the controller that the
@@ -110,7 +110,7 @@ class Comparison:
 
     @property
     def notes(self) -> list[str]:
-        """Remarks on the rows, a line each. They name means of other runs, what is lost, risks without an interval."""
+        """Remarks, one line each, on fewer runs, lost runs and risks."""
         most = max(score.runs for score in self.scores)
         lines = [
             f"* {one.controller}: {_shown(one.summary.mean, '.5g')} on the first {one.runs} of {most} runs, where "
@@ -164,7 +164,7 @@ class Comparison:
         return pd.DataFrame(columns)
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot of the mean returns with their 95 % intervals, one row per controller. Returns the matplotlib axes."""
+        """Plot the mean returns with 95 % intervals and return the axes."""
         from ccdtools.comparison.plotting import plot_scores
 
         return plot_scores(self, ax=ax)
@@ -179,12 +179,12 @@ class Comparison:
         return "\n".join([*lines, *self.notes])
 
     def _cells(self) -> Iterator[tuple[str, ...]]:
-        """Cells of every printed row. No mean is shown where it would be of other runs than those of the rest."""
+        """Cells of every printed row, without a mean over fewer runs."""
         most = max(score.runs for score in self.scores)
         return (_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores)
 
     def _repr_html_(self) -> str:
-        """The table for a notebook."""
+        """Table for a notebook."""
         head = ("controller", "return", "std", "n", f"minus {self.baseline}", "95 % interval", "diverged",
                 f"outside {self.limits}", "depth")  # fmt: skip
         table = Table(head, [tuple(cell.strip() for cell in cells) for cells in self._cells()])
@@ -206,7 +206,7 @@ def compare(
     risk: Risk | None = None,
     baseline: str | None = None,
 ) -> Comparison:
-    """Scores of all controllers on one scenario, paired to one of them: the baseline.
+    """Scores of all controllers on one scenario, paired to a baseline.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def _score(
     name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: Objective,
     outside: Excursions, scenario: Scenario,
 ) -> Score:  # fmt: skip
-    """Score of one controller, paired to the run of the reference."""
+    """Score of one controller, paired to the reference run."""
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
     own = run.rewards(objective)
@@ -311,12 +311,12 @@ def _score(
 
 
 def _mean(values: Array) -> float:
-    """Mean of the values. NaN if there are none."""
+    """Mean of the values; NaN without any."""
     return float(values.mean()) if len(values) else float("nan")
 
 
 def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike = ()) -> float:
-    """Median time [s] of one call for one state (nx,) at a design (np,). It gets the signals that it needs."""
+    """Median time [s] of one call for a state (nx,) at a design (np,)."""
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))
@@ -330,7 +330,7 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
 
 
 def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
-    """Cells of a row of the printed table, padded to their columns. `whole` if the row is of all runs."""
+    """Padded cells of a printed row; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
     compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
@@ -346,12 +346,12 @@ def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
 
 
 def _shown(value: float, form: str, floor: float = 0.0) -> str:
-    """Number for people: 0 within rounding, a dash where there is none."""
+    """Printed number: 0 within rounding, a dash if not finite."""
     if not np.isfinite(value):
         return "-"
     return "0" if abs(value) <= floor else format(value, form)
 
 
 def _percent(fraction: float) -> str:
-    """A fraction in per cent; a dash where there is none."""
+    """Fraction in per cent, a dash if not finite."""
     return f"{fraction:.1%}" if np.isfinite(fraction) else "-"

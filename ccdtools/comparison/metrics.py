@@ -1,4 +1,4 @@
-"""Numbers of the user's own beside the returns of a comparison, and how they changed between two controllers."""
+"""User-defined metrics beside the returns, and their changes between controllers."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ EXPECTED = "a function that takes a Trajectory and returns a mapping of names to
 
 
 def as_metrics(metrics: Any, *, argument: str = "metrics") -> Metrics | None:
-    """A function of a trajectory, or None."""
+    """Function of a trajectory, or None."""
     if metrics is None or (callable(metrics) and not isinstance(metrics, type)):
         return metrics
     raise InputError(argument, shown(metrics), f"{EXPECTED}, or None")
 
 
 def try_metrics(metrics: Metrics, plant: Any) -> None:
-    """Raise unless a plant at rest has metrics that are named numbers. A study asks for them at its end.
+    """Raise unless the metrics of a plant at rest are named numbers.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def try_metrics(metrics: Metrics, plant: Any) -> None:
 
 
 def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
-    """Metrics of the runs that did not diverge. NaN where all did.
+    """Metrics of the undiverged runs; NaN if all diverged.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
 
 
 def _kept(run: Trajectory) -> Trajectory:
-    """The runs that did not diverge."""
+    """Runs that did not diverge."""
     kept = ~run.diverged
     if kept.all():
         return run
@@ -78,7 +78,7 @@ def _kept(run: Trajectory) -> Trajectory:
 
 @dataclass(frozen=True)
 class MetricChange:
-    """One metric under two controllers that met the same disturbances.
+    """One metric under two controllers on the same disturbances.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class MetricChange:
 
 
 def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> tuple[MetricChange, ...]:
-    """Change of every metric between two sets of runs on the same disturbances.
+    """Change of every metric between runs on the same disturbances.
 
     Smaller is better, but for the names in ``metrics.larger_is_better``, where the function has such an attribute.
 
@@ -137,7 +137,7 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
 
 
 def _change(name: str, before: float, after: float, first: Array, second: Array, larger: bool) -> MetricChange:
-    """Change of one metric, from its value on all runs and on each."""
+    """Change of one metric, from its values overall and per run."""
     spread = paired_difference(second, first)
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)
@@ -163,7 +163,7 @@ def _units(run: Trajectory) -> Iterator[Trajectory]:
 
 
 def _part(run: Trajectory, runs: Any, steps: slice) -> Trajectory:
-    """Some of the runs, over some of the steps."""
+    """Selected runs over selected steps."""
     start, end, _ = steps.indices(run.inputs.shape[1])
     return replace(
         run, states=run.states[runs, start : end + 1], inputs=run.inputs[runs, start:end],

@@ -1,4 +1,4 @@
-"""A PID tuned by random search and Nelder–Mead, and the other controllers that a policy is compared with."""
+"""PID tuned by random search and Nelder–Mead, and other baselines."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def tuned_pid(
     starts: int = 3,
     refinements: int = 160,
 ) -> PID:
-    """PID with the best mean return on the problem's model at one design. Errors replayed from a log are included.
+    """PID with the best mean return at one design, replayed errors included.
 
     Every candidate output is screened with log-uniform gains of both signs; the best few are refined by
     Nelder–Mead, all on the same scenarios; of a model that is not linear, both on its linearisation, and the model
@@ -89,7 +89,7 @@ def tuned_pid(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """Model and scenarios on which every candidate is tried. The design is fixed, half the scenarios have an offset."""
+    """Model, design and scenarios, half with an offset, for all candidates."""
 
     problem: CoDesignProblem
     plant: Simulable
@@ -115,7 +115,7 @@ class _Trial:
         return replace(self, x0=self.x0[:runs], w=self.w[:runs])
 
     def controller(self, C: Array, z: Array) -> PID:
-        """Controller with gains `z` (3, nu), flat or not. Units are full input at the edge of X, time in samples."""
+        """PID of gains `z`, (3, nu) or flat, in full inputs, half-widths of X, samples."""
         lower, upper = self.problem.input_bounds_at(self.design)
         reach = np.abs(C) @ self.problem.state_scale
         unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
@@ -124,7 +124,7 @@ class _Trial:
         return PID(C, kp, ki / dt, kd * dt, dt=dt, lower=lower, upper=upper)
 
     def cost(self, C: Array, z: Array) -> float:
-        """Mean cost of a candidate. A large one where the loop is not stable."""
+        """Mean cost of a candidate, `UNSTABLE_COST` if the loop is unstable."""
         pid = self.controller(C, z)
         return self.loss(pid) if is_stable(self.A, self.B, pid) else UNSTABLE_COST
 
@@ -138,7 +138,7 @@ class _Trial:
         return float(-run.returns(problem.objective).mean())
 
     def remark(self, pid: PID) -> str:
-        """Remark on gains that recover little without offsets. Little of what LQR gains over the passive plant."""
+        """Remark if, without offsets, little of LQR's gain over passive is recovered."""
         laws = (Passive(self.problem.model.nu), saturated_lqr(self.problem, self.design), pid)
         plain = replace(self, x0=self.x0[1::2], w=self.w[1::2])
         passive, lqr, own = (plain.loss(law) for law in laws)
@@ -148,7 +148,7 @@ class _Trial:
 
 
 class _Linearisation:
-    """Linearised model at one design, for `simulate`. Its disturbance, or errors of the next state, drive it."""
+    """Linearised model at one design, driven by disturbances or state errors."""
 
     def __init__(self, problem: CoDesignProblem, p: Array) -> None:
         model = problem.model
@@ -163,7 +163,7 @@ class _Linearisation:
 
 
 def _tried(problem: CoDesignProblem) -> Simulable:
-    """Nominal model, or the updated one that is driven by replayed errors."""
+    """Nominal model, or the updated one driven by replayed errors."""
     if problem.discrepancy is None:
         return problem.model
     if problem.discrepancy.noise != "replayed":
@@ -174,7 +174,7 @@ def _tried(problem: CoDesignProblem) -> Simulable:
 
 
 def is_stable(A: Array, B: Array, pid: PID) -> bool:
-    """Whether x⁺ = A x + B u with the unsaturated PID is asymptotically stable. Integral and last output are states."""
+    """Whether the unsaturated PID, with its memory, stabilises (A, B) asymptotically."""
     ny, nx = pid.C.shape
     proportional, integral, last = (
         np.diag(g) for g in (pid.kp + pid.ki * pid.dt + pid.kd / pid.dt, pid.ki, -pid.kd / pid.dt)
@@ -190,7 +190,7 @@ def is_stable(A: Array, B: Array, pid: PID) -> bool:
 
 
 def _default_outputs(B: Array) -> Array:
-    """Candidate outputs (k, nu, nx). Each state alone, for one input, and the states that the inputs push."""
+    """Candidate outputs (k, nu, nx): each state for one input, and what inputs push."""
     pushed = B.T / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)[:, None]
     if B.shape[1] > 1:
         return pushed[None]
@@ -198,7 +198,7 @@ def _default_outputs(B: Array) -> Array:
 
 
 def baselines(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> dict[str, Controller]:
-    """Passive, LQR, tuned PID and online MPC (horizon 20) at one design, by name.
+    """Passive, LQR, tuned PID and MPC (horizon 20) at one design, by name.
 
     LQR and MPC are those of the nominal model; the PID is tuned on the problem's own.
     """

@@ -1,4 +1,4 @@
-"""The picture of a comparison."""
+"""Picture of a comparison."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 
 
 def plot_scores(comparison: Any, ax: Any = None) -> Any:
-    """Plot the mean returns with their 95 % intervals, one row per controller. Those that always diverged stay empty.
+    """Plot the mean returns with 95 % intervals, one row per controller.
 
-    One that was tried on fewer runs stands at the mean of LQR on all runs and its paired difference to it.
+    One of fewer runs stands at LQR's mean on all runs plus its paired difference; one that always diverged is empty.
 
     Parameters
     ----------

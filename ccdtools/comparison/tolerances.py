@@ -1,4 +1,4 @@
-"""Every tolerance of `ccdtools.comparison`, with its meaning; where no unit is named it is relative [-]."""
+"""Tolerances of `ccdtools.comparison`, relative [-] unless a unit is named."""
 
 METRIC_CHANGE = 0.005  # A change of a metric below this part of its size does not matter.
 RECOVERED = 0.05  # A PID that recovers less than this part of what LQR gains over the passive plant is no baseline.

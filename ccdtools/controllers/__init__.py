@@ -1,4 +1,4 @@
-"""Controllers, learned and classical: anything with ``u = controller(x)``, batched."""
+"""Learned and classical controllers, ``u = controller(x)``, batched."""
 
 from ccdtools_ground.front_door import front_door
 

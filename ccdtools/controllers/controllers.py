@@ -39,10 +39,10 @@ SIGNALS = ("time", "reference", "preview", "last_input", "output")
 
 
 class Controller(Protocol):
-    """Map from states (n, nx) to inputs (n, nu), or (nx,) to (nu,). See the module for what else it may ask for."""
+    """Map of states (n, nx) or (nx,) to inputs (n, nu) or (nu,), see the module."""
 
     def __call__(self, x: Array) -> Array:
-        """The inputs."""
+        """Inputs of the states."""
         ...
 
 
@@ -65,7 +65,7 @@ class Passive:
 
 @dataclass(frozen=True, eq=False)
 class LinearFeedback(Immutable):
-    """Controller u = clip(−K x, lower, upper): an LQR, or any static gain, with saturation.
+    """Saturated static gain u = clip(−K x, lower, upper), such as LQR.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ class LinearFeedback(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class PID(Immutable):
-    """Controller u = clip(−(kp y + ki ∫y dt + kd dy/dt)), y = C x. Clamping anti-windup, one gain row per input.
+    """PID on outputs y = C x, with clamping anti-windup.
 
-    The gains never change. The integral and the last output are memory, which `reset` clears; copies start afresh.
+    u = clip(−(kp y + ki ∫y dt + kd dy/dt)), fixed gains. `reset` clears integral and last output; copies start afresh.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class PID(Immutable):
         self._memory.clear(as_count("n", n), len(self.C))
 
     def __call__(self, x: ArrayLike) -> Array:
-        """Inputs (n, nu) or (nu,). Advances the memory by one sample."""
+        """Inputs (n, nu) or (nu,), advancing the memory one sample."""
         states = as_states(x, self.C.shape[1])
         if states.ndim > 2:
             raise InputError("x", f"shape {states.shape}", f"({self.C.shape[1]},) or (n, {self.C.shape[1]})")
@@ -161,7 +161,7 @@ class PID(Immutable):
 
 
 class _Memory:
-    """Integral (n, ny) and last output (n, ny) of a PID. None before the first sample."""
+    """Integral and last output (n, ny) of a PID, None at first."""
 
     integral: Any = None
     last: Any = None
@@ -173,7 +173,7 @@ class _Memory:
 
 
 def as_states(x: ArrayLike, nx: int) -> Array:
-    """States (..., nx) as a float array. NaN passes, as of a run that is lost."""
+    """States (..., nx) as a float array; NaN of lost runs passes."""
     states = np.asarray(x, dtype=float) if isinstance(x, np.ndarray) and x.dtype.kind in "iuf" else as_floats("x", x)
     if states.shape[-1:] != (nx,):
         raise InputError("x", f"shape {states.shape}", f"({nx},) or (n, {nx})")
@@ -181,7 +181,7 @@ def as_states(x: ArrayLike, nx: int) -> Array:
 
 
 def _bounds(name: str, value: ArrayLike, size: int) -> Array:
-    """Bounds of so many inputs, or one for all. Infinite where there is none."""
+    """Bounds per input or one for all; infinite where there is none."""
     bound = as_floats(name, value)
     if bound.shape not in ((), (1,), (size,)) or np.isnan(bound).any():
         raise InputError(name, f"shape {bound.shape}" if not np.isnan(bound).any() else "NaN", f"({size},) bounds")

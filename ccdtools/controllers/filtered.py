@@ -1,4 +1,4 @@
-"""A controller behind a filter that keeps the next state in a set."""
+"""Controllers behind a filter that keeps states in a set."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class FilterCounts:
 
 
 class _Counter:
-    """Counts that the copies of a controller, made for a simulation, share with it."""
+    """Counts that a controller shares with its copies in simulations."""
 
     def __init__(self) -> None:
         self.counts = FilterCounts()
@@ -62,7 +62,7 @@ class _Counter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Filtered(Immutable):
-    """Controller u = the admissible input nearest to another controller's. Counts how often the two differ.
+    """Admissible input nearest to another controller's, with counts of the changes.
 
     It asks for what the other asks for (reference, preview, last input, output) and has its memory and its design, so
     it stands wherever the other does: in `simulate`, `compare` and `deploy`. The last input that the other is told is
@@ -105,7 +105,7 @@ class Filtered(Immutable):
         return f"Filtered({self.controller!r}, {self.admissible!r})"
 
     def __getattr__(self, name: str) -> Any:
-        """Attribute of the other controller that a closed loop asks for."""
+        """Attribute of the filtered controller for the closed loop."""
         if name == "loop" and callable(getattr(self.controller, "loop", None)):
             return lambda n: Filtered(self.controller.loop(n), self.admissible, _counter=self._counter)  # type: ignore[attr-defined]
         if name in PASSED_ON and "controller" in self.__dict__:
@@ -114,15 +114,15 @@ class Filtered(Immutable):
 
     @property
     def counts(self) -> FilterCounts:
-        """Counts since the filter was made, in all simulations together."""
+        """Counts since the filter was made, over all simulations."""
         return self._counter.counts
 
     def uncounted(self) -> Filtered:
-        """A copy with counts of its own."""
+        """Copy with counts of its own."""
         return Filtered(copy.deepcopy(self.controller), self.admissible)
 
     def __call__(self, x: ArrayLike, **signals: Any) -> Array:
-        """Admissible inputs (n, nu) or (nu,). NaN where the state is."""
+        """Admissible inputs (n, nu) or (nu,), NaN where the state is."""
         nx = self.admissible.S.dim
         states = as_states(x, nx)
         proposed = np.asarray(self.controller(states, **signals), dtype=float)
@@ -141,6 +141,6 @@ class Filtered(Immutable):
 
     @property
     def _range(self) -> Array:
-        """The range of each input over U, (nu,)."""
+        """Range of each input over U, (nu,)."""
         lower, upper = self.admissible.U.bounding_box()
         return np.asarray(upper - lower)

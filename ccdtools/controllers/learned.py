@@ -1,4 +1,4 @@
-"""A learned policy as a controller: NumPy in, NumPy out, saved without pickle."""
+"""Learned policy as a controller on NumPy arrays, saved without pickle."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from learning.tolerances import LOG_STD
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LearnedPolicy(Immutable):
-    """Controller u = π(x, p) at one design. The mean action, or a sample of the policy if `rng` is given.
+    """Controller u = π(x, p) of an agent at one design.
 
     Of an agent made for input limits U(p), the inputs lie within those of the design.
 
@@ -59,7 +59,7 @@ class LearnedPolicy(Immutable):
         set_(self, "_forward", _Forward.from_agent(self.agent, self.design))
 
     def _check_design(self) -> None:
-        """Raise an `InputError` if the design is not one that the agent was made for."""
+        """Raise an `InputError` unless the agent was made for the design."""
         size = len(self.design)
         most = len(self.agent.observation_offset) - 1
         if size > most:
@@ -88,11 +88,11 @@ class LearnedPolicy(Immutable):
         return self._forward.action(x, self.rng)
 
     def sampled(self, rng: np.random.Generator) -> LearnedPolicy:
-        """The stochastic policy, drawing from `rng`."""
+        """Stochastic policy, drawing from `rng`."""
         return LearnedPolicy(self.agent, self.design, as_generator("rng", rng))
 
     def to_casadi(self) -> ca.Function:
-        """Mean action at the design as a `casadi.Function`. It is "policy": x (nx,) to u (nu,), within the bounds.
+        """Mean action as the `casadi.Function` "policy", bounded: x (nx,) to u (nu,).
 
         CasADi differentiates it, calls it in expressions, and writes it in C: ``to_casadi().generate("policy.c")``. For
         torch, `agent` is a module with the same mean action at observations (..., nx + np) of state and design, in
@@ -105,7 +105,7 @@ class LearnedPolicy(Immutable):
         return ca.Function("policy", [x], [u], ["x"], ["u"])
 
     def save(self, path: str | Path, **notes: str) -> None:
-        """Save networks, design and any notes as one safetensors file. `load_policy` reads it back.
+        """Save networks, design and notes as one safetensors file for `load_policy`.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class LearnedPolicy(Immutable):
 
 
 def load_policy(path: str | Path) -> LearnedPolicy:
-    """The policy saved in a file.
+    """Policy saved in a file.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def load_policy(path: str | Path) -> LearnedPolicy:
 
 @dataclass(frozen=True, eq=False)
 class _Forward:
-    """Actor at a design in float64 arrays. It has a mean, an exploration, and a range of actions."""
+    """Actor at a design as float64 arrays: mean, exploration and action range."""
 
     mean: Layers
     std: Layers | None
@@ -163,7 +163,7 @@ class _Forward:
         return cls(agent.mean_network.at(*at).of(_array), std, _array(agent.log_std), _array(middle), _array(half))
 
     def action(self, x: Array, rng: np.random.Generator | None) -> Array:
-        """Actions (..., nu) in the units of the plant. The mean ones, or samples from `rng`."""
+        """Actions (..., nu) in plant units: the mean, or samples from `rng`."""
         latent = self.mean(x, np.tanh)
         if rng is not None:
             log_std = self.log_std if self.std is None else np.clip(self.std(x, np.tanh), *LOG_STD)
@@ -172,10 +172,10 @@ class _Forward:
 
 
 def _array(tensor: torch.Tensor) -> Array:
-    """A copy of a tensor in float64."""
+    """Copy of a tensor in float64."""
     return tensor.detach().double().numpy().copy()
 
 
 def _as_rows(array: Array) -> ca.DM:
-    """Matrix of CasADi as it is, a vector as a row."""
+    """CasADi matrix of an array, a vector as a row."""
     return ca.DM(np.atleast_2d(array))

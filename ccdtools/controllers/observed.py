@@ -1,4 +1,4 @@
-"""A controller that acts on an estimate in place of the state."""
+"""Controller that acts on an estimated state."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"
 
 
 class _Memory:
-    """Belief of all runs, and the controllers with their own memory. Empty before the first sample."""
+    """Beliefs of all runs and their controllers, empty before the first sample."""
 
     belief: Belief | None = None
     needs: frozenset[str] = frozenset()
@@ -32,7 +32,7 @@ class _Memory:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observed(Immutable):
-    """Controller u = κ(x̂_{k|k}). An estimator finds the state from y_k and the inputs applied so far.
+    """Controller u = κ(x̂_{k|k}) on an estimate from outputs and applied inputs.
 
     It needs "output" and "last_input", and asks for what the controller asks for besides (reference, preview, time);
     memory and design of the controller are its own. The state that a closed loop hands over is not looked at. Every run
@@ -79,23 +79,23 @@ class Observed(Immutable):
         return f"Observed({self.controller!r}, {self.estimator!r})"
 
     def __getattr__(self, name: str) -> Any:
-        """Attribute of the controller that a closed loop asks for."""
+        """Attribute of the inner controller for the closed loop."""
         if name in PASSED_ON and "controller" in self.__dict__:
             return getattr(self.controller, name)
         raise AttributeError(f"'Observed' object has no attribute {name!r}")
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of what a closed loop hands over besides the state."""
+        """Names of the signals needed besides the state."""
         return needs_in_loop(self.controller) | {"output", "last_input"}
 
     @property
     def estimate(self) -> Array | None:
-        """Estimate x̂_{k|k} (n, nx) of the last call. None before the first. A simulation works on a copy."""
+        """Last estimate x̂_{k|k} (n, nx), None before the first; simulations use a copy."""
         return None if self._memory.belief is None else self._memory.belief.mean
 
     def uncounted(self) -> Observed:
-        """Copy whose filter, if it has one, counts on its own."""
+        """Copy whose filter, if any, counts on its own."""
         apart = getattr(self.controller, "uncounted", None)
         return Observed(self.controller if apart is None else apart(), self.estimator)
 
@@ -109,7 +109,7 @@ class Observed(Immutable):
     def __call__(
         self, x: ArrayLike | None = None, *, y: ArrayLike | None = None, u_prev: ArrayLike | None = None, **signals: Any
     ) -> Array:
-        """Inputs (n, nu), or (nu,) for one run. NaN where the estimate is. Advances the memory by one sample."""
+        """Inputs (n, nu) or (nu,), NaN where the estimate is, advancing the memory."""
         nu = int(self.estimator.nu)
         outputs = self._rows("y", y, int(self.estimator.ny), "Pass output=Measurement(…) to the simulation.")
         last = self._rows("u_prev", u_prev, nu, "It is 0 before the first.")
@@ -129,7 +129,7 @@ class Observed(Immutable):
         return u[0] if single else u
 
     def _inputs(self, states: Array, y: Array, last: Array, signals: dict[str, Any]) -> Array:
-        """Inputs (n, nu) of the controller at the estimates (n, nx) of all runs."""
+        """Inputs (n, nu) at the estimates (n, nx) of all runs."""
         memory = self._memory
         given = {name: value for name, value in (("y", y), ("u_prev", last)) if SIGNAL_OF[name] in memory.needs}
         assert memory.controllers is not None
@@ -144,7 +144,7 @@ class Observed(Immutable):
         return u
 
     def _rows(self, name: str, value: ArrayLike | None, size: int, cure: str) -> Array:
-        """Signal as rows (n, size). One run may be given as (size,)."""
+        """Signal as rows (n, size), also of one run (size,)."""
         if value is None:
             raise InputError(name, "nothing", f"({size},) or (n, {size})", cure)
         rows = np.atleast_2d(as_floats(name, value))

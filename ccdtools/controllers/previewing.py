@@ -1,4 +1,4 @@
-"""A law of the state and what lies ahead, on a plant that has only the state."""
+"""Law of the state and a preview, on the original plant."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TAKEN = ("preview", "reference")  # signals of a horizon, of which a loop knows 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Previewing(Immutable):
-    """Controller u = law(x, w_k, …, w_{k+N−1}) of `with_preview(model, N)`, on the plant without the register.
+    """Controller of `with_preview(model, N)` on the plant without the register.
 
     It asks the loop for N samples of preview, and runs in `simulate`, `compare` and `deploy`. Beyond the end of a
     record its last sample is held.
@@ -64,7 +64,7 @@ class Previewing(Immutable):
         return f"Previewing({self.controller!r}, {self.steps} samples ahead)"
 
     def __getattr__(self, name: str) -> Any:
-        """Attribute of the controller that a closed loop asks for."""
+        """Attribute of the inner controller for the closed loop."""
         if name == "loop" and callable(getattr(self.controller, "loop", None)):
             return lambda n: Previewing(self.controller.loop(n), self.steps, self.channels)  # type: ignore[attr-defined]
         if name in PASSED_ON and "controller" in self.__dict__:
@@ -73,7 +73,7 @@ class Previewing(Immutable):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of a preview and of what the controller needs."""
+        """Signals needed: a preview, and the controller's own."""
         return frozenset({"preview"}) | needs_of(self.controller)
 
     @property
@@ -82,7 +82,7 @@ class Previewing(Immutable):
         return self.steps
 
     def __call__(self, x: ArrayLike, *, w: ArrayLike, **signals: Any) -> Array:
-        """Inputs (n, nu) of states (n, nx) with what they will meet, w (n, N, nw), or (nu,) of (nx,) and (N, nw)."""
+        """Inputs (n, nu) for states (n, nx) and preview w (n, N, nw), or one run's."""
         states = as_floats("x", x)
         ahead = as_floats("w", w)
         if ahead.ndim != states.ndim + 1 or ahead.shape[-2] != self.steps:

@@ -1,4 +1,4 @@
-"""Signals that a simulation hands to a controller beside the state."""
+"""Signals of a simulation for controllers, beside the state."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Reference(Immutable):
             object.__setattr__(self, name, frozen(finite(f"reference.{name}", rows)))
 
     def check(self, nx: int, nu: int) -> None:
-        """Raise an `InputError` unless it has so many states and inputs."""
+        """Raise an `InputError` unless sizes are `nx` and `nu`."""
         for name, rows, size in (("x", self.x, nx), ("u", self.u, nu)):
             if rows is not None and rows.shape[1] != size:
                 raise InputError(f"reference.{name}", f"{rows.shape[1]} columns", str(size))
@@ -52,7 +52,7 @@ class Reference(Immutable):
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Signals that a simulation knows beside the states: T samples of n runs."""
+    """Signals beside the states: T samples of n runs."""
 
     disturbances: Array  # (n, T, nw)
     reference: Reference | None
@@ -61,7 +61,7 @@ class Surroundings:
 
 
 class Driver:
-    """A controller with its own memory for n runs, called with what it needs.
+    """Controller with memory for n runs, called with what it needs.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class Driver:
         return x if sensor is None else sensor(k, x, self.last)
 
     def _signals(self, k: int, y: Array | None, run: int | slice) -> dict[str, Any]:
-        """The keyword arguments of one call, for one run or all."""
+        """Keyword arguments of one call, for one run or all."""
         around = self.surroundings
         ahead = self.horizon
         signals = dict[str, Any]()
@@ -128,7 +128,7 @@ class Driver:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Controller made of a model: ``predict(x)`` → u, or ``predict(x, deterministic=True)`` → (u, memory)."""
+    """Controller from ``predict(x)`` → u or ``predict(x, deterministic=True)`` → (u, memory)."""
 
     model: Any
     deterministic: bool
@@ -142,7 +142,7 @@ class Predicted:
 
 
 def as_controller(controller: Any) -> Any:
-    """Controller from a controller, or from a model of Stable-Baselines3, scikit-learn or the like with ``predict``."""
+    """Controller as given, or made from a model with ``predict``."""
     predict = getattr(controller, "predict", None)
     if callable(controller) or not callable(predict):
         return controller
@@ -182,7 +182,7 @@ def needs_of(controller: Any) -> frozenset[str]:
 
 
 def _check_takes_state(controller: Any) -> None:
-    """Raise an `InputError` if the controller's signature has no place for the state."""
+    """Raise an `InputError` unless the signature takes the state."""
     try:
         signature = inspect.signature(controller)
     except (TypeError, ValueError):  # a callable in C need not have one
@@ -195,18 +195,18 @@ def _check_takes_state(controller: Any) -> None:
 
 
 def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:
-    """Function without arguments that calls the controller for one state (nx,), for timing."""
+    """Argument-free call of the controller at one state (nx,), for timing."""
     driver = Driver(controller, surroundings, 1, nu)
     return lambda: driver(0, x[None])
 
 
 def needs_in_loop(controller: Any) -> frozenset[str]:
-    """Names of what a controller needs in a closed loop. It may be another controller that it makes."""
+    """Signals that a controller, or its ``loop``, needs in a closed loop."""
     return needs_of(_in_loop(controller, 1))
 
 
 def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]:
-    """Needs of a controller, and the controllers to call for so many runs. Also whether one takes all runs at once.
+    """Needs, controllers to call for all runs, and whether one takes all at once.
 
     Those with memory are copies, which are reset.
     """
@@ -218,12 +218,12 @@ def opened(controller: Any, runs: int) -> tuple[frozenset[str], list[Any], bool]
 
 
 def _in_loop(controller: Any, runs: int) -> Any:
-    """Controller itself, or the one with memory that it makes for so many runs."""
+    """Controller itself, or the one with memory it makes for the runs."""
     return controller.loop(runs) if callable(getattr(controller, "loop", None)) else as_controller(controller)
 
 
 def _copies(controller: Any, runs: int, *, one_by_one: bool) -> tuple[list[Any], bool]:
-    """Controllers to call, and whether the only one of them takes all runs at once."""
+    """Controllers to call, and whether one takes all runs at once."""
     reset = getattr(controller, "reset", None)
     if reset is None:
         return [controller] * (runs if one_by_one else 1), not one_by_one
@@ -243,7 +243,7 @@ def _takes_count(reset: Any) -> bool:
 
 
 def _window(rows: ArrayLike, k: int, length: int | None) -> Array:
-    """Row k, or `length` rows from k on. The last row is held beyond the end."""
+    """Row k, or `length` rows from k; the last row is held."""
     rows = np.asarray(rows)
     if length is None:
         return rows[min(k, len(rows) - 1)]

@@ -1,4 +1,4 @@
-"""Disturbances that act on a plant: random, generated or recorded disturbances."""
+"""Random, generated and recorded disturbances of a plant."""
 
 from ccdtools_ground.front_door import front_door
 

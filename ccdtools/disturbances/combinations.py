@@ -1,4 +1,4 @@
-"""Disturbances made of others: added, side by side, one of several at random or in turn, or held over a run."""
+"""Disturbances made of others: sums, stacks, mixtures, cases and constants."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ A_DISTURBANCE = "disturbances, with a method sample(runs, steps, rng)"
 
 
 class Combination(Immutable):
-    """Disturbance that is made of others, its `terms`."""
+    """Disturbance made of others, its `terms`."""
 
     terms: tuple[Disturbance, ...]
 
@@ -48,7 +48,7 @@ class Sum(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Combination):
-    """Independent disturbances side by side. The channels of the first, then those of the second, and so on.
+    """Independent disturbances side by side, their channels in order.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Stacked(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Constant(Combination):
-    """Disturbance that is uncertain but does not change: drawn once per run, and held over it.
+    """Uncertain constant disturbance, drawn once per run and held.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Constant(Combination):
 
     @property
     def terms(self) -> tuple[Disturbance, ...]:  # type: ignore[override]
-        """The distribution, as the only term."""
+        """Distribution as the only term."""
         return (self.distribution,)
 
     @property
@@ -110,7 +110,7 @@ class Constant(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Mixture(Combination):
-    """One of several disturbances with the same channels, drawn for each run. For example roads, speeds or drivers.
+    """One of several disturbances with the same channels, drawn for each run.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class Mixture(Combination):
 
 @dataclass(frozen=True, eq=False)
 class Cases(Combination):
-    """Several disturbances with the same channels that the runs take in turn. Run i of m has term i mod m.
+    """Disturbances with the same channels in turn: run i has term i mod m.
 
     Every case is met by as many runs, and which run met which is known: what `WorstCase` asks for. Cases in several
     places, side by side or in the starts, go in step: of numbers without a common divisor all pairs are met, of two and
@@ -164,7 +164,7 @@ class Cases(Combination):
 
     @classmethod
     def of(cls, values: ArrayLike) -> Cases:
-        """Cases of an uncertain parameter. Each of the values (m,) or (m, nw) is held over its runs."""
+        """Cases of an uncertain parameter with constant values (m,) or (m, nw)."""
         given = as_floats("values", values)
         rows = given[:, None] if given.ndim == 1 else given
         if rows.ndim != 2 or rows.size == 0:
@@ -183,7 +183,7 @@ class Cases(Combination):
 
 
 def cases_in(disturbance: Any) -> int:
-    """Number of runs after which the cases of a disturbance or of its terms repeat. 1 where there are none."""
+    """Number of runs after which the cases repeat; 1 without cases."""
     if not isinstance(disturbance, Combination) or isinstance(disturbance, Mixture):  # which draws, and counts no runs
         return 1
     own = len(disturbance.terms) if isinstance(disturbance, Cases) else 1
@@ -191,7 +191,7 @@ def cases_in(disturbance: Any) -> int:
 
 
 def _shared_out(terms: tuple[Disturbance, ...], chosen: Indices, steps: int, rng: np.random.Generator) -> Array:
-    """Sequences (runs, steps, nw), those of each run from the chosen term."""
+    """Sequences (runs, steps, nw), each from its run's chosen term."""
     least = min(len(chosen), 2)  # a recording replays a single run from its start: one of several runs must not do so
     counts = np.bincount(chosen, minlength=len(terms)).tolist()
     parts = {i: terms[i].sample(max(n, least), steps, rng) for i, n in enumerate(counts) if n}
@@ -203,14 +203,14 @@ def _shared_out(terms: tuple[Disturbance, ...], chosen: Indices, steps: int, rng
 
 
 def is_recorded(disturbance: Any) -> bool:
-    """Whether a disturbance or one of its terms is a recording. A single run of it is the same every time."""
+    """Whether a disturbance or a term is a recording, so single runs repeat."""
     if isinstance(disturbance, Combination):
         return any(map(is_recorded, disturbance.terms))
     return isinstance(disturbance, Recorded)
 
 
 def as_chances(argument: str, weights: ArrayLike | None, size: int, *, of: str) -> Array:
-    """Probabilities (size,) from weights ≥ 0 of which one is not zero. Equal ones where there are none."""
+    """Probabilities (size,) from weights ≥ 0, not all zero; equal without weights."""
     if weights is None:
         return frozen(np.full(size, 1.0 / size))
     given = as_vector(argument, weights, size, of=of)
@@ -220,7 +220,7 @@ def as_chances(argument: str, weights: ArrayLike | None, size: int, *, of: str) 
 
 
 def _checked(argument: str, value: Any) -> tuple[Disturbance, ...]:
-    """A tuple of at least one disturbance."""
+    """Tuple of at least one disturbance."""
     try:
         terms = tuple(value)
     except TypeError:
@@ -233,11 +233,11 @@ def _checked(argument: str, value: Any) -> tuple[Disturbance, ...]:
 
 
 def _widths(terms: tuple[Disturbance, ...]) -> list[int | None]:
-    """Numbers of channels, None for a disturbance that does not know its own."""
+    """Numbers of channels, None where a term does not know it."""
     return [getattr(term, "nw", None) for term in terms]
 
 
 def _check_alike(widths: list[int]) -> None:
-    """Raise an `InputError` if terms have different numbers of channels."""
+    """Raise an `InputError` if numbers of channels differ."""
     if len(set(widths)) > 1:
         raise InputError("terms", f"disturbances of {', '.join(map(str, widths))} channels", "as many in each")

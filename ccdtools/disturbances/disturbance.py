@@ -13,7 +13,7 @@ from ccdtools.exceptions import InputError
 
 
 class Disturbance(Protocol):
-    """Anything that draws disturbance sequences. One that knows its number of channels has it as `nw`."""
+    """Anything that draws disturbance sequences; `nw` is its number of channels, if known."""
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -22,7 +22,7 @@ class Disturbance(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Gaussian(Immutable):
-    """Independent normal noise with standard deviations `std` and `mean` (nw,), zero by default."""
+    """Independent normal noise with `std` and `mean` (nw,), zero by default."""
 
     std: ArrayField
     mean: ArrayField = 0.0
@@ -74,7 +74,7 @@ class Uniform(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recorded(Immutable):
-    """Recorded signal (T, nw) or (T,). One run replays it from its start, several take seeded windows of it."""
+    """Recorded signal (T, nw) or (T,): from its start for one run, seeded windows for several."""
 
     signal: ArrayField
 
@@ -110,7 +110,7 @@ class Recorded(Immutable):
 
 
 def check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:
-    """Raise an `InputError` unless the arguments of `sample` make sense."""
+    """Raise an `InputError` unless arguments of `sample` are valid."""
     as_count("runs", runs)
     as_count("steps", steps)
     as_generator("rng", rng)

@@ -1,4 +1,4 @@
-"""Recorded roads, speeds and disturbances: CSV files read and checked once, at the door."""
+"""CSV files of recorded roads, speeds and disturbances, checked when read."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or wit
 
 
 def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, argument: str = "path") -> Array:
-    """The recorded disturbance, one value per time step.
+    """Recorded disturbance, one value per time step.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def read_disturbance(path: FilePath, *, dt: float, column: str | None = None, ar
 
 
 def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
-    """Recorded road: distance [m], strictly increasing, and elevation [m].
+    """Recorded road: strictly increasing distance [m], and elevation [m].
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def read_road(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
 
 
 def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]:
-    """Recorded speed: time [s], strictly increasing, and speed, converted from km/h to m/s.
+    """Recorded speed: strictly increasing time [s], and speed [m/s] from [km/h].
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def read_speed(path: FilePath, *, argument: str = "path") -> tuple[Array, Array]
 
 @dataclass(frozen=True)
 class _Table:
-    """Rows of text under a header, with the line of the file each row came from."""
+    """Rows of text under a header, with their file line numbers."""
 
     argument: str
     path: Path
@@ -134,11 +134,11 @@ class _Table:
     lines: tuple[int, ...]
 
     def fail(self, got: str, expected: str, cure: str = "") -> NoReturn:
-        """Raise an `InputError` that names the argument and the file. It says how unusually the file is written."""
+        """Raise an `InputError` that names argument and file, with advice on format."""
         raise InputError(self.argument, f"{self.path}: {got}", expected, self._unusual() or cure)
 
     def _unusual(self) -> str:
-        """Advice about a file that is no plain CSV. Empty where it is one."""
+        """Advice about a file that is not plain CSV, or empty."""
         written = "\n".join(",".join(row) for row in (self.header, *self.rows[:20]))
         if written.startswith("#") or "\n#" in written:
             return "Remove # and what follows it: a first line with the names of the columns is read, comments are not."
@@ -155,7 +155,7 @@ class _Table:
         return "Write decimals with a point: a comma separates columns." if decimal else ""
 
     def only_value_column(self) -> str:
-        """Name of the one column that is not the time."""
+        """Name of the only column besides the time."""
         names = [name for name in self.header if not _is_time(name)]
         if len(names) != 1:
             self.fail(
@@ -165,7 +165,7 @@ class _Table:
         return names[0]
 
     def check_no_gap(self) -> None:
-        """Raise if a blank line stands for a sample. Dropped, it would shift the rest of the recording by one.
+        """Raise if a blank line stands for a sample and would shift the rest.
 
         A time column shows by itself whether a sample is missing; blank lines after every row are double spacing.
         """
@@ -184,7 +184,7 @@ class _Table:
         return np.array([self._number(row[index], name, line) for row, line in zip(self.rows, self.lines)])
 
     def check_increasing(self, name: str, values: Array) -> None:
-        """Raise unless every value is larger than the one before."""
+        """Raise unless values increase strictly."""
         step = np.diff(values)
         if (step <= 0).any():
             row = int(np.argmax(step <= 0)) + 1
@@ -194,7 +194,7 @@ class _Table:
             )  # fmt: skip
 
     def _number(self, cell: str, name: str, line: int) -> float:
-        """The finite number in a cell."""
+        """Finite number in a cell."""
         try:
             value = float(cell) if "_" not in cell else math.nan  # Python reads "1_0" as 10
         except ValueError:
@@ -206,7 +206,7 @@ class _Table:
 
 
 def _read_table(path: FilePath, argument: str) -> _Table:
-    """Header and rows of a CSV file with at least two rows of data."""
+    """Header and at least two rows of a CSV file."""
     if not isinstance(path, str | PathLike) or not str(path):
         raise InputError(argument, shown(path), "the path of a CSV file")
     path = Path(path)
@@ -228,7 +228,7 @@ def _read_table(path: FilePath, argument: str) -> _Table:
 
 
 def _read_rows(path: Path, argument: str) -> list[tuple[int, list[str]]]:
-    """Rows of the file with their line numbers, or one clear line why there are none."""
+    """Rows of the file with line numbers, or a clear `InputError`."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file)
@@ -244,7 +244,7 @@ def _read_rows(path: Path, argument: str) -> list[tuple[int, list[str]]]:
 
 
 def _check_sampling(table: _Table, time: Array, dt: float) -> None:
-    """Raise unless `time` advances by equal steps, and these are `dt`."""
+    """Raise unless `time` advances by equal steps of `dt`."""
     step = np.diff(time)
     typical = float(np.median(step))
     unequal = np.abs(step - typical) > SAMPLING * abs(typical)

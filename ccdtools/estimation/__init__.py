@@ -1,4 +1,4 @@
-"""Measurements of a plant, and the estimates of its state."""
+"""Measurements of a plant, and estimates of its state."""
 
 from ccdtools_ground.front_door import front_door
 

@@ -1,4 +1,4 @@
-"""Belief about a state: mean and covariance, their checks, and how predictions and measurements change them."""
+"""Beliefs about a state, their checks, prediction and update."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Estimates:
 
 
 class Estimator(Protocol):
-    """Protocol of an estimator for `Observed`. It has no memory itself: a belief goes in, the next comes out."""
+    """Estimator for `Observed`, without memory: belief in, next belief out."""
 
     @property
     def nx(self) -> int:
@@ -78,17 +78,17 @@ class Estimator(Protocol):
         ...
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) were measured, after inputs (n, nu)."""
+        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
         ...
 
 
 def transposed(M: Array) -> Array:
-    """The transposes of matrices (..., n, m)."""
+    """Transposes of matrices (..., n, m)."""
     return M.swapaxes(-1, -2)
 
 
 def symmetric(M: Array) -> Array:
-    """Symmetric part of matrices (..., n, n). Rounding leaves the other."""
+    """Symmetric part of matrices (..., n, n), against rounding."""
     return np.asarray((M + transposed(M)) / 2)
 
 
@@ -103,7 +103,7 @@ def innovation_covariance(P: Array, H: Array, V: Array) -> Array:
 
 
 def gain_of(P: Array, H: Array, V: Array) -> Array:
-    """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹, (..., nx, ny). Outputs may be in any units."""
+    """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹ (..., nx, ny), in any units."""
     S = innovation_covariance(P, H, V)
     unit = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
     scaled = S / unit[..., :, None] / unit[..., None, :]
@@ -112,13 +112,13 @@ def gain_of(P: Array, H: Array, V: Array) -> Array:
 
 
 def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
-    """Updated covariance (I − K H) P (I − K H)ᵀ + K V Kᵀ. It stays positive semidefinite under rounding (Joseph)."""
+    """Updated covariance in Joseph's form, positive semidefinite under rounding."""
     rest = np.eye(P.shape[-1]) - K @ H
     return symmetric(rest @ P @ transposed(rest) + K @ V @ transposed(K))
 
 
 def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-    """Estimates along a record of y (T, ny) and u (T, nu), or (n, T, ny) and (n, T, nu); u_k held from k to k + 1."""
+    """Estimates along y ([n,] T, ny) and u ([n,] T, nu), u_k held until k + 1."""
     y = _runs("outputs", outputs, estimator.ny)
     n, steps = y.shape[:2]
     u = _runs("inputs", inputs, estimator.nu)
@@ -141,14 +141,14 @@ def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
 
 
 def _runs(argument: str, value: ArrayLike, size: int) -> Array:
-    """Record (n, T, size). One run may be given as (T, size), or (T,) where the size is one."""
+    """Record (n, T, size), also of one run (T, size), or (T,) if size 1."""
     array = as_floats(argument, value)
     array = array[:, None] if array.ndim == size == 1 else array
     return as_array(argument, array[None] if array.ndim == 2 else array, ("n", "T", size))
 
 
 def as_covariance(argument: str, value: Any, size: int, *, definite: bool = False, cure: str = "") -> Array:
-    """Read-only covariance (size, size), in any units. A vector is its diagonal, the variances."""
+    """Read-only covariance (size, size), also from its diagonal, in any units."""
     given = np.atleast_1d(finite(argument, as_floats(argument, value)))
     if given.shape not in ((size,), (size, size)):
         raise InputError(argument, f"shape {given.shape}", f"a covariance ({size}, {size}), or variances ({size},)")
@@ -170,13 +170,13 @@ def as_covariance(argument: str, value: Any, size: int, *, definite: bool = Fals
 
 
 def as_noise_covariances(W: ArrayLike, V: ArrayLike, nx: int, ny: int) -> tuple[Array, Array]:
-    """Covariances of the process noise and of the measurement noise."""
+    """Covariances of the process and measurement noise."""
     cure = "Give an output without noise a small variance."
     return as_covariance("W", W, nx), as_covariance("V", V, ny, definite=True, cure=cure)
 
 
 def as_start(x0: ArrayLike | None, P0: ArrayLike | None, nx: int) -> tuple[Array, Array]:
-    """Estimate (nx,) and its covariance before the first measurement. 0 where no estimate is given."""
+    """First estimate (nx,), 0 by default, and its covariance."""
     if P0 is None:
         cure = "How far the first state may lie from x0; steady=True of a KalmanFilter needs none."
         raise InputError("P0", "nothing", f"the covariance ({nx}, {nx}) of the first state", cure)

@@ -1,4 +1,4 @@
-"""The Kalman filter of nonlinear models, linearised about its own estimate."""
+"""Extended Kalman filter, linearised about its own estimate."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class ExtendedKalmanFilter(Immutable):
         set_(self, "detectability", detectability(self._slopes, self.x0, self.P0))
 
     def _slopes(self, x: Array) -> tuple[Array, Array]:
-        """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx). Taken at states (n, nx) without an input."""
+        """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx) without input."""
         u = np.zeros((len(x), self.nu))
         spread = np.tile(np.sqrt(np.maximum(np.diag(self.P0), 0.0)), (len(x), 1))
         F, H = self._f(x, u)[1], self._h.slope(x, u, np.where(spread > 0, spread, 1.0))
@@ -127,7 +127,7 @@ class ExtendedKalmanFilter(Immutable):
         return space.check_one(self.design)
 
     def __deepcopy__(self, memory: Any) -> ExtendedKalmanFilter:
-        """This object itself, because it never changes. A copy for each run would differentiate the model again."""
+        """This object itself, as it is constant and costly to build."""
         return self
 
     def __repr__(self) -> str:
@@ -156,7 +156,7 @@ class ExtendedKalmanFilter(Immutable):
 
     @cached_property
     def _f(self) -> Transition:
-        """Function from x (n, nx) and u (n, nu) to x⁺ (n, nx) and ∂x⁺/∂x, (nx, nx) or (n, nx, nx)."""
+        """Function (x, u) → x⁺ (n, nx), ∂x⁺/∂x (nx, nx) or (n, nx, nx)."""
         if isinstance(self.model, LinearModel):
             A, B, _ = self.model.matrices(self.design)
             c = self.model.constant(self.design)
@@ -173,11 +173,11 @@ class ExtendedKalmanFilter(Immutable):
         return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovation and its covariance (n, ny, ny) to first order. y (n, ny) less what inputs (n, nu) let expect."""
+        """Innovation of y (n, ny) after u (n, nu), and first-order covariance (n, ny, ny)."""
         return y - self._h(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) were measured, after inputs (n, nu)."""
+        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
         H = self._slope(belief, u)
         K = gain_of(belief.covariance, H, self.V)
         innovation = y - self._h(belief.mean, u)
@@ -185,7 +185,7 @@ class ExtendedKalmanFilter(Immutable):
         return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along a record of outputs and inputs. Shapes are (T, ny) or (n, T, ny), and (T, nu) or (n, T, nu).
+        """Estimates along outputs ([n,] T, ny) and inputs ([n,] T, nu).
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """
@@ -198,7 +198,7 @@ class ExtendedKalmanFilter(Immutable):
 
 
 def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:
-    """Function from (x, u) to x⁺ (n, nx) and ∂x⁺/∂x (n, nx, nx), at w = 0 and one design."""
+    """Function (x, u) → x⁺ (n, nx), ∂x⁺/∂x (n, nx, nx) at w = 0."""
     nx = model.nx
     x, u, design = (ca.MX.sym(name, size) for name, size in zip("xup", (nx, model.nu, model.design.dim)))
     after = model.step(x, u, ca.DM.zeros(model.nw, 1), design)
@@ -208,7 +208,7 @@ def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:
         function = function.expand()
 
     def transition(states: Array, inputs: Array) -> tuple[Array, Array]:
-        """Next states and slopes ∂x⁺/∂x of states (n, nx) and inputs (n, nu)."""
+        """Next states (n, nx) and slopes ∂x⁺/∂x (n, nx, nx)."""
         columns = np.asarray(function(states.T, inputs.T, p), dtype=float).T
         F = columns[:, nx:].reshape(-1, nx, nx).swapaxes(1, 2)
         return frozen(columns[:, :nx]), F

@@ -33,10 +33,10 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KalmanFilter(Immutable):
-    """Least-variance estimates of x⁺ = A x + B u + w from y_k = C x_k + D u_{k-1} + y0 + v_k.
+    """Least-variance estimates of the state of a linear model.
 
     In current form: x̂_{k|k} has y_k in it. The filter has no memory itself; `Observed` gives it one in a closed loop,
-    `filter` runs it along a record. Before the first measurement the estimate is x0 with covariance P0.
+    `filter` runs it along a record. The model is x⁺ = A x + B u + w, y_k = C x_k + D u_{k-1} + y0 + v_k.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class KalmanFilter(Immutable):
         set_(self, "P0", None if self.steady else P0)
 
     def __deepcopy__(self, memory: Any) -> KalmanFilter:
-        """This object itself, because it never changes. A copy for each run would solve the Riccati equation again."""
+        """This object itself, as it is constant and costly to build."""
         return self
 
     @classmethod
@@ -125,7 +125,7 @@ class KalmanFilter(Immutable):
         cls, plant: Plant, *, W: ArrayLike, V: ArrayLike, design: ArrayLike = (), steady: bool = True,
         x0: ArrayLike | None = None, P0: ArrayLike | None = None,
     ) -> KalmanFilter:  # fmt: skip
-        """Filter of a linear plant's own outputs at a design (np,), for example of `linearise(plant, equilibrium)`.
+        """Filter of a linear plant's outputs at a design (np,), as of `linearise`.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class KalmanFilter(Immutable):
 
     @cached_property
     def predicted(self) -> Array:
-        """Covariance (nx, nx) of x_k given y up to k − 1, in the long run."""
+        """Steady covariance (nx, nx) of x_k given y up to k − 1."""
         return frozen(steady_covariance(self.A, self.C, self.W, self.V))
 
     @cached_property
@@ -178,7 +178,7 @@ class KalmanFilter(Immutable):
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance (nx, nx) of x_k given y up to k, in the long run."""
+        """Steady covariance (nx, nx) of x_k given y up to k."""
         return frozen(updated_covariance(self.predicted, self.C, self.V, self.gain))
 
     @property
@@ -197,11 +197,11 @@ class KalmanFilter(Immutable):
         return Belief(mean, P)
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovation and its covariance (ny, ny). y (n, ny) less what is expected after inputs (n, nu)."""
+        """Innovation of y (n, ny) after u (n, nu), and covariance (ny, ny)."""
         return self._surprise(belief, y, u), innovation_covariance(belief.covariance, self.C, self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) were measured, after inputs (n, nu)."""
+        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
         K = self.gain if self.steady else gain_of(belief.covariance, self.C, self.V)
         P = self.covariance if self.steady else updated_covariance(belief.covariance, self.C, self.V, K)
         return Belief(belief.mean + self._surprise(belief, y, u) @ K.T, P)
@@ -211,7 +211,7 @@ class KalmanFilter(Immutable):
         return np.asarray(y - belief.mean @ self.C.T - u @ self.D.T - self.y0)
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along a record of outputs and inputs. Shapes are (T, ny) or (n, T, ny), and (T, nu) or (n, T, nu).
+        """Estimates along outputs ([n,] T, ny) and inputs ([n,] T, nu).
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """

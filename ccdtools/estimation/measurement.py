@@ -1,4 +1,4 @@
-"""Measurements by sensors: outputs with noise, the same in every loop that is closed with the same random numbers."""
+"""Measurements by sensors: outputs with reproducible noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ccdtools.plants.plant import Plant
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement(Immutable):
-    """Measurement y_k = h(x_k, u_{k-1}, p) + v_k, made before the input u_k is decided on.
+    """Measurement y_k = h(x_k, u_{k-1}, p) + v_k, made before u_k.
 
     Outputs that depend on the input see the one that was applied until then, u_{k-1}, which is 0 before the first.
 
@@ -54,7 +54,7 @@ class Measurement(Immutable):
         return f"Measurement({what}, {'no noise' if self.noise is None else f'noise: {type(self.noise).__name__}'})"
 
     def check(self, nx: int, nu: int) -> None:
-        """Raise an `InputError` unless it fits a plant of so many states and inputs. Functions show when called."""
+        """Raise an `InputError` unless sizes fit; functions show when called."""
         check_sizes(self.output, nx, nu)
 
     @property
@@ -63,11 +63,11 @@ class Measurement(Immutable):
         return hasattr(self.noise, "sample")
 
     def at(self, nx: int, nu: int, p: Array) -> Output:
-        """Output function h at one design, of a plant of so many states and inputs."""
+        """Output function h(x, u) at one design."""
         return output_at(self.output, nx, nu, p)
 
     def check_noise(self, runs: int, steps: int) -> None:
-        """Raise an `InputError` unless the noise is enough for so many runs, and of every output.
+        """Raise an `InputError` unless the noise covers all runs, steps and outputs.
 
         How many outputs a function has shows when it is called.
         """
@@ -80,20 +80,20 @@ class Measurement(Immutable):
             _check_channels(self.noise, len(self.output))
 
     def drawn(self, runs: int, steps: int, rng: np.random.Generator | None) -> Measurement:
-        """Same measurement with its noise drawn, for so many runs of so many steps."""
+        """Measurement with its noise drawn for all runs and steps."""
         if not self.random:
             return self
         return replace(self, noise=_drawn(self.noise, runs, steps, as_generator("rng", rng)))
 
     def first(self, runs: int, steps: int) -> Measurement:
-        """Measurement of the first so many runs and steps, where its noise is drawn."""
+        """Measurement with drawn noise cut to the first runs and steps."""
         if self.noise is None or self.random:
             return self
         return replace(self, noise=self.noise[:runs, :steps])
 
 
 class Sensor:
-    """Sensor of a closed loop of so many runs: (k, x, u) → y.
+    """Sensor (k, x, u) → y of a closed loop.
 
     Its noise comes from a generator of its own, split off from `rng`: what else is drawn from `rng` stays the same with
     and without it, and it is drawn only where a controller listens.
@@ -110,12 +110,12 @@ class Sensor:
 
     @cached_property
     def noise(self) -> Array | None:
-        """Noise (n, T, ny), or (1, T, ny) for all runs. None where there is none."""
+        """Noise (n, T, ny) or (1, T, ny), None without any."""
         noise: Array | None = self._measurement.drawn(*self._size, self._rng).noise
         return noise
 
     def __call__(self, k: int, x: Array, u: Array) -> Array:
-        """Outputs (n, ny) at sample k for states (n, nx) after inputs (n, nu)."""
+        """Outputs (n, ny) of states (n, nx) after inputs (n, nu)."""
         with np.errstate(all="ignore"):  # of a run that is lost
             y = self._h(x, u)
         if self.noise is None:
@@ -125,12 +125,12 @@ class Sensor:
 
 
 def as_measurement(value: Any) -> Measurement:
-    """Measurement as it is, or one without noise from anything that may be measured."""
+    """Measurement as given, or a noiseless one of stated outputs."""
     return value if isinstance(value, Measurement) else Measurement(value)
 
 
 def _as_noise(value: Any) -> Any:
-    """Noise as an object to sample, or as an array (n, T, ny)."""
+    """Noise as an object to sample or array (n, T, ny)."""
     expected = "standard deviations (ny,), a Disturbance, or noise (T, ny) or (n, T, ny)"
     if value is None:
         return None
@@ -158,12 +158,12 @@ def _drawn(noise: Any, runs: int, steps: int, rng: np.random.Generator) -> Array
 
 
 def _check_noise(noise: Array, runs: int, steps: int) -> None:
-    """Raise an `InputError` unless there is noise for so many runs and steps."""
+    """Raise an `InputError` unless noise covers all runs and steps."""
     if len(noise) not in (1, runs) or noise.shape[1] < steps:
         raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")
 
 
 def _check_channels(noise: Array, outputs: int) -> None:
-    """Raise an `InputError` unless there is noise of each of so many outputs."""
+    """Raise an `InputError` unless every output has noise."""
     if noise.shape[2] != outputs:
         raise InputError("output.noise", f"{noise.shape[2]} channels", f"{outputs}, one per output")

@@ -1,4 +1,4 @@
-"""What is measured, y = h(x, u, p), from any of the ways in which it may be stated, with its slope in x."""
+"""Stated outputs y = h(x, u, p) as functions, with slopes in x."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Output(Protocol):
         ...
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope ∂h/∂x, (ny, nx) or (n, ny, nx). `spread` (n, nx) are standard deviations of the states."""
+        """Slope ∂h/∂x (ny, nx) or (n, ny, nx), with state deviations `spread` (n, nx)."""
         ...
 
 
@@ -88,7 +88,7 @@ class FunctionOutput:
         return y
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope (n, ny, nx), by central differences. 0 along states known exactly, where it does not matter."""
+        """Slope (n, ny, nx) by central differences, 0 along exactly known states."""
         n, nx = x.shape
         steps = np.where(spread > 0, np.maximum(DIFFERENCE_STEP * spread, LEAST_DIFFERENCE_STEP * np.abs(x)), 0.0)
         moved = steps[:, None, :] * np.eye(nx)
@@ -101,7 +101,7 @@ class FunctionOutput:
 
 
 def as_stated_output(value: Any) -> Any:
-    """Stated outputs: a matrix as a read-only array, a Plant, or a function. `value` states them.
+    """Outputs as stated: a read-only matrix, a Plant or a function.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def as_stated_output(value: Any) -> Any:
 
 
 def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
-    """Names, of u and p, that a function asks for besides the state, which comes first."""
+    """Names, of u and p, that a function asks for besides x."""
     try:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):  # a callable in C need not have a signature
@@ -138,7 +138,7 @@ def asked_of(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
-    """Outputs at one design (np,) of a plant of so many states and inputs.
+    """Outputs of a plant at one design (np,).
 
     Raises
     ------
@@ -152,7 +152,7 @@ def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
 
 
 def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:
-    """C (ny, nx), D (ny, nu) and y0 (ny,) of a plant's outputs y = C x + D u + y0 at one design.
+    """Matrices C (ny, nx), D (ny, nu) and y0 (ny,) of linear outputs.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:
 
 
 def check_sizes(stated: Any, nx: int, nu: int) -> None:
-    """Raise an `InputError` if a matrix or a plant has other sizes."""
+    """Raise an `InputError` unless matrix or plant sizes fit."""
     if isinstance(stated, Plant) and (stated.nx, stated.nu) != (nx, nu):
         got = f"outputs of a plant of {stated.nx} states and {stated.nu} inputs"
         raise InputError("output", got, f"those of one of {nx} states and {nu} inputs")

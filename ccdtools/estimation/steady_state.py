@@ -1,4 +1,4 @@
-"""The steady Kalman filter, from the regulator of the dual pair (Aᵀ, Cᵀ), and whether outputs see what lasts."""
+"""Steady Kalman filter from the dual regulator (Aᵀ, Cᵀ), and detectability."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Slopes = Callable[[Array], tuple[Array, Array]]  # x (n, nx) → F (n, nx, nx) a
 
 
 def steady_covariance(A: Array, C: Array, W: Array, V: Array) -> Array:
-    """Stabilising P = A (P − P Cᵀ (C P Cᵀ + V)⁻¹ C P) Aᵀ + W, the covariance of x_k given y up to k − 1.
+    """Stabilising covariance (nx, nx) of x_k given y up to k − 1.
 
-    `mpc.lqr` verifies that the equation holds and the error of the filter decays, in units of the solution alone.
+    `mpc.lqr` verifies P = A (P − P Cᵀ (C P Cᵀ + V)⁻¹ C P) Aᵀ + W and a decaying error, in units of the solution.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def steady_covariance(A: Array, C: Array, W: Array, V: Array) -> Array:
 
 
 def _named(A: Array, C: Array, W: Array, V: Array, error: NotStabilisableError) -> NotDetectableError:
-    """Error that names the mode of an error of the dual pair. Without one, it names the mode that is seen least."""
+    """Error that names the mode of a dual error, else the least seen one."""
     unit, _ = cost_units(A.T, C.T, W, V)
     none = np.ones(len(A))
     own = None if error.eigenvalue is None else [error.eigenvalue]
@@ -68,12 +68,12 @@ def mode_text(mode: Mode) -> str:
 
 
 def states_of(mode: Mode) -> tuple[int, ...]:
-    """Names of the states that a mode is mostly made of."""
+    """Indices of the states that a mode mostly consists of."""
     return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAIN_STATES * mode.parts.max()))
 
 
 class Detectability(Enum):
-    """Outputs' view of the modes that do not decay, by the linearisation of a filter."""
+    """Detectability of modes that do not decay, by a filter's linearisation."""
 
     SEEN = "seen"
     SEEN_AWAY = "not seen at the first estimate, but about it"
@@ -95,7 +95,7 @@ _ADVICE = {
 
 
 def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
-    """Detectability of a linearisation at the first estimate, and at points drawn about it.
+    """Detectability at the first estimate and at points drawn about it.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:
 
 
 def _unseen(A: Array, C: Array, unit: Array) -> Mode | None:
-    """Unseen mode that does not decay; of several the one that grows most. None where all are seen."""
+    """Fastest growing unseen mode that does not decay, None if all are seen."""
     for eigenvalue in sorted(lasting(A), key=abs, reverse=True):
         mode = least_reached(A.T, C.T, [eigenvalue], unit, np.ones(len(A)))
         if mode.strength < REACH:

@@ -1,4 +1,4 @@
-"""Every tolerance of `ccdtools.estimation`, with its meaning; all are relative [-]."""
+"""Tolerances of `ccdtools.estimation`, all relative [-]."""
 
 SINGULAR = 1e-12  # A covariance of unit diagonal with an eigenvalue below this has a combination without variance.
 MOVED_AT_REST = 1e-6  # A sample may add this part of a predicted standard deviation at rest, and still be rounding.

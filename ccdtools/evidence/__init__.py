@@ -1,1 +1,1 @@
-"""Evidence and verdicts: whether one candidate may take the place of another."""
+"""Evidence and verdicts on whether one candidate may replace another."""

@@ -1,4 +1,4 @@
-"""Evidence on two named candidates on one distribution: their returns in pairs, lost runs and limits."""
+"""Evidence on two candidates: paired returns, lost runs and limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOTHING = PairedDifference(float("nan"), (float("nan"), float("nan")))
 
 
 class Asked(Enum):
-    """Demand on a candidate: what it must show on a distribution."""
+    """What a candidate must show on a distribution."""
 
     GAIN = "a gain beyond chance, above its price"
     TOLERANCE = "no loss beyond the tolerance"
@@ -32,7 +32,7 @@ class Asked(Enum):
 
 @dataclass(frozen=True)
 class Violation:
-    """Limits that a candidate violates beyond the tolerance, and further than what it is compared with.
+    """Violation of limits beyond the tolerance and beyond the compared candidate's.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ class Pairing:
         self, after: Trajectory, before: Trajectory, *, names: tuple[str, str], distribution: str, asked: Asked,
         groups: Indices | None = None, series: bool = False, counted: int | None = None,
     ) -> Evidence:  # fmt: skip
-        """Evidence of two candidates that met the same starts and disturbances.
+        """Evidence of two candidates on the same starts and disturbances.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Gain of a change in the risk that was asked for, with an interval: each group of runs left out once."""
+"""Gain in risk, with a jackknife interval over groups of runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Labels = NDArray[np.int64]
 def paired_in_risk(
     risk: Risk, after: Array, before: Array, labels: Labels, *, runs: int, stretch: int
 ) -> PairedDifference:
-    """Difference of the risk of two controllers on the same runs. With the 95 % interval over groups of runs.
+    """Paired difference in risk with its 95 % interval over groups.
 
     Of a deployment of one run the returns of its stretches take the place of those of runs, scaled to its whole length.
     There is no interval where fewer than ten groups decide a risk that is not the mean.
@@ -50,14 +50,14 @@ def paired_in_risk(
 
 
 def stretches(rewards: Array, stretch: int) -> Array:
-    """Returns (m,) of whole stretches within consecutive parts of a run, with rewards (k, T)."""
+    """Returns (m,) of whole stretches in consecutive rewards (k, T)."""
     length = min(stretch, rewards.shape[1])
     count = rewards.shape[1] // length
     return rewards[:, : count * length].reshape(-1, length).sum(axis=1)
 
 
 def paired_over_groups(after: Array, before: Array, labels: Labels, *, runs: int) -> PairedDifference:
-    """Mean difference of the returns of runs with rewards (n, T). Taken over the groups of their labels (n,).
+    """Mean difference of returns over groups, from rewards (n, T), labels (n,).
 
     Only groups are independent evidence. Of one group the interval is that of its series, if no more runs were begun.
     """
@@ -65,7 +65,7 @@ def paired_over_groups(after: Array, before: Array, labels: Labels, *, runs: int
 
 
 def _grouped(rewards: Array, labels: Labels) -> Array:
-    """Mean rewards (groups, T) of the runs (n, T) with the same label."""
+    """Mean rewards (groups, T) of runs (n, T) with equal labels."""
     _, group, sizes = np.unique(labels, return_inverse=True, return_counts=True)
     means = np.zeros((len(sizes), rewards.shape[1]))
     np.add.at(means, group, rewards / sizes[group, None])

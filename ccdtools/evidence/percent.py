@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 
 def share(fraction: float | None) -> str:
-    """Fraction in per cent, without false digits: "0.07 %", "12 %". "n/a" for nothing."""
+    """Fraction in per cent, such as "0.07 %"; "n/a" for None."""
     if fraction is None:
         return "n/a"
     percent = 100 * fraction
@@ -17,13 +17,13 @@ def share(fraction: float | None) -> str:
 
 
 def signed_percent(percent: float, more: int = 0) -> str:
-    """Change in per cent with its sign: "+0.34 %", "−12 %", with `more` decimals. "0 %" where it rounds to nothing."""
+    """Signed change such as "+0.34 %" with `more` decimals; "0 %" if rounded away."""
     text = _rounded(percent, more)
     return "0 %" if float(text) == 0 else with_minus(f"{'+' if percent > 0 else ''}{text} %")
 
 
 def percent_interval(mean: float | None, ci95: Sequence[float | None], size: float | None) -> str:
-    """Change with its 95 % interval in per cent of a size: "+0.1 % [−0.2, +0.4]". "n/a" where there is none."""
+    """Change and 95 % interval relative to a size: "+0.1 % [−0.2, +0.4]", or "n/a"."""
     if not _finite(mean) or not _finite(size) or size == 0:
         return "n/a"
     parts = [100 * value / abs(size) for value in (mean, *ci95) if _finite(value)]  # type: ignore
@@ -35,22 +35,22 @@ def percent_interval(mean: float | None, ci95: Sequence[float | None], size: flo
 
 
 def in_measure(measure: str) -> str:
-    """Phrase for the measure of a change, such as " in the mean of the worst 10 %". Empty for the mean."""
+    """Phrase such as " in the mean of the worst 10 %"; empty for the mean."""
     return "" if measure == "mean" else f" in the {measure}"
 
 
 def with_minus(text: str) -> str:
-    """`text` with the minus sign of a printed page."""
+    """Text with typographic minus signs."""
     return text.replace("-", "−")
 
 
 def _finite(value: float | None) -> bool:
-    """Whether there is a value, and a finite one."""
+    """Whether a value is given and finite."""
     return value is not None and math.isfinite(value)
 
 
 def _rounded(percent: float, more: int = 0) -> str:
-    """Number with two decimals below 1, one below 10, none above, and some more."""
+    """Number with two decimals below 1, one below 10, plus `more`."""
     decimals = more + (2 if abs(percent) < 1 else 1 if abs(percent) < 10 else 0)
     text = f"{percent:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text

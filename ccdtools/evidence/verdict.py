@@ -1,4 +1,4 @@
-"""Whether one candidate may take the place of another, from the evidence on every distribution that it will serve."""
+"""Verdict on a candidate, from the evidence on every distribution."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Status(Enum):
 
     @property
     def replaces(self) -> bool:
-        """Whether the candidate takes the place of the current one."""
+        """Whether the candidate replaces the current one."""
         return self in (Status.FIRST, Status.BETTER, Status.NOT_WORSE, Status.NO_LOSS_SHOWN, Status.NOT_COMPARED)
 
     @property
@@ -63,7 +63,7 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict whether a candidate takes the place of the current one.
+    """Verdict on whether a candidate replaces the current one.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Verdict:
 
     @property
     def replaces(self) -> bool:
-        """Whether the candidate takes the place of the current one."""
+        """Whether the candidate replaces the current one."""
         return self.status.replaces
 
     def on(self, distribution: str) -> Evidence | None:
@@ -102,7 +102,7 @@ class Verdict:
 
 
 def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Verdict:
-    """Verdict whether the candidate of all evidence may take the place of the current one.
+    """Verdict on whether the candidate may replace the current one.
 
     It must show on every distribution what is asked of it there. Before any return count lost runs, of which it may
     lose no more, and limits. Where the current one loses every run of a distribution there is nothing to compare. It is
@@ -143,7 +143,7 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
 
 
 def _without_gain(deciding: Sequence[Evidence], tolerance: float) -> tuple[Status, Evidence]:
-    """What is known of a candidate that replaces without a gain, and the evidence that says so."""
+    """Status of a candidate replacing without a gain, and the deciding evidence."""
     for one in deciding:
         if np.isnan(one.gain.mean):
             return Status.NOT_COMPARED, one
@@ -164,7 +164,7 @@ def _left_limits(one: Evidence) -> Status | None:
 
 
 def _short(one: Evidence, tolerance: float) -> Status | None:
-    """Way in which the candidate falls short of what is asked. None if it does not."""
+    """Shortfall of the candidate against what is asked, None without one."""
     low, high = one.gain.ci95
     floor = SAME_RETURN * one.size
     if one.asked is Asked.GAIN:
@@ -183,7 +183,7 @@ def _short(one: Evidence, tolerance: float) -> Status | None:
 
 
 def _reason(status: Status, one: Evidence, tolerance: float) -> str:
-    """Sentence of a status, from the numbers of the evidence that decided."""
+    """Reason for a status, in numbers of the deciding evidence."""
     if status is Status.MORE_LOST:
         return f"{one.lost[0]} of {one.runs} runs on {one.distribution}, where {one.current} loses {one.lost[1]}"
     if status is Status.LIMITS:

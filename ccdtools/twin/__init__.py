@@ -1,4 +1,4 @@
-"""The digital twin: deployment, residuals and the discrepancy they teach."""
+"""Digital twin: deployment, residuals and learned discrepancy."""
 
 from ccdtools_ground.front_door import front_door
 

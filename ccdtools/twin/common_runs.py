@@ -1,4 +1,4 @@
-"""Runs that meet the same disturbance in every deployment: together they are one piece of evidence."""
+"""Groups of runs that meet the same disturbance in every deployment."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from ccdtools.twin.residuals import Residuals
 
 
 def is_common(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether runs of these numbers in their deployment meet the same disturbance in every one."""
+    """Whether runs of these numbers meet the same disturbance in every deployment."""
     return numbers % 2 == 0  # every second run, from the first on
 
 
 def groups(logs: Sequence[Residuals]) -> NDArray[np.int64]:
-    """Group of every run of logs. Its number where it met the same disturbance in all of them, else its own."""
+    """Group of every run: its number if all logs share its disturbance, else a unique one."""
     several = 1 + max(int(log.numbers.max()) for log in logs)
     own = [(k + 1) * several + log.numbers for k, log in enumerate(logs)]
     return np.concatenate([np.where(is_common(log.numbers), log.numbers, alone) for log, alone in zip(logs, own)])

@@ -1,4 +1,4 @@
-"""Deployables: a policy together with the design that it controls."""
+"""Policy together with the design that it controls."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from learning.networks import ActorCritic
 
 @dataclass(frozen=True, eq=False)
 class Deployable:
-    """Policy together with the design that it controls, and its name in words."""
+    """Policy with the design that it controls, and its name."""
 
     agent: ActorCritic
     design: Array
     name: str = "the policy"
 
     def controller(self, admissible: AdmissibleInputs | None = None) -> Controller:
-        """Policy as it is deployed: behind the filter, if there is one."""
+        """Deployed policy, behind the filter if there is one."""
         policy = LearnedPolicy(self.agent, self.design)
         return policy if admissible is None else Filtered(policy, admissible)
 
     def same_as(self, other: Deployable) -> bool:
-        """Whether another deployable is the same policy at the same design."""
+        """Whether another deployable has the same policy and design."""
         weights = zip(self.agent.state_dict().values(), other.agent.state_dict().values())
         return np.array_equal(self.design, other.design) and all(bool((a == b).all()) for a, b in weights)

@@ -1,4 +1,4 @@
-"""A policy on the real plant, with what it logs and how it is updated on the way."""
+"""Deployment on the real plant, with log and updates."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Deployment(Immutable):
 
     @property
     def changes(self) -> tuple[int, ...]:
-        """Samples logged before every update that was accepted."""
+        """Samples logged before every accepted update."""
         return tuple(update.after for update in self.updates if update.accepted)
 
     def __repr__(self) -> str:
@@ -108,7 +108,7 @@ def deploy_and_update(
     served: ServedDistributions | None = None,
     progress: bool = False,
 ) -> Deployment:
-    """Deployment in stretches, with an update of the policy after each but the last.
+    """Deployment in stretches, with a policy update between them.
 
     After a stretch, the errors of the nominal model along all stretches so far are replayed as disturbances. A
     candidate is trained on the first part of every stretch, and from the starts that it will serve. It is deployed only
@@ -157,7 +157,7 @@ def deploy_and_update(
 
 
 class _DeployedPolicy:
-    """Deployed policy with its log so far, and the updates it has had.
+    """Deployed policy with its log and updates so far.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class _DeployedPolicy:
         return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
     def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
-        """Log of the deployed policy on one part of the deployment. It begins where the last one ended."""
+        """Log of the policy on one part, begun where the last ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
         return deploy(
             self.whole.plant, self.deployed.controller(self.admissible), self.deployed.design,
@@ -209,7 +209,7 @@ class _DeployedPolicy:
         )  # fmt: skip
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
-        """Add the errors along a piece of the log, after so many runs. False where too little is left to learn from."""
+        """Add the errors of a piece after so many runs; False if too little is left."""
         left = int((~piece.diverged).sum())
         if left < (2 if self._several else 1):
             return False
@@ -230,11 +230,11 @@ class _DeployedPolicy:
 
     @cached_property
     def _starts(self) -> Array:
-        """Starts of a training, beside the states of the log."""
+        """Training starts beside the states of the log."""
         return self.served.trained_from(self.deployed.design, self.judged_by)
 
     def _update(self) -> None:
-        """Train a candidate. Deploy it if it is better on what it was not trained on, and loses nowhere."""
+        """Train a candidate, and deploy it if the judge accepts it."""
         config = self.config
         problem = replay_problem(self.problem, self.train, config.window, starts=self._starts)
         agent = codesign(
@@ -251,7 +251,7 @@ class _DeployedPolicy:
         self.deployed = candidate if verdict.replaces else self.deployed
 
     def _held_out(self) -> Distribution:
-        """Held-out parts of the log, and former runs: what no candidate was trained on."""
+        """Held-out parts of the log, and former runs not trained on."""
         several = self._several
         return logged(
             self.split, [*self._unseen(), *self.test] if several else _equally_long(self.test), series=not several,
@@ -259,7 +259,7 @@ class _DeployedPolicy:
         )  # fmt: skip
 
     def _other_distributions(self) -> list[Distribution]:
-        """Distributions that the policy also serves, on the model as updated by the log so far."""
+        """Other distributions that the policy serves, on the updated model."""
         logs = [*self.former, *self.logs]
         plant = UpdatedPlant.from_logs(self.split, logs, rng=self.judged_by, config=self.config.quantile)
         whole = [log for log in logs if log.steps == self.whole.steps] if self._several else _equally_long(self.logs)
@@ -267,7 +267,7 @@ class _DeployedPolicy:
         return [again, *self.served.on(logs, plant, self.deployed.design, self.judged_by)]
 
     def _unseen(self) -> list[Residuals]:
-        """Former runs without those of a disturbance that candidates are trained on."""
+        """Former runs whose disturbance no candidate was trained on."""
         trained = np.concatenate([log.numbers for log in self.train])
         former = [log for log in self.former if log.runs > 1 and log.steps == self.whole.steps]
         kept = [~(is_common(log.numbers) & np.isin(log.numbers, trained)) for log in former]
@@ -275,13 +275,13 @@ class _DeployedPolicy:
 
 
 def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
-    """Logs without their first steps, as long as the shortest. Stretches of a run differ by one step at most."""
+    """Last steps of the logs, cut to equal length by one step at most."""
     shortest = min(log.steps for log in logs)
     return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
 
 
 def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
-    """Parts to train on and to judge on. The latter is the last runs, or the end of the only one."""
+    """Training part, and the held-out last runs or end of the only run."""
     runs = errors.runs
     steps = errors.steps
     if runs > 1:
@@ -292,13 +292,13 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
 
 
 def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
-    """Number of updates that leave every part a window to be judged on, at most `config.updates`."""
+    """Number of updates, at most `config.updates`, that leave every part a window to judge."""
     parts = runs // 2 if runs > 1 else int(steps * config.held_out // config.window)
     return min(config.updates, max(0, parts - 1))
 
 
 def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
-    """Runs and steps of each part. Parts are groups of runs, or pieces in time of the only run."""
+    """Runs and steps of each part: groups of runs, or pieces of the only one."""
     if runs > 1:
         edges = np.unique(np.linspace(0, runs, pieces + 1).round().astype(int))
         return [(slice(a, b), slice(0, steps)) for a, b in pairwise(edges)]

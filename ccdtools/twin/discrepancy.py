@@ -1,4 +1,4 @@
-"""What deployment has taught about a model's error: conditional quantiles, and the model that they update."""
+"""Learned quantiles of a model's error, and the model they update."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NOISES = ("none", "quantiles", "replayed")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discrepancy(Immutable):
-    """Learned conditional quantiles of the one-step error e⁺ given (e, x, u), or (e, x, u, p).
+    """Learned quantiles of the one-step error e⁺ given (e, x, u[, p]).
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Discrepancy(Immutable):
         self._check_draws()
 
     def _check_draws(self) -> None:
-        """Raise an `InputError` unless draws can follow the quantiles, if draws are wanted."""
+        """Raise an `InputError` if wanted draws cannot follow the quantiles."""
         levels, states = len(self.network.levels), self.network.outputs
         if self.copula is not None:
             as_instance("copula", self.copula, InnovationCopula, "an InnovationCopula", "fit_copula makes one.")
@@ -84,13 +84,13 @@ class Discrepancy(Immutable):
         return torch.cat(columns, dim=-1)
 
     def median(self, log: Residuals) -> Array:
-        """Predicted median of e⁺ along a log in the coordinates of the network, (n, T, nx)."""
+        """Predicted median of e⁺ along a log (n, T, nx), in network coordinates."""
         e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
         with torch.no_grad():
             return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
 
     def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-        """Error e⁺ (n, nx) and width penalty (n,). With draws correlated in time, e⁺ carries what they remember.
+        """Error e⁺ (n, nx), with the memory of correlated draws, and width penalty (n,).
 
         Parameters
         ----------
@@ -118,9 +118,9 @@ class Discrepancy(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwinPlant(Immutable, PlantOfModel):
-    """Updated model as a plant to simulate. x⁺ = f(x, u, 0, p) + e⁺, with e⁺ from a discrepancy.
+    """Updated model as a plant to simulate.
 
-    f is the model's own step, A(p) x + B(p) u + c(p) of a linear one.
+    x⁺ = f(x, u, 0, p) + e⁺ with e⁺ of the discrepancy and f the model's step, A(p) x + B(p) u + c(p) of a linear one.
 
     Its disturbance w (nx,) is what the discrepancy's noise asks for.
 
@@ -152,14 +152,14 @@ class TwinPlant(Immutable, PlantOfModel):
         return self.model.nx
 
     def stepper(self, p: Array, *, batch: int) -> TwinStepper:
-        """Steps (x, u, w) → x⁺ at design `p` (np,), remembering e. They begin from e₀ = 0 or the error given."""
+        """Stepper (x, u, w) → x⁺ at design `p` (np,), remembering e."""
         if self.error is not None and len(self.error) != batch:
             raise InputError("error", f"those of {len(self.error)} runs", f"one for each of the {batch} runs")
         return TwinStepper(self, p, batch)
 
 
 class TwinStepper:
-    """Steps of a `TwinPlant` along n runs. They remember the error e, as at the design of the log."""
+    """Steps of a `TwinPlant` that remember e at the log's design."""
 
     def __init__(self, plant: TwinPlant, p: Array, batch: int) -> None:
         self._discrepancy = plant.discrepancy
@@ -170,7 +170,7 @@ class TwinStepper:
         self._e = np.zeros((batch, plant.nx)) if plant.error is None else plant.error
 
     def __call__(self, x: Array, u: Array, w: Array) -> Array:
-        """Next states (n, nx) of states (n, nx), inputs (n, nu) and noise (n, nx)."""
+        """Next states (n, nx) for inputs (n, nu) and noise (n, nx)."""
         e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
         with torch.no_grad():
             self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
@@ -179,7 +179,7 @@ class TwinStepper:
 
 @dataclass(frozen=True)
 class QuantileScores:
-    """Scores of the learned quantiles on a held-out stretch, per state where a tuple.
+    """Held-out scores of the learned quantiles, per state where a tuple.
 
     Attributes
     ----------
@@ -204,14 +204,14 @@ class QuantileScores:
 
 
 def score_quantiles(network: QuantileNetwork, inputs: Array, e_next: Array, trained: Array) -> QuantileScores:
-    """Scores of `network` on the errors e⁺ (n, nx) at `inputs`. `trained` holds those it was fitted to."""
+    """Scores of `network` on errors e⁺ (n, nx), beside the fitted ones `trained`."""
     quantiles = network.predict(inputs)
     levels = network.levels
     constant = np.broadcast_to(np.quantile(trained, levels, axis=0)[None], quantiles.shape)
     inside = (e_next >= quantiles[:, 0]) & (e_next <= quantiles[:, -1])
 
     def root_mean_square(error: Array) -> tuple[float, ...]:
-        """Root mean square of every column of the errors (n, nx)."""
+        """Root mean square per column of the errors (n, nx)."""
         return tuple(np.sqrt(np.mean(error**2, axis=0)).tolist())
 
     return QuantileScores(

@@ -1,4 +1,4 @@
-"""The starts and disturbances that a learned change will serve, on the model as updated by the logs so far."""
+"""Starts and disturbances that a learned change will serve."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NOMINAL = "the nominal model"
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """Starts and disturbances with a name, what a candidate must show there, and what is independent.
+    """Named starts and disturbances, with what a candidate must show there.
 
     `groups` and `series` as for `Pairing.evidence`; of every run the last `counted` steps count, or all.
     """
@@ -45,7 +45,7 @@ class Distribution:
 
 @dataclass(frozen=True, eq=False)
 class ServedDistributions:
-    """Distributions that a learned change will serve, beside the runs of the log."""
+    """Distributions that a change will serve besides the logged runs."""
 
     problem: CoDesignProblem  # on the nominal model, with the starts that the study declares
     x0: Array  # (nx,): start of the real plant
@@ -54,11 +54,11 @@ class ServedDistributions:
     runs: int = 400  # from the study's start, and from its box
 
     def starts(self, rng: np.random.Generator) -> Array:
-        """States (n, nx) that the study declares. Its one start, or draws of its starts."""
+        """Starts (n, nx) that the study declares: one, or draws."""
         return self.problem.scenarios.sample(self.runs, self.problem.steps, rng)[0]
 
     def box(self, design: Array, rng: np.random.Generator) -> Array:
-        """States (n, nx) of the box of starts. Draws of those that the study declares, else what LQR keeps within X.
+        """Starts (n, nx) drawn as the study declares, else those LQR keeps within X.
 
         Uniform in X, these are the states from which saturated LQR at the design, under the disturbance that the model
         assumes, loses no run and never leaves X. None where there is no such state, or no LQR.
@@ -79,7 +79,7 @@ class ServedDistributions:
         return x0[kept][: self.runs]
 
     def trained_from(self, design: Array, rng: np.random.Generator) -> Array:
-        """Starts (n, nx) of a training, beside those of the log. Half are the study's, half of its box."""
+        """Training starts (n, nx) beside the log: half the study's, half its box's."""
         box = self.box(design, rng)
         starts = self.starts(rng)
         return np.concatenate([starts[: max(len(box), 1)], box])
@@ -87,7 +87,7 @@ class ServedDistributions:
     def on(
         self, logs: Sequence[Residuals], plant: UpdatedPlant, design: Array, rng: np.random.Generator
     ) -> list[Distribution]:
-        """Distributions that a change at a design will serve beside the log. On the model as updated by it."""
+        """Distributions beside the log that a change will serve, on the updated model."""
         drawn = {name: plant.drawn(logs, w) for name, w in self.kinds.items()}
         found = [Distribution(name, Scenario(plant, np.tile(self.x0, (len(w), 1)), w), Asked.TOLERANCE)
                  for name, w in drawn.items()]  # fmt: skip
@@ -100,14 +100,14 @@ class ServedDistributions:
         return found
 
     def nominal(self, rng: np.random.Generator) -> Distribution:
-        """Nominal model from the study's starts. Only shown, as what corrects a bias must lose there."""
+        """Nominal model from the study's starts, only shown: correcting a bias loses there."""
         x0, w = self.problem.scenarios.sample(self.runs, self.problem.steps, rng)
         return Distribution(NOMINAL, Scenario(self.problem.model, x0, w), Asked.SHOWN)
 
 
 def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator,
            held_out: float | None = None) -> Distribution:  # fmt: skip
-    """Nominal model met by the errors of whole logged runs, which a change was made for.
+    """Nominal model under whole logged errors, which a change was made for.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: 
 def on_updated(
     plant: UpdatedPlant, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator
 ) -> Distribution:  # fmt: skip
-    """Updated model on whole logged runs: there errors follow the candidate."""
+    """Updated model on whole logged runs, where errors follow the candidate."""
     replay = Replay(plant.unexplained(logs), plant.split)
     return _whole(UPDATED, plant, replay, Asked.GAIN, series=series, most=most, rng=rng)
 
@@ -133,7 +133,7 @@ def _whole(
     name: str, plant: Any, replay: Replay, asked: Asked, *, series: bool, most: int, rng: np.random.Generator,
     held_out: float | None = None,
 ) -> Distribution:  # fmt: skip
-    """Whole runs of a replay, `most` of them at most."""
+    """Whole runs of a replay, at most `most`."""
     x0, w = replay.whole()
     chosen = np.arange(len(x0)) if series or len(x0) <= most else rng.permutation(len(x0))[:most]
     counted = None if held_out is None else round(held_out * w.shape[1])

@@ -1,4 +1,4 @@
-"""Free-running bands: whether many steps of the updated model, without a look at the plant, cover what happened."""
+"""Free-running bands: whether many steps of the updated model cover the log."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STEPS = (10, 50, 100)  # Bands are measured after so many steps by default.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FreeRunningBands(Immutable):
-    """Bands of the states that a twin draws from logged ones. Also how well they cover what the plant did.
+    """Bands of states drawn from a twin, and their coverage of the plant.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ def free_running_bands(
     blocks: int = BLOCKS,
     since: int = 0,
 ) -> FreeRunningBands:
-    """Bands of `twin` in closed loop. They start from the states of a log and are compared with what followed.
+    """Closed-loop bands of `twin` from logged states, compared with what followed.
 
     The draws know the state and the error at the start of a window, and nothing of what follows.
 
@@ -135,7 +135,7 @@ def free_running_bands(
 def held_out_bands(
     twin: DigitalTwin, log: Trajectory, controller: Controller, *, rng: np.random.Generator, since: int = 0
 ) -> FreeRunningBands | None:
-    """Bands on the stretches that `DigitalTwin.update` held out of its newest log.
+    """Bands on the held-out stretches of the twin's newest log.
 
     None where these are too short, or the twin has learned a median alone.
     """
@@ -146,7 +146,7 @@ def held_out_bands(
 
 
 def _drawable(twin: DigitalTwin) -> bool:
-    """Whether the twin has learned quantiles that draws can follow."""
+    """Whether the twin has quantiles to draw from."""
     return twin.discrepancy is not None and len(twin.discrepancy.network.levels) >= 3
 
 
@@ -154,7 +154,7 @@ Span = tuple[int, int, int]  # run, first sample, one past the last
 
 
 def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: int, since: int) -> list[Span]:
-    """Stretches of the errors to start windows in, run after run. The first `since` samples of the log are left out."""
+    """Stretches for windows, run after run, without the first `since` samples."""
     parts = [(slice(0, errors.runs), slice(0, errors.steps))]
     if held_out is not None:
         parts = block_spans(errors, held_out, blocks, last=True)
@@ -170,7 +170,7 @@ def _spans(log: Trajectory, errors: Residuals, held_out: float | None, blocks: i
 
 
 def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
-    """Horizons that some span is long enough for, in increasing order."""
+    """Increasing horizons that some span is long enough for."""
     given = list(steps) if isinstance(steps, list | tuple | range | np.ndarray) else [steps]
     wanted = sorted({as_count("steps", step) for step in given})
     longest = max((end - first for _, first, end in spans), default=0)
@@ -181,7 +181,7 @@ def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
 
 
 def _starts(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
-    """Run and first sample (n, 2) of at most so many windows. Evenly spread over all that the spans hold."""
+    """Run and first sample (n, 2) of windows, spread evenly over the spans."""
     every = np.array([(run, k) for run, first, end in spans for k in range(first, end - length + 1)])
     return every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))]
 
@@ -190,7 +190,7 @@ def _draws(
     twin: DigitalTwin, errors: Residuals, controller: Controller, starts: NDArray[np.int64], length: int, draws: int,
     rng: np.random.Generator,
 ) -> Array:  # fmt: skip
-    """Drawn states (n, draws, length + 1, nx). They start from the logged ones at the starts (n, 2)."""
+    """Drawn states (n, draws, length + 1, nx) from the logged starts (n, 2)."""
     assert twin.discrepancy is not None
     discrepancy = replace(twin.discrepancy, noise="quantiles")
     past = _as_learned(twin, errors).e[starts[:, 0], starts[:, 1]]
@@ -203,18 +203,18 @@ def _draws(
 
 
 def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
-    """Errors at the design of the twin's newest log. Its network works there."""
+    """Errors carried to the newest log's design, where the network works."""
     assert twin.scale is not None
     return carried(twin.model, errors, twin.logs[-1].p, twin.scale)
 
 
 def _last(twin: DigitalTwin, errors: Residuals) -> Array:
-    """States (n, 1, nx) after the last step of every run."""
+    """Final states (n, 1, nx) of every run."""
     return twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
 
 
 def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:
-    """Bands of draws, compared with the actual states (H, n, nx). Draws (n, draws, T + 1, nx) at the horizons."""
+    """Bands of draws (n, draws, T + 1, nx) beside actual states (H, n, nx)."""
     at = np.moveaxis(drawn[:, :, horizons], 2, 0)
     lower, upper = np.quantile(at, (0.1, 0.9), axis=2, method="weibull")  # 80 %, if draws are as good as the truth
     inside = (actual >= lower) & (actual <= upper)

@@ -1,4 +1,4 @@
-"""Whether a learned change takes the place of what is deployed: its evidence on all that it will serve."""
+"""Judgement whether a learned change replaces what is deployed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Price = Callable[[float, int], float]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Judge that compares two deployables in pairs, each behind the filter of its own design."""
+    """Paired comparison of two deployables, each behind its own design's filter."""
 
     problem: CoDesignProblem  # on the nominal model
     plant: Any  # that names the states
@@ -42,7 +42,7 @@ class Judge:
         self, candidate: Deployable, current: Deployable, made_for: Distribution, nominal: Distribution, price: Price,
         others: Callable[[], Sequence[Distribution]],
     ) -> Verdict:  # fmt: skip
-        """Whether a candidate takes the place of the current one.
+        """Verdict on whether a candidate replaces the current one.
 
         Where it gains nothing on what it was made for, the other distributions are not looked at.
 

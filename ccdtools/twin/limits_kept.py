@@ -1,4 +1,4 @@
-"""Whether a candidate keeps the limits of states and outputs, as far as the user asks, where what is deployed does.
+"""Whether a candidate keeps the state and output limits as asked.
 
 Of a deployment of one run, its stretches stand for runs: the tolerance is one of episodes, and the peak of a long run
 is higher than that of each of its parts.
@@ -30,7 +30,7 @@ MEASURES = ("fraction", "peak")
 def violation(
     problem: CoDesignProblem, scenario: Scenario, after: Trajectory, before: Trajectory, plant: Any
 ) -> Violation | None:
-    """Limits that a candidate violates. None where it keeps them, or as well as before, or may do as it likes.
+    """Violation of limits by a candidate. None if kept, no worse than before, or unchecked.
 
     It breaks them if a measure, the fraction of the samples outside or the mean over the runs of the peak depth, is
     more than the tolerance, and more than that of what is deployed: beyond chance, where chance can be told.
@@ -68,7 +68,7 @@ def violation(
 
 
 def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
-    """Tolerance of 1.25 times what MPC of a design does on a scenario. The least where it loses all runs."""
+    """Tolerance of 1.25 times what MPC does; the least if it loses all runs."""
     least = Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
     try:
         run = scenario.run(linear_mpc(problem, design), design=design, limit=problem.limit)
@@ -83,7 +83,7 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
 
 
 def _pair(outside: RunViolations, runs: int | None = None) -> Pair:
-    """Mean fraction and mean peak of the first so many runs, or of all stretches of a single one; 0 of none."""
+    """Mean fraction and peak over the first `runs`, or all stretches; 0 of none."""
     first = slice(None) if outside.single else slice(runs)
     kept = ~outside.lost[first]
     means = (getattr(outside.pieces, name)[first][kept] for name in MEASURES)
@@ -91,7 +91,7 @@ def _pair(outside: RunViolations, runs: int | None = None) -> Pair:
 
 
 def _further(own: RunViolations, other: RunViolations, name: str) -> bool:
-    """Whether a measure is larger on the runs that neither lost. Beyond chance where there is an interval."""
+    """Whether a measure is larger on runs neither lost, beyond chance if known."""
     kept = ~(own.lost | other.lost)
     values, others = (getattr(one.pieces, name)[kept] for one in (own, other))
     if not len(values) or not values.mean() > others.mean():

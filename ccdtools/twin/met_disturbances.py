@@ -1,4 +1,4 @@
-"""Which disturbances of a nonlinear model explain logged errors."""
+"""Disturbances of a nonlinear model that explain logged errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Indices: TypeAlias = NDArray[np.int64]
 
 
 def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:
-    """Disturbances ŵ (n, T, nw) that explain the log best. f(x, u, ŵ, p) is nearest to next states over scale (nx,).
+    """Disturbances ŵ (n, T, nw) that fit the log best in units of `scale` (nx,).
 
     It is zero where w has no effect. Where the effect is less than a tenth of the largest in the log, ŵ is at most
     twice as large as where it is more: a small effect would make large disturbances, that another state would feel, of
@@ -35,7 +35,7 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
 
 
 class _LeastSquares:
-    """Nonlinear least squares of every sample at once. Gauss–Newton steps are shortened until each one improves.
+    """Gauss–Newton least squares of all samples, with steps shortened until they improve.
 
     Attributes
     ----------
@@ -55,11 +55,11 @@ class _LeastSquares:
         self._everyone: Indices = np.arange(self.samples)
 
     def distance(self, w: Array) -> Array:
-        """Distance of the model's next states from the logged ones (N,)."""
+        """Distance (N,) between modelled and logged next states."""
         return np.linalg.norm(self._residual(w, self._everyone), axis=1)
 
     def improved(self, w: Array) -> Array:
-        """Disturbances (N, nw) reached from others, none of which is farther from the log."""
+        """Improved disturbances (N, nw), none farther from the log than before."""
         w = w.copy()
         longest = np.linalg.norm(self._effects(w, self._everyone), axis=1).max(axis=0)
         if not (longest > 0).any():
@@ -90,7 +90,7 @@ class _LeastSquares:
         return w
 
     def bounded(self, w: Array) -> Array:
-        """Disturbances (N, nw), not much larger than where they are told well. Zero where that leaves less error."""
+        """Disturbances (N, nw), bounded by well-told ones; zero where that fits better."""
         effect = np.linalg.norm(self._effects(w, self._everyone), axis=1)
         told = (effect >= TOLD * effect.max(axis=0)) & (effect > 0)
         bound = LARGEST_UNTOLD * np.where(told, np.abs(w), 0.0).max(axis=0)
@@ -98,7 +98,7 @@ class _LeastSquares:
         return np.where((self.distance(within) < self.size)[:, None], within, 0.0)
 
     def effect_of(self, w: Array, some: Indices) -> Array:
-        """Move of the next states of samples (m,) by disturbances (k, 1, nw). In scaled states (k, m)."""
+        """Move (k, m) of scaled next states by disturbances (k, 1, nw)."""
         with np.errstate(all="ignore"):
             moved = (self._next_states(w, some) - self._next_states(np.zeros_like(w[:1]), some)) / self._scale
             return np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf)
@@ -109,13 +109,13 @@ class _LeastSquares:
             return np.asarray(self._model.advance(self.x[some], self.u[some], w, self.p))
 
     def _residual(self, w: Array, some: Indices) -> Array:
-        """Logged next states less those of the model, in scaled states. Infinite where the model's are not finite."""
+        """Logged minus modelled next states, scaled; infinite where not finite."""
         with np.errstate(all="ignore"):
             left = (self._reached[some] - self._next_states(w, some)) / self._scale
             return np.where(np.isfinite(np.square(left)), left, np.inf)
 
     def _effects(self, w: Array, some: Indices) -> Array:
-        """Slopes ∂x⁺/∂w in scaled states (m, nx, nw). Zero where not finite."""
+        """Scaled slopes ∂x⁺/∂w (m, nx, nw), zero where not finite."""
         p = torch.tensor(self.p)
         parts = []
         for first in range(0, len(some), DERIVATIVES_AT_ONCE):
@@ -128,7 +128,7 @@ class _LeastSquares:
 
 
 def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
-    """Disturbances (nw,) to start from besides zero, one channel each, either way. None where f is affine in w.
+    """Starts (nw,) per channel and sign, besides zero; none if affine in w.
 
     Where w enters as w |w|, its effect is zero at zero. The size is the smallest that moves states as far as errors do.
     """
@@ -148,7 +148,7 @@ def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
 
 
 def _least_squares(M: Array, b: Array) -> Array:
-    """Shortest z (m, nw) that brings M z (m, nx) nearest to b. Directions of hardly any effect are left out."""
+    """Shortest z (m, nw) minimising |M z − b|, without directions of hardly any effect."""
     U, values, V = np.linalg.svd(M, full_matrices=False)
     inverse = np.where(values > UNTOLD, 1.0 / np.maximum(values, UNTOLD), 0.0)
     along = np.einsum("nik,ni->nk", U, np.nan_to_num(b, nan=0.0, posinf=0.0, neginf=0.0))

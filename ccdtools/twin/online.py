@@ -1,4 +1,4 @@
-"""Settings and results of updating a policy while it is deployed."""
+"""Settings and results of policy updates during deployment."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ONLINE_TRAINING = CoDesignConfig(
 
 @dataclass(frozen=True)
 class OnlineConfig:
-    """Settings of how a policy is updated while it is deployed.
+    """Settings of the policy updates during a deployment.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class OnlineUpdate(Immutable):
 
     @property
     def gain(self) -> PairedDifference:
-        """Return of the candidate minus that of the deployed policy. On the held-out parts of the log."""
+        """Return of the candidate minus the deployed policy's, on held-out parts."""
         return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Logged errors replayed as disturbances: the problems that a redesign is trained and judged on."""
+"""Logged errors replayed as disturbances, for a redesign."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ccdtools.twin.twin import DigitalTwin
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replay(Immutable):
-    """Scenarios from logged errors. Each episode starts where the log was, and meets the errors it met.
+    """Episodes from logged states that meet the errors logged there.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Replay(Immutable):
         return f"Replay({', '.join(map(repr, self.logs))})"
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx) and errors (runs, steps, nx). Or (ŵ, r) (runs, steps, nw + nx) if they are split.
+        """Initial states (runs, nx) and errors (runs, steps, nx), or split (runs, steps, nw + nx).
 
         Raises
         ------
@@ -67,7 +67,7 @@ class Replay(Immutable):
         return x0, w
 
     def windows(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
-        """Samples from logged states, and the group of every window. Windows of one logged stretch are alike."""
+        """Samples from logged states, with one group per logged stretch."""
         as_count("runs", runs)
         as_generator("rng", rng)
         self._require(steps)
@@ -87,7 +87,7 @@ class Replay(Immutable):
         return np.concatenate(x0), np.concatenate(w), np.concatenate(labels)
 
     def whole(self) -> tuple[Array, Array]:
-        """First states (n, nx) and all errors (n, T, ·) of every run. A controller is judged on them.
+        """First states (n, nx) and errors (n, T, ·) of every run, for judging.
 
         From there on a loop goes through states of its own. A window within a run would start where another loop was,
         and what that start costs is no part of what a design earns.
@@ -103,7 +103,7 @@ class Replay(Immutable):
         return np.concatenate([errors.x[:, 0] for errors in self.logs]), np.concatenate(self._entering)
 
     def _require(self, steps: int) -> None:
-        """Raise an `InputError` unless some logged run is as long as `steps`."""
+        """Raise an `InputError` if all logged runs are shorter."""
         as_count("steps", steps)
         longest = max(errors.x.shape[1] for errors in self.logs)
         if longest < steps:
@@ -114,7 +114,7 @@ def replay_problem(
     problem: CoDesignProblem, errors: Sequence[Residuals], window: int, *, warm_up: int = 0,
     starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
-    """Nominal model driven by logged errors, as they would be at whichever design.
+    """Problem on the nominal model, driven by logged errors at any design.
 
     An error logged at p is split into E(p) ŵ and a rest r; at a design q it is E(q) ŵ + r, so that the scenarios are
     (ŵ, r) and the model has [E(q) I] in the place of E(q).
@@ -150,7 +150,7 @@ def updated_problem(
     problem: CoDesignProblem, twin: DigitalTwin, window: int | None = None, *, warm_up: int = 0,
     starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
-    """Problem on the updated model: nominal + median, its unexplained rest replayed from the logs.
+    """Problem on the nominal model plus median, with the logged rest replayed.
 
     Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.

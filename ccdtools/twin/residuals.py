@@ -17,7 +17,7 @@ from ccdtools.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Residuals(Immutable):
-    """One-step errors of a nominal model along logged runs, in time order within each run. Arrays are read-only.
+    """One-step errors of a nominal model along logged runs, as read-only arrays.
 
     Attributes
     ----------
@@ -61,23 +61,23 @@ class Residuals(Immutable):
         return self.x.shape[1]
 
     def part(self, runs: slice | NDArray[np.bool_], steps: slice) -> Residuals:
-        """Stretch of the log, of all or some of its runs."""
+        """Stretch of all or some runs of the log."""
         columns = {name: getattr(self, name)[runs, steps] for name in ("e", "x", "u", "e_next")}
         return replace(self, **columns, numbers=self.numbers[runs])
 
     def carried(self, T: Array) -> Residuals:
-        """Log with its errors e and e⁺ carried to another design by T (nx, nx)."""
+        """Log with its errors carried to another design by T (nx, nx)."""
         return replace(self, e=self.e @ T.T, e_next=self.e_next @ T.T)
 
     def columns(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Columns e, x, u, p and e⁺ of all samples, (n T, ·) each. One sample after the other."""
+        """Columns e, x, u, p and e⁺ (n T, ·) of all samples."""
         p = np.broadcast_to(self.p, (*self.x.shape[:2], len(self.p)))
         e, x, u, p, e_next = (c.reshape(-1, c.shape[-1]) for c in (self.e, self.x, self.u, p, self.e_next))
         return e, x, u, p, e_next
 
 
 def residuals(model: Model, log: Trajectory) -> Residuals:
-    """One-step errors e⁺ of `model` along the runs of `log` that did not diverge.
+    """One-step errors of `model` along the undiverged runs of `log`.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
 
 
 def check_log(model: Model, log: Trajectory) -> None:
-    """Raise an `InputError` unless `log` has the states, inputs and sampling time of `model`."""
+    """Raise an `InputError` unless sizes, sampling time and design fit `model`."""
     as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
     sizes = (log.states.shape[2], log.inputs.shape[2])
     if sizes != (model.nx, model.nu):
@@ -109,7 +109,7 @@ def check_log(model: Model, log: Trajectory) -> None:
 
 
 def check_errors(argument: str, model: Model, log: Residuals) -> None:
-    """Raise an `InputError` unless `log` has the sizes and design parameters of `model`, and is finite."""
+    """Raise an `InputError` unless `log` is finite and fits sizes and design."""
     sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
     if sizes != (model.nx, model.nx, model.nu):
         got = f"{sizes[0]} states with {sizes[1]} errors and {sizes[2]} inputs"
@@ -121,12 +121,12 @@ def check_errors(argument: str, model: Model, log: Residuals) -> None:
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:
-    """First (or held-out last) part of every block of a log, in time order. See `block_spans`."""
+    """First or held-out last part of every block, see `block_spans`."""
     return [log.part(runs, steps) for runs, steps in block_spans(log, held_out, blocks, last=last)]
 
 
 def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[tuple[slice, slice]]:
-    """Runs and steps of one part of every block of a log. The first or the held-out last; none is empty.
+    """Runs and steps of each block's first or held-out last part, if not empty.
 
     A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
     """
@@ -141,5 +141,5 @@ def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> 
 
 
 def stacked(parts: Sequence[Residuals]) -> list[Array]:
-    """Columns e, x, u, p and e⁺ of several parts, one after the other."""
+    """Columns e, x, u, p and e⁺ of all parts."""
     return [np.concatenate(column) for column in zip(*(part.columns() for part in parts))]

@@ -1,4 +1,4 @@
-"""Every tolerance of `ccdtools.twin`, with its meaning; where no unit is named it is relative [-]."""
+"""Tolerances of `ccdtools.twin`, relative [-] unless a unit is named."""
 
 RUNAWAY = 1e3  # Draws are stopped where they exceed this many times the largest logged state.
 RANK = 1e-6  # Columns of E, each of length one, are dependent below this part of the largest singular value.

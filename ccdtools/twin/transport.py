@@ -1,4 +1,4 @@
-"""How a one-step error that was logged at one design is met at another."""
+"""Transport of logged one-step errors from one design to another."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.twin.tolerances import RANK
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Transport(Immutable):
-    """Split of an error at one design into what enters through E, and the rest.
+    """Split of an error into what enters through E and the rest.
 
     e = E(p) ŵ + r with ŵ = E(p)⁺ e. At a design q the same disturbance enters through E(q), and the rest as it is:
     E(q) ŵ + r = T e with T = I + (E(q) − E(p)) E(p)⁺, the identity where E does not depend on the design.
@@ -46,7 +46,7 @@ class Transport(Immutable):
 
     @classmethod
     def at(cls, model: Model, p: ArrayLike, scale: ArrayLike) -> Transport:
-        """Split at a design (np,). `scale` (nx,) is the extent of each state, such as half the width of X."""
+        """Split at a design (np,); `scale` (nx,) is each state's extent."""
         as_model("model", model)
         scale = as_extent(scale, model.nx)
         E = model.matrices(p)[2]
@@ -55,12 +55,12 @@ class Transport(Immutable):
         return cls(E, inverse)
 
     def split(self, e: Array) -> tuple[Array, Array]:
-        """Disturbances ŵ (..., nw) and the rest r (..., nx) of errors (..., nx). At the design of the log."""
+        """Disturbances ŵ (..., nw) and rest r (..., nx) of errors (..., nx)."""
         w = e @ self.inverse.T
         return w, e - w @ self.E.T
 
     def matrix(self, E: Any) -> Any:
-        """Matrix T (nx, nx) for a design where the model has `E` (nx, nw). An array, or a tensor and differentiable."""
+        """Matrix T (nx, nx) at a design with `E` (nx, nw), array or tensor."""
         if isinstance(E, np.ndarray):
             return np.eye(len(self.E)) + (E - self.E) @ self.inverse
         own = E.new_tensor(self.E.tolist()).reshape(self.E.shape)
@@ -70,7 +70,7 @@ class Transport(Immutable):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ErrorSplit(Immutable):
-    """Logged errors as disturbances (ŵ, r) of a model. It has [E(p) I] in the place of E(p).
+    """Logged errors as disturbances (ŵ, r) that enter through [E(p) I].
 
     Of a nonlinear model x⁺ = f(x, u, ŵ, p) + r along the log, with the ŵ that leaves least; see `met_disturbances`.
 
@@ -94,27 +94,27 @@ class ErrorSplit(Immutable):
 
     @property
     def replayed_model(self) -> Model:
-        """Model that (ŵ, r) drives: ŵ through E(p) of whichever design, r as it is."""
+        """Model driven by (ŵ, r): ŵ through E(p) of any design, r directly."""
         return self.model.with_errors()
 
     def disturbances(self, log: Residuals) -> Array:
-        """Disturbances (ŵ, r) of every error of a log, (n, T, nw + nx)."""
+        """Disturbances (ŵ, r) of all logged errors, (n, T, nw + nx)."""
         if isinstance(self.model, SampledModel):
             return self._nonlinear(self.model, log)
         return np.concatenate(Transport.at(self.model, log.p, self.scale).split(log.e_next), axis=-1)
 
     def share_of_the_rest(self, logs: Sequence[Residuals]) -> float:
-        """Part of the errors' energy, in scaled states, that the rest r holds. 0 where there is no error."""
+        """Share of the rest r in the scaled errors' energy; 0 without errors."""
         rest = sum(float(np.square(self.rest(log) / self.scale).sum()) for log in logs)
         whole = sum(float(np.square(log.e_next / self.scale).sum()) for log in logs)
         return rest / whole if whole > 0 else 0.0
 
     def rest(self, log: Residuals) -> Array:
-        """Rest r of every error of a log, (n, T, nx)."""
+        """Rest r (n, T, nx) of all logged errors."""
         return self.disturbances(log)[..., self.model.nw :]
 
     def _nonlinear(self, model: SampledModel, log: Residuals) -> Array:
-        """Split for a nonlinear model: f(x, u, ŵ, p) + r is the logged next state."""
+        """Split of a nonlinear model's logged next states f(x, u, ŵ, p) + r."""
         from ccdtools.twin.met_disturbances import met_disturbances  # imports torch, which a study need not wait for
 
         w = met_disturbances(model, log, np.asarray(self.scale))
@@ -123,7 +123,7 @@ class ErrorSplit(Immutable):
 
 
 def carried(model: Model, log: Residuals, p: ArrayLike, scale: ArrayLike) -> Residuals:
-    """Log with its errors e and e⁺ at another design (np,). States and inputs are the same.
+    """Log with its errors carried to another design (np,).
 
     E(q) ŵ + r of a linear model, f(x, u, ŵ, q) + r − f(x, u, 0, q) of another.
     """
@@ -147,7 +147,7 @@ def as_extent(scale: ArrayLike, nx: int) -> Array:
 
 
 def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
-    """Whether an error at a design tells every disturbance of a model. E(p) is then of full column rank."""
+    """Whether E(p) has full column rank, so errors tell every disturbance."""
     scaled, lengths = _columns_of_length_one(model.matrices(p)[2] / scale[:, None])
     if model.nw == 0 or not np.isfinite(lengths).all():
         return model.nw == 0
@@ -156,7 +156,7 @@ def full_rank(model: Model, p: ArrayLike, scale: Array) -> bool:
 
 
 def check_disturbance_enters(model: Model) -> None:
-    """Raise an `InputError` if the disturbance of a model enters at no design of its box.
+    """Raise an `InputError` if the disturbance enters at no design.
 
     Into a nonlinear one it enters if the dynamics depend on it: E may be zero at rest, as that of w |w| or w sin(x) is.
     """
@@ -171,7 +171,7 @@ def check_disturbance_enters(model: Model) -> None:
 
 
 def _columns_of_length_one(M: Array) -> tuple[Array, Array]:
-    """Matrix M with columns divided by their lengths, and those lengths. Infinite for a column of zeros."""
+    """Columns of M over their lengths, and those lengths; infinite for zeros."""
     lengths = np.linalg.norm(M, axis=0)
     lengths = np.where(lengths > 0, lengths, np.inf)
     return M / lengths, lengths

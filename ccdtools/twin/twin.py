@@ -1,4 +1,4 @@
-"""The digital twin: a nominal model and what deployment has taught about its error."""
+"""Digital twin: a nominal model with its learned discrepancy."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BLOCKS = 20  # A single long run is cut into so many blocks by default.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DigitalTwin(Immutable):
-    """Nominal model with every log so far and the discrepancy learned from them.
+    """Nominal model with all logs and the discrepancy learned from them.
 
     `update` returns a new twin; the old one is unchanged. Its network works in the coordinates of the newest log's
     design: errors of other logs are carried there before it is fitted, and what it says is carried to any other design.
@@ -126,7 +126,7 @@ class DigitalTwin(Immutable):
         )  # fmt: skip
 
     def remembering(self, log: Trajectory) -> DigitalTwin:
-        """Twin with one more log, and nothing learned from it yet."""
+        """Twin with one more log, not yet learned from."""
         logs = (*self.logs, residuals(self.model, log))
         extent = np.abs(logs[0].x).max(axis=(0, 1))
         scale = np.where(extent > 0, extent, 1.0) if self.scale is None else self.scale
@@ -134,20 +134,20 @@ class DigitalTwin(Immutable):
 
     @property
     def transport(self) -> Transport:
-        """Transport of errors from the design of the newest log to any other."""
+        """Transport of errors from the newest log's design to any other."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
         return Transport.at(self.model, self.logs[-1].p, self.scale)
 
     def carried(self) -> tuple[Residuals, ...]:
-        """Logs with their errors as they would be at the design of the newest one."""
+        """Logs with their errors carried to the newest log's design."""
         if not self.logs or self.scale is None:
             raise InputError("twin", "one without a log", "one after `update`")
         newest = self.logs[-1].p
         return tuple(carried(self.model, log, newest, self.scale) for log in self.logs)
 
     def innovations(self) -> tuple[Residuals, ...]:
-        """Logs, as `carried`, with e⁺ less its predicted median: what the updated model leaves unexplained."""
+        """Logs, as `carried`, with e⁺ less its predicted median."""
         if self.discrepancy is None:
             raise InputError("twin", "one without a discrepancy", "one after `update`")
         return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.carried())
@@ -156,7 +156,7 @@ class DigitalTwin(Immutable):
 def _check_split(
     train: Sequence[Residuals], test: Sequence[Residuals], log: Residuals, held_out: float, blocks: int
 ) -> None:  # fmt: skip
-    """Raise an `InputError` if the newest log is too short to be split as asked for."""
+    """Raise an `InputError` if the newest log is too short to split."""
     argument = "log" if (held_out, blocks) == (HELD_OUT, BLOCKS) else "held_out"
     of = f"{log.runs} runs" if log.runs > 1 else f"{blocks} blocks of a log of {log.steps} samples"
     trained = sum(part.runs * part.steps for part in train)

@@ -1,4 +1,4 @@
-"""The model as updated by the logs so far, for comparing candidates that other states and disturbances will meet."""
+"""Model updated by the logs, for comparing candidates on other disturbances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from learning.quantile import QuantileConfig, QuantileNetwork, fit_quantiles
 
 @dataclass(frozen=True, eq=False)
 class UpdatedPlant(PlantOfModel):
-    """Updated model x⁺ = f(x, u, ŵ, p) + T(p) g(x, u) + ρ, driven by (ŵ, ρ).
+    """Updated model x⁺ = f(x, u, ŵ, p) + T(p) g(x, u) + ρ.
 
     Logged errors hold E(p) w, and a model fitted in closed loop can mistake a coloured disturbance for a consequence of
     the state. Of a single drive g is therefore the median of what does not enter through E(p); the rest of the errors
@@ -47,7 +47,7 @@ class UpdatedPlant(PlantOfModel):
     def from_logs(
         cls, split: ErrorSplit, logs: Sequence[Residuals], *, rng: np.random.Generator, config: QuantileConfig
     ) -> UpdatedPlant:  # fmt: skip
-        """Updated model of logged errors. `config` is without its levels, as the median alone is fitted."""
+        """Updated model of logged errors, whose median alone is fitted with `config`."""
         transport = Transport.at(split.model, logs[-1].p, split.scale)
         identity = np.eye(split.model.nx)
         single = all(log.runs == 1 for log in logs)
@@ -64,20 +64,20 @@ class UpdatedPlant(PlantOfModel):
         return replace(plant, median=network)
 
     def learned(self, x: Array, u: Array) -> Array:
-        """Learned error g (..., nx) at states (..., nx) and inputs (..., nu)."""
+        """Learned error g (..., nx) at x (..., nx) and u (..., nu)."""
         if self.median is None:
             return np.zeros(x.shape)
         inputs = np.concatenate([x, u], axis=-1)
         return self.median.predict(inputs.reshape(-1, inputs.shape[-1]))[:, 0].reshape(x.shape)
 
     def unexplained(self, logs: Sequence[Residuals]) -> list[Residuals]:
-        """Logs at the newest design, their errors less what follows state and input."""
+        """Logs at the newest design, less the learned errors."""
         newest = logs[-1].p
         own = [replace(carried(self.split.model, log, newest, np.asarray(self.split.scale)), p=newest) for log in logs]
         return [replace(log, e_next=log.e_next - self.learned(log.x, log.u)) for log in own]
 
     def drawn(self, logs: Sequence[Residuals], w: Array) -> Array:
-        """Drive (ŵ, ρ) under a disturbance (n, T, nw). It takes the place of the logged one, whose mean is kept."""
+        """Drive (ŵ, ρ) of a disturbance (n, T, nw), with the logged mean."""
         nw = w.shape[-1]
         logged = [self.split.disturbances(log)[..., :nw].reshape(-1, nw) for log in self.unexplained(logs)]
         return np.concatenate([w + np.concatenate(logged).mean(axis=0), np.zeros((*w.shape[:2], self.nx))], axis=-1)

@@ -1,1 +1,1 @@
-"""The ways to co-design, each an object with the one method `run`."""
+"""Co-design methods, each an object with the method `run`."""

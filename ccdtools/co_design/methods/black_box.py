@@ -1,4 +1,4 @@
-"""Comparable values of a problem at any point of the unit box, for a search."""
+"""Comparable values of a problem at any unit-box point."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from mpc import NotStabilisableError
 
 
 class ClosedLoop:
-    """A law in closed loop: cost and by how much limits are left."""
+    """Closed loop of a law: cost and violation of limits."""
 
     def __init__(self, problem: CoDesignProblem, cost: LoopCost) -> None:
         self.cost = cost
         self.penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
 
     def __call__(self, v: Array) -> tuple[float, float]:
-        """Cost and limit violation at a point of the unit box."""
+        """Cost and limit violation at a unit-box point."""
         try:
             if self.penalty is None:
                 seen = self.cost.seen(v)
@@ -43,7 +43,7 @@ class ClosedLoop:
         return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
-        """Violation of the limits at a point, beside the tolerance measured there.
+        """Violation of the limits beside the tolerance measured at a point.
 
         On the way the tolerance is extrapolated.
         """
@@ -73,7 +73,7 @@ class Evaluation:
 
 
 class BlackBox:
-    """Value of the nearest feasible design at any point of the unit box.
+    """Value of the nearest feasible design at any unit-box point.
 
     A little is taken off for the distance.
     """
@@ -90,7 +90,7 @@ class BlackBox:
 
     @property
     def first(self) -> Array:
-        """The start's free entries."""
+        """Free entries of the start."""
         return np.asarray(self.start[self.free])
 
     @property
@@ -100,7 +100,7 @@ class BlackBox:
         return float(np.quantile(known[:SIZE_EVALUATIONS], BETTER_SHARE)) if known else 1.0
 
     def begin(self, budget: int, rng: np.random.Generator) -> None:
-        """Evaluation at the start, and at random points until there is a value."""
+        """Evaluate the start, then random points until one has a value."""
         z = self.first
         for _ in range(budget):
             self(z)
@@ -109,12 +109,12 @@ class BlackBox:
             z = rng.random(len(z))
 
     def __call__(self, z: Array) -> float:
-        """Merit at free entries `z`, which is to be small."""
+        """Merit at free entries `z`, to be small."""
         self.looks.append(self._looked(z))
         return self.merit(self.looks[-1])
 
     def merit(self, look: Evaluation) -> float:
-        """Merit of an evaluation, by the size of costs that is known now."""
+        """Merit of an evaluation, by the current size of costs."""
         size = self.size
         if not np.isfinite(look.cost):
             return LOST_COST * size
@@ -122,7 +122,7 @@ class BlackBox:
         return float(size * (compressed(look.cost / size) + DISTANCE_COST * look.away + violation))
 
     def _looked(self, z: Array) -> Evaluation:
-        """Evaluate the feasible design that is nearest."""
+        """Evaluate the nearest feasible design."""
         asked = self.start.copy()
         asked[self.free] = np.clip(z, 0.0, 1.0)
         allowed = self.problem.design.allowed

@@ -1,4 +1,4 @@
-"""Local search over designs along exact slopes, within bounds and constraints.
+"""Local search over designs along exact slopes, within constraints.
 
 References
 ----------
@@ -42,18 +42,18 @@ class Descent:
 
 
 def value_of(cost: Any, v: Array) -> float:
-    """The cost at a point, without its slope where that is expensive."""
+    """Cost at a point, without its slope where that is expensive."""
     return cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
 
 
 def compressed(relative: float) -> float:
-    """A relative cost, beyond `COMPRESS_ABOVE` as a logarithm."""
+    """Relative cost, logarithmic beyond `COMPRESS_ABOVE`."""
     high = relative > COMPRESS_ABOVE
     return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
 
 
 def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
-    """Least cost found from a feasible point of the unit box.
+    """Least cost found from a feasible unit-box point.
 
     Fixed entries and whole numbers are held.
 
@@ -95,7 +95,7 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
 
 @dataclass(eq=False)
 class _Point:
-    """Evaluated point of the unit box, with a slope once one was asked for."""
+    """Evaluated point of the unit box, with its slope if asked for."""
 
     v: Array
     cost: float
@@ -103,7 +103,7 @@ class _Point:
 
 
 class _Watched:
-    """Cost of the free entries z for a search; the best so far is kept in `found`."""
+    """Cost of free entries z; `found` keeps the best so far."""
 
     def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self.cost = cost
@@ -118,7 +118,7 @@ class _Watched:
         self._best: _Point | None = None
 
     def at(self, z: Array) -> Array:
-        """The whole point with the free entries `z`."""
+        """Whole point with the free entries `z`."""
         point = self.start.copy()
         point[self.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
         return point
@@ -132,7 +132,7 @@ class _Watched:
         return compressed(relative)
 
     def slope(self, z: Array) -> Array:
-        """Slope of the relative cost along the free entries."""
+        """Slope of the relative cost by free entries."""
         point = self._point(z)
         relative = point.cost / self.size
         if not np.isfinite(relative):
@@ -148,14 +148,14 @@ class _Watched:
             self.found.slope = self._slope(self._best)
 
     def _slope(self, point: _Point) -> Array:
-        """The slope at a point, looked for at most once."""
+        """Slope at a point, computed at most once."""
         if point.slope is None:
             assert self.apart is not None
             point.slope = self.apart.slope(point.v)
         return point.slope
 
     def _point(self, z: Array) -> _Point:
-        """Evaluations at a point; the last one is remembered.
+        """Evaluation at a point; the last is remembered.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Cost of the design alone, for searches, and the end of one of them."""
+"""Cost of the design alone, and ends of its searches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ccdtools.exceptions import InputError
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """The end of the search from one start.
+    """End of the search from one start.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class End:
 
     @property
     def order(self) -> tuple[float, float]:
-        """Violation, then cost: the best end has the least."""
+        """Violation, then cost; the best end has least."""
         return (self.violation, self.found.cost)
 
 
 class DesignCost(ABC):
-    """Cost, minus a return, over the unit box, with slope and controller of each design.
+    """Cost (minus a return) over the unit box, with slope and controller.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class DesignCost(ABC):
 
     @abstractmethod
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,); infinite where there is no controller."""
+        """Cost and slope (np,) at a point (np,); infinite without a controller."""
 
     @abstractmethod
     def controller(self, p: Array) -> Controller:
@@ -85,19 +85,19 @@ class DesignCost(ABC):
         return len(self.rows)
 
     def worth_a_start(self, v: Array) -> bool:
-        """True if a search may begin at a point, as far as a cheap evaluation tells."""
+        """True if a cheap evaluation allows a search from a point."""
         return True
 
     def first_point(self, v: Array) -> tuple[Array, float]:
-        """A point to search from, and its cost."""
+        """Point to search from, and its cost."""
         return v, value_of(self, v)
 
     def least(self, v: Array, *, size: float, evaluations: int) -> End:
-        """The end of a search from a point."""
+        """End of a search from a point."""
         return End(self, descend(self, self.problem.design, v, size=size, evaluations=evaluations), size)
 
     def examined(self, end: End) -> End:
-        """The best end with its limits, once it is known."""
+        """Best end with its limits, once known."""
         return end
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:

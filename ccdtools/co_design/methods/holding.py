@@ -1,4 +1,4 @@
-"""Starts of the searches of a method, and active constraints where one ended."""
+"""Starts of a method's searches, and active constraints at their ends."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OTHERS = "other whole numbers were never looked at: raise starts"
 
 @dataclass(frozen=True)
 class Held:
-    """Prices of the active bounds and constraints of a design, and the slope left.
+    """Prices of active bounds and constraints, and the slope left.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Held:
 
 
 def active_set_at(space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array] | None = None) -> Held:
-    """Active bounds and constraints of a point where the cost has this slope (np,).
+    """Active bounds and constraints at a point with this slope (np,).
 
     Where the slope is unknown, NaN is left.
 
@@ -65,7 +65,7 @@ def active_set_at(space: DesignSpace, v: Array, slope: Array, violations: Mappin
 
 
 def _steepness(space: DesignSpace, v: Array) -> Array:
-    """Lengths (ng,) of the constraints' slopes along the free entries of the unit box."""
+    """Lengths (ng,) of the constraint slopes along the free entries."""
     p = ca.SX.sym("p", space.dim)
     J = ca.Function("J", [p], [ca.densify(ca.jacobian(space.constraints(p), p))])
     slopes = np.asarray(J(space.from_unit(v)), dtype=float) * space.allowed.width
@@ -73,7 +73,7 @@ def _steepness(space: DesignSpace, v: Array) -> Array:
 
 
 def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
-    """True if central differences confirm the slope along one random free direction."""
+    """True if differences confirm the slope along a random free direction."""
     free = space.allowed.free
     if not free.any():
         return True
@@ -87,7 +87,7 @@ def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
 
 
 def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
-    """Points to start from: the given design, and the best other local optima."""
+    """Starting points: the given design and the best other optima."""
     starts = [space.allowed.rounded(space.to_unit(design))]
     for valley in found:
         v = space.to_unit(valley.design)

@@ -1,4 +1,4 @@
-"""Control laws that belong to a design, for the loops of nested search."""
+"""Control laws of a design, for the loops of nested search."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.controllers.controllers import Controller, Passive
 
 @dataclass(frozen=True)
 class PassiveLaw:
-    """u = 0: what the plant does alone."""
+    """Law u = 0 of the plant alone."""
 
     words = "the passive plant"
     differentiable = True
@@ -37,13 +37,13 @@ class PassiveLaw:
 
 @dataclass(frozen=True)
 class LQRLaw:
-    """u = clip(−K(p) x), K(p) of the Riccati equation of each design."""
+    """Law u = clip(−K(p) x), K(p) by each design's Riccati equation."""
 
     words = "saturated LQR"
     differentiable = True
 
     def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Saturated LQR, its gain exact and differentiable."""
+        """Saturated LQR with exact, differentiable gain."""
         K: Tensor = _Gain.apply(p, problem)
         low, high = problem.input_bounds_at(p)
         low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in (low, high))
@@ -55,20 +55,20 @@ class LQRLaw:
 
 
 class _OnLineLaw(ABC):
-    """A controller that is made anew at every design and asked at every state."""
+    """Controller made anew at every design and asked at every state."""
 
     differentiable = False
 
     @abstractmethod
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """The controller of a design."""
+        """Controller of a design."""
 
     def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """A run beyond the divergence limit is lost and costs no program."""
+        """Law that gives a lost run no program to solve."""
         controller = self.controller(problem, p.detach().numpy())
 
         def law(x: Tensor) -> Tensor:
-            """The inputs."""
+            """Inputs."""
             states = x.detach().numpy()
             lost = (np.abs(states) > problem.limit).any(axis=1)
             return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
@@ -78,7 +78,7 @@ class _OnLineLaw(ABC):
 
 @dataclass(frozen=True, eq=False)
 class SecantLaw(_OnLineLaw):
-    """Saturated LQR of the linearisation over the states that each design's loop visits.
+    """Saturated LQR of the linearisation over states that its loop visits.
 
     They are visited on given scenarios.
     """
@@ -93,18 +93,18 @@ class SecantLaw(_OnLineLaw):
 
 @dataclass(frozen=True)
 class MPCLaw(_OnLineLaw):
-    """MPC of every design, on line; nonlinear by one real-time iteration a sample, each run with a plan of its own."""
+    """MPC of every design, on line; nonlinear by one real-time iteration per sample and run."""
 
     horizon: int = HORIZON
     nonlinear: bool = False
 
     @property
     def words(self) -> str:
-        """Name of the MPC with its horizon, in words."""
+        """Name of the MPC, with its horizon."""
         return f"{'nonlinear' if self.nonlinear else 'linear'} MPC (N = {self.horizon})"
 
     def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """The MPC of a design."""
+        """MPC of a design."""
         return (nonlinear_mpc if self.nonlinear else linear_mpc)(problem, p, horizon=self.horizon)
 
 
@@ -117,7 +117,7 @@ class _Gain(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, p: Tensor, problem: CoDesignProblem) -> Tensor:
-        """The gain."""
+        """Gain."""
         at = p.detach().numpy()
         if not ctx.needs_input_grad[0]:
             return torch.tensor(saturated_lqr(problem, at).K)
@@ -127,5 +127,5 @@ class _Gain(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, gradient: Tensor):
-        """Gradient by the design (np,), by the chain rule."""
+        """Gradient (np,) by the design, by the chain rule."""
         return torch.einsum("ux,uxp->p", gradient, ctx.slopes), None

@@ -1,4 +1,4 @@
-"""Co-design by gradients through the model, PPO, or both; its starts and their race."""
+"""Co-design by gradients through the model, PPO, or both."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from mpc import MPCError
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """Policy and design that climb together, from an imitated expert.
+    """Policy and design that climb together, from an expert's imitation.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Learned:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> LearnedCoDesign:
-        """The best design and policy found from a feasible design (np,)."""
+        """Best design and policy from a feasible design (np,)."""
         config: Any = self.config
         judge = problem if self.judge is None else self.judge
         check_followed(problem.risk, self.by, config.design_gradient)
@@ -106,7 +106,7 @@ class Learned:
 
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
-    """An agent that imitates saturated LQR over X and the box of designs."""
+    """Agent that imitates saturated LQR over X and all designs."""
     data = expert_dataset(problem, samples=1000, rng=rng, progress=progress)
     return fit_actor_critic(
         data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
@@ -134,7 +134,7 @@ def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np
 def _result(
     task: Task, ascents: list[Ascent], agent: ActorCritic, design: Array, found: tuple[Valley, ...]
 ) -> LearnedCoDesign:
-    """The winner of the race, with what the others came to."""
+    """Winner of the race, with the others' outcomes."""
     winner = ascents[0]
     space = task.problem.design
     best = winner.region.settled(winner.best.v)
@@ -151,7 +151,7 @@ def _result(
 
 @torch.no_grad()
 def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dict[str, float]:
-    """Gains by design and policy, one after the other, on the evaluation scenarios."""
+    """Gains by design, then policy, on the evaluation scenarios."""
     first = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32)
     before, moved = (
         task.judge.risk.values(episode_at(task.judge, agent, v, winner.evaluation).total).mean().item()
@@ -161,7 +161,7 @@ def _gains(task: Task, winner: Ascent, agent: ActorCritic, design: Array) -> dic
 
 
 def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) -> tuple[Valley, ...]:
-    """Local optima with the end of the best co-design from each."""
+    """Local optima with the best co-design's end from each."""
     named = []
     for valley in found:
         places = [valley.design, design] if valley.given else [valley.design]
@@ -175,7 +175,7 @@ def _with_ends(found: tuple[Valley, ...], ascents: list[Ascent], design: Array) 
 
 
 def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
-    """Raise an `InputError` unless the judge has the states, inputs and box of designs of `problem`."""
+    """Raise an `InputError` unless the judge has the problem's states, inputs and box."""
     own = problem.design
     other = judge.design
     same_box = own.names == other.names and np.array_equal([own.lower, own.upper], [other.lower, other.upper])
@@ -184,7 +184,7 @@ def _check_judge(problem: CoDesignProblem, judge: CoDesignProblem) -> None:
 
 
 def _check_objective(problem: CoDesignProblem) -> None:
-    """Raise an `InputError` unless the objective gives one differentiable reward per row of torch tensors."""
+    """Raise an `InputError` unless rewards are differentiable, one per torch row."""
     x = torch.zeros(2, problem.model.nx, requires_grad=True)
     u = torch.zeros(2, problem.model.nu, requires_grad=True)
     try:
@@ -200,14 +200,14 @@ def _check_objective(problem: CoDesignProblem) -> None:
 
 
 def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple[Valley, ...]:
-    """Local optima of the landscape; none if the design is frozen or has one start."""
+    """Local optima of the landscape; none for a frozen design or single start."""
     if not task.designing or task.config.starts == 1:
         return ()
     return valleys(task.problem, design, rng=rng)
 
 
 def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[Array]:
-    """The given design, and the bottoms of the best valleys that lie elsewhere."""
+    """Given design, and the bottoms of the best other valleys."""
     space = task.problem.design
     most = task.config.starts or _by_default(space)
     starts = [np.asarray(design, dtype=float)]
@@ -221,7 +221,7 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
 
 
 def _by_default(space: DesignSpace) -> int:
-    """Number of starts by default; of a few combinations of whole numbers all."""
+    """Default number of starts; all of few whole-number combinations."""
     if space.integer:
         number = combinations(space)
         return 1 + int(number) if number <= CLIMBED_COMBINATIONS else 4  # starts with the best of many combinations
@@ -231,7 +231,7 @@ def _by_default(space: DesignSpace) -> int:
 def race(
     task: Task, agents: list[ActorCritic], starts: list[Array], rng: np.random.Generator, *, progress: bool
 ) -> list[Ascent]:
-    """The ascents of every agent from every start, the best first.
+    """Ascents of every agent from every start, best first.
 
     They climb a block at a time. One is given up when it has come to the place of a better one, loses runs that a
     better one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a
@@ -257,7 +257,7 @@ def race(
 
 
 def leader(ascents: list[Ascent]) -> Ascent:
-    """The ascent with the best iterate."""
+    """Ascent with the best iterate."""
     first = ascents[0]
     for one in ascents[1:]:
         first = one if one.best.beats(first.best) else first
@@ -265,7 +265,7 @@ def leader(ascents: list[Ascent]) -> Ascent:
 
 
 def _hopeful(one: Ascent, first: Ascent) -> bool:
-    """True if an ascent may overtake the first, and loses none of its runs."""
+    """True if an ascent may overtake the first without more lost runs."""
     if one.best.lost > first.best.lost:
         return False
     if not _apart(one.task.problem.design, one.best.v.numpy(), first.best.v.numpy()):
@@ -276,6 +276,6 @@ def _hopeful(one: Ascent, first: Ascent) -> bool:
 
 
 def _apart(space: DesignSpace, v: Array, other: Array) -> bool:
-    """True if two points of the unit box differ, as other whole numbers always do."""
+    """True if two points differ, as other whole numbers always do."""
     away = np.abs(v - other)
     return bool(away.max() > SAME_PLACE or (away * space.allowed.width)[space.whole].max(initial=0.0) > 0.5)

@@ -1,4 +1,4 @@
-"""Cost, with slope, of a policy that is trained anew at every design.
+"""Cost, with slope, of a policy trained at every design.
 
 By the envelope theorem the slope of the best policy's cost is that of the cost with the policy held.
 
@@ -30,7 +30,7 @@ from learning.networks import ActorCritic
 
 @dataclass(eq=False)
 class LearnedCost(DesignCost):
-    """Cost, minus the mean return, of the policy trained from that of the last design.
+    """Cost (minus mean return) of a policy trained from the last design's.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class LearnedCost(DesignCost):
         return f"a policy trained by {self.by} at every design, on {len(self.scenarios[0])} scenarios"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and its slope (np,) at a point (np,) of the unit box."""
+        """Cost and slope (np,) at a unit-box point (np,)."""
         p = self.problem.design.from_unit(v)
         config = CoDesignConfig(iterations=POLICY_ITERATIONS, design_rate=0.0, starts=1)
         inner = Learned(by=self.by, agent=self.agent, config=config)
@@ -74,7 +74,7 @@ class LearnedCost(DesignCost):
         return cost.item(), slope.double().numpy()
 
     def controller(self, p: Array) -> Controller:
-        """The policy that was trained nearest to a design, at that design."""
+        """Policy trained nearest to a design, at that design."""
         space = self.problem.design
         away = [float(np.abs(space.to_unit(at) - space.to_unit(p)).max()) for at, _ in self._trained]
         return LearnedPolicy(self._trained[int(np.argmin(away))][1], p)

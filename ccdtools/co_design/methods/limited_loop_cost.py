@@ -31,16 +31,16 @@ from mpc import NotStabilisableError
 
 @dataclass(frozen=True, eq=False)
 class LimitedEnd(End):
-    """The end of a search with prices on the limits."""
+    """End of a search with prices on limits."""
 
     penalty: StateLimitPenalty | None = None
 
 
 class LimitedLoopCost(LoopCost):
-    """`LoopCost` with a search for the cheapest design that keeps the limits to their tolerance."""
+    """Cost in closed loop, for the cheapest design within limits."""
 
     def least(self, v: Array, *, size: float, evaluations: int) -> End:
-        """The end of the search again and again; from where it ended without a price."""
+        """End of repeated searches, from where one ended without a price."""
         cost: LimitedLoopCost = self
         found = descend(cost, self.problem.design, v, size=size, evaluations=evaluations)
         penalty = StateLimitPenalty(self.problem)
@@ -69,7 +69,7 @@ class LimitedLoopCost(LoopCost):
         return cost.nearer(best, min(broken, key=lambda end: end.violation))
 
     def nearer(self, best: LimitedEnd, broken: LimitedEnd) -> LimitedEnd:
-        """Cheapest design that keeps the limits, on the way from one that does to a cheaper one that does not.
+        """Cheapest design within limits, on the way from `best` to `broken`.
 
         Prices aim a little within the limits, so that something of the way is left.
         """
@@ -96,7 +96,7 @@ class LimitedLoopCost(LoopCost):
         return best
 
     def examined(self, end: End) -> End:
-        """End of the search with its limits; those priced and used up count as constraints."""
+        """End with its limits; those priced and used up count as constraints."""
         if not isinstance(end, LimitedEnd) or end.penalty is None:
             return end
         v = end.found.v
@@ -112,19 +112,19 @@ class LimitedLoopCost(LoopCost):
                        active=dict(one for one, is_so in zip(named, active) if is_so))  # fmt: skip
 
     def _cost_and_violations(self, v: Array) -> Array:
-        """Cost without its penalty, and mean and peak violation of the limits, (3,)."""
+        """Cost without penalty, and mean and peak violation, (3,)."""
         seen = self.seen(v)
         cost = -self.problem.risk.values(seen.total).mean()
         return np.array([float(cost), float(seen.depth.mean()), float(seen.peak.mean())])
 
 
 def loop_cost(problem: CoDesignProblem, law: DesignLaw, scenarios: ScenarioTensors) -> LoopCost:
-    """Cost of a law in closed loop, within limits that have a tolerance."""
+    """Closed-loop cost of a law, within limits that have a tolerance."""
     return (LoopCost if problem.limit_tolerance == "off" else LimitedLoopCost)(problem, law, scenarios)
 
 
 def _settled(ends: list[LimitedEnd]) -> bool:
-    """Whether further rounds of prices are expected to change nothing."""
+    """Whether further rounds of prices would change nothing."""
     kept = [end.violation <= 0 for end in ends]
     if any(kept):
         costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])

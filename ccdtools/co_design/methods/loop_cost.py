@@ -1,4 +1,4 @@
-"""Closed-loop cost of a law with its slope by the design.
+"""Closed-loop cost of a law, with its slope by the design.
 
 With limits it is searched again while they are priced.
 """
@@ -28,7 +28,7 @@ from mpc import NotStabilisableError
 
 @dataclass(eq=False)
 class LoopCost(DesignCost):
-    """Cost, minus the mean return, of a law over the unit box, on the same scenarios.
+    """Cost (minus mean return) of a law on fixed scenarios, over the unit box.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class LoopCost(DesignCost):
         return f"{self.law.words} in closed loop on {len(self.scenarios[0])} scenarios"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and slope (np,) at a point (np,); infinite where the law has no gain."""
+        """Cost and slope (np,) at a point (np,); infinite without a gain."""
         if self.slope_is_expensive:
             return self.value(v), self.slope(v)
         point = torch.tensor(v, dtype=torch.float64, requires_grad=True)
@@ -71,16 +71,16 @@ class LoopCost(DesignCost):
 
     @torch.no_grad()
     def value(self, v: Array, *, remember: bool = True) -> float:
-        """The cost alone."""
+        """Cost alone."""
         cost = self._cost(torch.tensor(v, dtype=torch.float64), v if remember else None)
         return np.inf if cost is None else float(cost)
 
     def slope(self, v: Array) -> Array:
-        """Slopes (np,) of the closed loops themselves, by differences."""
+        """Slopes (np,) by differences of whole closed loops."""
         return self._differences(v, lambda at: np.array([self.value(at, remember=False)]), 1)[0]
 
     def _differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
-        """Slopes (count, np) of some values (count,) at a point: central, at a bound one-sided."""
+        """Slopes (count, np) of values (count,), central or one-sided at a bound."""
         slopes = np.zeros((count, len(v)))
         for i in np.flatnonzero(self.problem.design.allowed.free):
             ends = []
@@ -93,7 +93,7 @@ class LoopCost(DesignCost):
         return slopes
 
     def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
-        """The cost at a point; None where the law has no gain there. A point `v` is a row of the history."""
+        """Cost at a point, None without a gain; `v` adds a history row."""
         self.evaluations += 1
         try:
             seen = self._episode(point)
@@ -108,7 +108,7 @@ class LoopCost(DesignCost):
         return cost
 
     def updated(self, penalty: StateLimitPenalty, v: Array) -> tuple[Episode, StateLimitPenalty]:
-        """Episodes at a point, and the penalty after them."""
+        """Episodes at a point, and the penalty afterwards."""
         seen = self.seen(v)
         if bool(seen.diverged.any()):
             return seen, penalty
@@ -117,18 +117,18 @@ class LoopCost(DesignCost):
 
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
-        """Episodes of the law at a point, with their violations of the limits."""
+        """Episodes of the law at a point, with limit violations."""
         return self._episode(torch.tensor(v, dtype=torch.float64), depths=True)
 
     def _episode(self, v: Tensor, *, depths: bool = False) -> Episode:
-        """Episodes at a point of the unit box."""
+        """Episodes at a unit-box point."""
         p = to_design(self.problem, v)
         law = self.law.law(self.problem, p)
         watched = depths or (self.penalty is not None and self.penalty.active)
         return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=watched)
 
     def _remember(self, v: Array, seen: Episode) -> None:
-        """Another row of the history."""
+        """Add a row to the history."""
         mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
         count = len(self.rows) + 1
         samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
@@ -136,7 +136,7 @@ class LoopCost(DesignCost):
         self.rows.append((count, count * samples, design, mean, std, lost))
 
     def worth_a_start(self, v: Array) -> bool:
-        """Whether saturated LQR, which costs nothing beside MPC, loses no run at a point."""
+        """Whether saturated LQR, which is cheap, loses no run at a point."""
         if not self.slope_is_expensive:
             return True
         try:
@@ -145,5 +145,5 @@ class LoopCost(DesignCost):
             return False
 
     def controller(self, p: Array) -> Controller:
-        """The law at a design, for use."""
+        """Law at a design, for use."""
         return self.law.controller(self.problem, p)

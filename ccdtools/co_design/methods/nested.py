@@ -1,4 +1,4 @@
-"""Nested co-design: outer search over designs, and the controller of each inside.
+"""Nested co-design: search over designs, each with its controller.
 
 References
 ----------
@@ -41,7 +41,7 @@ EVALUATIONS = 100  # Evaluations of the others.
 
 @dataclass(frozen=True)
 class Nested:
-    """An outer search by SQP along slopes; inside, for every design, its own controller.
+    """Outer search by SQP along slopes, with an inner controller per design.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Nested:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """Best design found from a feasible one (np,) and other starts, with its controller."""
+        """Best design and its controller, from a feasible one (np,) and other starts."""
         starts = 1 if self.inner == "rl" else self.starts
         budget = SearchBudget(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
@@ -113,7 +113,7 @@ class Nested:
     def _of_better_linearisation(
         self, budget: SearchBudget, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
     ) -> CoDesignResult:  # fmt: skip
-        """Result of LQR of the tangent, or of the secant if asked for or better."""
+        """Result of the tangent's LQR, or the secant's if asked for or better."""
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":
@@ -137,7 +137,7 @@ class Nested:
     def _cost_from(
         self, problem: CoDesignProblem, rng: np.random.Generator, progress: bool
     ) -> Callable[[Array], DesignCost]:
-        """The cost of a search that starts at a point of the unit box."""
+        """Cost of a search that starts at a unit-box point."""
         runs = self.runs or RUNS[self.inner]
         if self.inner == "riccati":
             return lambda v: RiccatiCost(problem)

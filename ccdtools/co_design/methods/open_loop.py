@@ -1,4 +1,4 @@
-"""Optimal control problem of a co-design: trajectories under given disturbances, and the design."""
+"""Optimal control problem over trajectories under given disturbances and the design."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def open_loop_problem(
     problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, guess: list[Any] | None = None,
     feedback: Feedback | None = None, constrained: bool = True,
 ) -> OptimalControlProblem:  # fmt: skip
-    """The best trajectories of the given scenarios, with a design that they share.
+    """Best trajectories of given scenarios, with a design they share.
 
     Each scenario has inputs of its own, chosen with its whole disturbance known: what no controller can do, and what
     bounds them all. With `feedback`, the inputs are those of a gain that they share, too.
@@ -86,7 +86,7 @@ def open_loop_problem(
 def at_the_mean(
     problem: CoDesignProblem, stated: Callable[[CoDesignProblem], OptimalControlProblem], **given: Any
 ) -> Solution | None:
-    """Optimum for the mean of costs, to start a program that counts their spread.
+    """Optimum for the mean of costs, to start a spread's program.
 
     None if it counts none.
 
@@ -100,7 +100,7 @@ def at_the_mean(
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Saturated feedback u = −K x, with K among the parameters after the design.
+    """Saturated feedback u = −K x, its K a parameter after the design.
 
     The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
     """
@@ -110,7 +110,7 @@ class Feedback:
 
     @property
     def first(self) -> Array:
-        """The gain to start from, by columns."""
+        """Initial gain, by columns."""
         return np.asarray(self.K.ravel(order="F"))
 
     @property
@@ -124,7 +124,7 @@ class Feedback:
         return np.full(self.K.size, np.inf)
 
     def inputs(self, x: Any, p: Any, size: int) -> Any:
-        """Inputs (nu) at a state and all parameters, the first `size` of them the design."""
+        """Inputs (nu) at a state; the first `size` parameters are the design."""
         asked = -ca.reshape(p[size:], *self.K.shape) @ x
         U = self.problem.U
         if isinstance(U, DesignLimits):
@@ -143,7 +143,7 @@ def _risk(problem: CoDesignProblem) -> dict[str, Any]:
 
 
 def check_open_loop(problem: CoDesignProblem) -> None:
-    """Raise an `InputError` if trajectories cannot honour what a problem asks for."""
+    """Raise an `InputError` if trajectories cannot honour the problem."""
     objective = problem.objective
     symbolic = isinstance(objective, CustomObjective) or (
         isinstance(objective, QuadraticObjective) and type(objective).rewards is QuadraticObjective.rewards
@@ -179,7 +179,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
         return stage(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
 
     def path(x: Any, u: Any, p: Any) -> Any:
-        """Limits, each to be ≤ 0."""
+        """Limits, each ≤ 0."""
         applied = u if feedback is None else feedback.inputs(x, p, size)
         return ca.vertcat(*(limit.values(x, applied, p[:size]) for limit in limits))
 
@@ -193,7 +193,7 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
 
 
 def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
-    """Functions (x, u, p) → cost of a step by its present state, and (x, p) → cost of the end."""
+    """Cost functions (x, u, p) of a present step, and (x, p) of the end."""
     objective = problem.objective
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     if isinstance(objective, CustomObjective):
@@ -206,7 +206,7 @@ def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
     S = None if objective.S is None else ca.DM(objective.S)
 
     def stage(x: Any, u: Any, p: Any) -> Any:
-        """A step is charged for its next state; summed up, that is every present one but the first, and the last."""
+        """Cost by the present state; the next states' sum differs by first and last."""
         own = ca.bilin(Q, x, x) + ca.bilin(R, u, u)
         return own if S is None else own + 2 * ca.bilin(S, x, u)
 
@@ -214,13 +214,13 @@ def costs(problem: CoDesignProblem) -> tuple[Any, Any]:
 
 
 def first_cost(problem: CoDesignProblem, x0: Array) -> float:
-    """Stage cost of a first state, which an objective of next states leaves out."""
+    """Stage cost of a first state, left out by next-state objectives."""
     objective = problem.objective
     return float(x0 @ objective.Q @ x0) if isinstance(objective, QuadraticObjective) else 0.0
 
 
 def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Scenarios as arrays (n, nx) and (n, T, nw); one of every worst case."""
+    """Scenarios (n, nx) and (n, T, nw); one of every worst case."""
     if isinstance(problem.risk, WorstCase):
         runs = problem.risk.cases or runs
     x0, w = scenario_tensors(problem, runs, rng)
@@ -228,7 +228,7 @@ def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tupl
 
 
 def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
-    """Trajectories (times, x, u) of saturated LQR as a guess, held where they diverge."""
+    """Trajectories (times, x, u) of saturated LQR, held where they diverge."""
     x0, w = scenarios
     try:
         law: Any = saturated_lqr(problem, design)

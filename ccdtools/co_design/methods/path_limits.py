@@ -1,4 +1,4 @@
-"""Limits of a problem along a trajectory, as expressions ≤ 0 and in words."""
+"""Limits along a trajectory, as expressions ≤ 0 and in words."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class PathLimit:
 
 
 def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit, ...]:
-    """Limits on states, inputs and outputs that are no bounds of the inputs.
+    """Limits on states, inputs and outputs other than input bounds.
 
     Limits on inputs are left out if `fed_back`.
     """
@@ -54,7 +54,7 @@ def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit,
 
 
 def told(problem: CoDesignProblem, solution: Any, *, fed_back: bool = False) -> tuple[str, ...]:
-    """Notes on a solution of a program of trajectories that is no optimum."""
+    """Notes on a trajectory solution that is not optimal."""
     if solution.solved:
         return ()
     broken = in_words(problem, solution.conflicts, fed_back=fed_back)
@@ -63,7 +63,7 @@ def told(problem: CoDesignProblem, solution: Any, *, fed_back: bool = False) -> 
 
 
 def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: bool) -> tuple[str, ...]:
-    """Contradictions in a program of trajectories, in its problem's names, each limit once.
+    """Contradictions in the problem's names, each limit once.
 
     Dynamics and starts are named where nothing else is: they are given.
     """
@@ -87,7 +87,7 @@ def input_names(problem: CoDesignProblem) -> tuple[str, ...]:
 
 
 def _names(problem: CoDesignProblem, which: str, letter: str, size: int) -> tuple[str, ...]:
-    """Names of the plant for so many entries, or a letter with numbers."""
+    """Names of the plant, or a letter with numbers."""
     given = getattr(getattr(problem.model, "plant", None), which, None)
     return tuple(given) if given else tuple(f"{letter}{i + 1}" for i in range(size))
 
@@ -97,7 +97,7 @@ def _beyond(limits: DesignLimits, size: int, of: Any, names: tuple[str, ...]) ->
     both = limits.both.function(size)
 
     def beyond(x: Any, u: Any, p: Any) -> Any:
-        """Rows that are ≤ 0 where the bounds are kept."""
+        """Rows, ≤ 0 where bounds are kept."""
         lower, upper = ca.vertsplit(both(p), limits.dim)
         return ca.vertcat(of(x, u) - upper, lower - of(x, u))
 
@@ -114,7 +114,7 @@ def _outputs(limits: OutputLimits, sizes: tuple[int, int, int]) -> PathLimit:
     above, below = np.flatnonzero(np.isfinite(high)).tolist(), np.flatnonzero(np.isfinite(low)).tolist()
 
     def beyond(x: Any, u: Any, p: Any) -> Any:
-        """Rows that are ≤ 0 where the limits are kept."""
+        """Rows, ≤ 0 where limits are kept."""
         y = function(x, u, p)
         return ca.vertcat(y[above] - ca.DM(high[above]), ca.DM(low[below]) - y[below])
 
@@ -122,5 +122,5 @@ def _outputs(limits: OutputLimits, sizes: tuple[int, int, int]) -> PathLimit:
 
 
 def _kept(exceeded: str) -> str:
-    """Words for keeping a limit, from those for exceeding it."""
+    """Words for keeping a limit, from those for exceeding."""
     return exceeded.replace(" > ", " ≤ ").replace(" < ", " ≥ ")

@@ -1,4 +1,4 @@
-"""Expected cost of LQR that never saturates, exact by the Riccati equation."""
+"""Expected cost of unsaturated LQR, by the Riccati equation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mpc import NotStabilisableError
 
 @dataclass(eq=False)
 class RiccatiCost(DesignCost):
-    """Cost E[x0ᵀ P x0] + T tr(P E W Eᵀ) plus that of the design, with exact slope.
+    """Cost E[x0ᵀ P x0] + T tr(P E W Eᵀ), plus the design's, with exact slope.
 
     What the episodes of a linear model cost to the end of time, if inputs never saturate and the disturbance is white
     with covariance W. Of a model that is not linear it is that of its linearisation at rest, and of a cost that is not
@@ -58,7 +58,7 @@ class RiccatiCost(DesignCost):
         self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and slope (np,) at a point (np,) of the unit box; infinite without LQR."""
+        """Cost and slope (np,) at a point (np,); infinite without LQR."""
         problem = self.problem
         p = problem.design.from_unit(v)
         try:
@@ -77,12 +77,12 @@ class RiccatiCost(DesignCost):
         return value, (slope + rest_slope) * problem.design.allowed.width
 
     def _first(self) -> float:
-        """Cost of the first states, which rewards of next states leave out."""
+        """Cost of the first states, left out by next-state rewards."""
         objective = self.problem.objective
         return float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
 
     def _at_rest(self, p: Array) -> tuple[float, Array]:
-        """Cost of the design and of an episode at rest, with its slope (np,)."""
+        """Cost of the design and an episode at rest, with slope (np,)."""
         nx, nu, size = self.problem.model.nx, self.problem.model.nu, len(p)
         objective, steps = self.problem.objective, self.problem.steps
         symbol = ca.SX.sym("p", size)
@@ -97,5 +97,5 @@ class RiccatiCost(DesignCost):
         return float(both[0]), np.asarray(both[1], dtype=float).ravel()
 
     def controller(self, p: Array) -> Controller:
-        """The LQR of a design, saturated where it must be."""
+        """LQR of a design, saturated where needed."""
         return saturated_lqr(self.problem, p)

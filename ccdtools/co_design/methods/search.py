@@ -1,4 +1,4 @@
-"""Search without slopes: CMA-ES and Bayesian optimisation, for closed loops that are black boxes.
+"""Search without slopes, by CMA-ES or Bayesian optimisation.
 
 References
 ----------
@@ -39,7 +39,7 @@ RUNS = {"lqr": 256, "mpc": 32}  # Scenarios of 100 steps, by controller.
 
 @dataclass(frozen=True)
 class Search:
-    """A search that asks for values alone, by a kept library.
+    """Search by values alone, with a maintained library.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Search:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The best design found from a feasible design (np,), with its controller."""
+        """Best design and its controller, from a feasible design (np,)."""
         package = LIBRARIES[self.library]
         if find_spec(package) is None:
             raise InputError("method", f"a search by {package}, which is not installed", "the extra ccdtools[search]",
@@ -90,12 +90,12 @@ class Search:
         return self._result(problem, box, settled)
 
     def _value(self, problem: CoDesignProblem, rng: np.random.Generator) -> Any:
-        """Point of the unit box → (cost, violation of the limits)."""
+        """Function of a unit-box point: cost and limit violation."""
         if callable(self.of):
             given = self.of
 
             def measured(v: Array) -> tuple[float, float]:
-                """Cost by the user's function, and no violation."""
+                """Cost by the user's function, without violation."""
                 value = given(problem.design.settled(v))
                 try:
                     (number,) = map(float, np.ravel(value))
@@ -109,7 +109,7 @@ class Search:
         return ClosedLoop(problem, LoopCost(problem, law, scenario_tensors(problem, runs, rng)))
 
     def _result(self, problem: CoDesignProblem, box: BlackBox, settled: bool) -> CoDesignResult:
-        """The best that was looked at."""
+        """Best evaluation."""
         space = problem.design
         if not np.isfinite(box.best[1]):
             got = f"{self.of!r}, which has no return at any of {len(box.rows)} designs"
@@ -137,7 +137,7 @@ class Search:
 
 
 def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """Run CMA-ES from the start, then random points while evaluations last; return convergence."""
+    """Run CMA-ES, restarted at random while evaluations last; return convergence."""
     settled = False
     start = box.looks[-1].z
     while len(box.rows) < budget:
@@ -150,7 +150,7 @@ def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) 
 
 
 def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """Run CMA-ES once with at most so many evaluations; return whether it has converged."""
+    """Run CMA-ES once within a budget; return whether it converged."""
     import cma
 
     n = len(first)
@@ -176,7 +176,7 @@ def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Gener
 
 
 def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
-    """Bayesian optimisation with a Gaussian process; it never knows that it has converged."""
+    """Optimise with a Gaussian process, never known to converge."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="IProgress not found")  # its progress bar is not used
         import optuna
@@ -204,7 +204,7 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
         return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(look), level))
 
     def value(trial: Any) -> float:
-        """Merit at the point that a trial of Optuna asks for."""
+        """Merit at the point of an Optuna trial."""
         shown_bar.update()
         asked = np.array([
             trial.suggest_int(name, of.low, of.high) if w else trial.suggest_float(name, 0.0, 1.0)

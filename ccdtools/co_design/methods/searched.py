@@ -1,4 +1,4 @@
-"""Best design by a cost of the design alone, searched from several starts."""
+"""Best design by a cost of the design, from several starts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ccdtools.progress import bar
 
 @dataclass(frozen=True)
 class SearchBudget:
-    """Budget of a search: name in tables, number of starts, evaluations of each."""
+    """Budget of a search: name, number of starts, evaluations of each."""
 
     name: str
     starts: int
@@ -32,7 +32,7 @@ def searched(
     budget: SearchBudget, problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array,
     rng: np.random.Generator, *, progress: bool = False,
 ) -> CoDesignResult:  # fmt: skip
-    """The best design found from a feasible design (np,) and other valleys.
+    """Best design from a feasible one (np,) and other valleys.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def searched(
 
 
 def _from(budget: SearchBudget, problem: CoDesignProblem, cost: DesignCost, v: Array) -> End:
-    """The search from one start."""
+    """Search from one start."""
     v, first = cost.first_point(v)
     if not np.isfinite(first):
         return End(cost, Descent(v, np.inf, np.zeros(len(v))), 1.0)
@@ -81,13 +81,13 @@ def _from(budget: SearchBudget, problem: CoDesignProblem, cost: DesignCost, v: A
 
 
 def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
-    """Size of the return at a start, without the cost of the design."""
+    """Size of the return at a start, without design cost."""
     size = float(problem.made_by_control(-value, problem.design.from_unit(v)))
     return size if np.isfinite(size) and size > 0 else 1.0
 
 
 def _result(name: str, problem: CoDesignProblem, best: End, evaluations: int) -> CoDesignResult:
-    """The result of the best end."""
+    """Result of the best end."""
     space = problem.design
     best = best.cost.examined(best)
     design = space.check_feasible(space.settled(best.found.v))
@@ -114,7 +114,7 @@ def _status(problem: CoDesignProblem, best: End, rest: float, held: bool) -> CoD
 def _with_ends(
     problem: CoDesignProblem, found: tuple[Valley, ...], points: list[Array], ends: list[End]
 ) -> tuple[Valley, ...]:
-    """The valleys, with where the search that began on each of them ended."""
+    """Valleys, each with the end of its search."""
     space = problem.design
     named = []
     for valley in found:

@@ -1,4 +1,4 @@
-"""Sequential design: first the plant by a criterion of its own, then its controller.
+"""Sequential design: first the plant, then its controller.
 
 References
 ----------
@@ -31,7 +31,7 @@ RUNS = 1000  # Scenarios of 100 steps.
 
 @dataclass(frozen=True)
 class Sequential:
-    """The plant first, then its controller.
+    """Plant first, then its controller.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Sequential:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """The plant that its criterion prefers, from a feasible design (np,), with its controller."""
+        """Plant preferred by the criterion, with its controller, from a design (np,)."""
         scenarios = scenario_tensors(problem, fewer_runs(RUNS, problem.steps), rng)
         criterion = self.criterion
         if criterion == "auto":
@@ -85,7 +85,7 @@ class Sequential:
 
 
 def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTensors) -> bool:
-    """True if a plant without input is stable at a design and loses no runs."""
+    """True if the plant without input is stable and loses no runs."""
     A, _, _ = problem.model.matrices(design)
     if np.abs(np.linalg.eigvals(A)).max() > 1 - STABLE:
         return False

@@ -1,4 +1,4 @@
-"""Simultaneous co-design: trajectories and design are the unknowns of one nonlinear program.
+"""Simultaneous co-design: trajectories and design in one nonlinear program.
 
 References
 ----------
@@ -80,7 +80,7 @@ class Simultaneous:
     def run(
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> CoDesignResult:
-        """Best design found from a feasible one (np,) and other starts, with its controller."""
+        """Best design and its controller, from a feasible one (np,) and other starts."""
         check_open_loop(problem)
         scenarios = drawn(problem, self.runs or RUNS[self.unknowns], rng)
         found = valleys(problem, design, rng=rng) if self.starts > 1 else ()
@@ -99,7 +99,7 @@ class Simultaneous:
         guess = followed(problem, scenarios, design)
 
         def stated(problem: CoDesignProblem) -> OptimalControlProblem:
-            """The program of a problem from here."""
+            """Program of a problem from here."""
             return open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
 
         first = at_the_mean(problem, stated, max_iterations=self.iterations)
@@ -109,7 +109,7 @@ class Simultaneous:
     def _result(
         self, problem: CoDesignProblem, best: _End, iterations: int, found: tuple[Valley, ...]
     ) -> CoDesignResult:
-        """The result of the best start."""
+        """Result of the best start."""
         space = problem.design
         design = space.project(best.solution.p[: space.dim])
         bounds, constraints = space.active_bounds(design), space.active_constraints(design)
@@ -153,7 +153,7 @@ class _End:
 
     @property
     def objective(self) -> float:
-        """Objective as a return; NaN where limits are not kept."""
+        """Objective as a return; NaN if limits are broken."""
         return -self.cost if self.feasible else float("nan")
 
     @property
@@ -166,7 +166,7 @@ class _End:
         return told(problem, self.solution, fed_back=fed_back)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
-        """Rise of the return per unit of the design's constraints and bounds, by name."""
+        """Rise of the return per unit of each design constraint or bound."""
         prices: dict[str, float] = {}
         for rows in self.solution.program.rows:
             if rows.name == "p_constraints":
@@ -182,7 +182,7 @@ class _End:
 
 
 def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
-    """The gain of the LQR, or none where there is none."""
+    """Gain of the LQR, or zeros without one."""
     try:
         return np.asarray(saturated_lqr(problem, design).K)
     except NotStabilisableError:
@@ -202,7 +202,7 @@ def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
 
 
 def _history(best: _End, design: Array) -> History:
-    """A program has no path of designs: its start and its end."""
+    """History of a program: its end alone."""
     value = np.array([-best.cost])
     none = np.zeros(1)
     return History(np.array([best.iterations]), np.array([best.iterations]), design[None], value, none, none)

@@ -25,7 +25,7 @@ from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, Optimal
 
 @dataclass(eq=False)
 class TrajectoryCost(DesignCost):
-    """Risk of the costs of each scenario's best inputs, with its slope.
+    """Risk of the best inputs' costs, with its slope.
 
     The cases of a worst case have programs of their own, as nothing but the design ties them together: their costs are
     then counted, and rounded off where two are alike, as those of closed loops are.
@@ -65,7 +65,7 @@ class TrajectoryCost(DesignCost):
         return f"the best inputs in {len(self.scenarios[0])} scenarios whose disturbances are known ahead"
 
     def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and slope (np,) at a point (np,); infinite where no inputs keep the limits."""
+        """Cost and slope (np,) at a point (np,); infinite where limits break."""
         p = self.problem.design.settled(v)
         self.evaluations += 1
         found: list[Solution] = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
@@ -79,7 +79,7 @@ class TrajectoryCost(DesignCost):
         return cost, slope * self.problem.design.allowed.width
 
     def _counted(self, costs: Array, slopes: Array) -> tuple[float, Array]:
-        """Risk of the costs (n,) of programs, and its slope (np,) from theirs (n, np)."""
+        """Risk of costs (n,) and its slope (np,) from slopes (n, np)."""
         if len(costs) == 1:
             return float(costs[0]), slopes[0]
         returns = torch.tensor(-costs, requires_grad=True)
@@ -88,7 +88,7 @@ class TrajectoryCost(DesignCost):
         return -float(counted.detach()), weights.numpy() @ slopes
 
     def first_point(self, v: Array) -> tuple[Array, float]:
-        """A point to search from, within the limits, and its cost."""
+        """Point to search from, within the limits, and its cost."""
         cost = self(v)[0]
         if np.isfinite(cost):
             return v, cost
@@ -96,7 +96,7 @@ class TrajectoryCost(DesignCost):
         return v, np.inf if self.failed is not None else self(v)[0]
 
     def within_limits(self, v: Array) -> Array:
-        """Point (np,) near another whose inputs can keep the limits; the other itself if none.
+        """Nearby point (np,) whose inputs can keep the limits, else the same.
 
         By trajectories and design in one program, whole numbers held.
         """
@@ -105,7 +105,7 @@ class TrajectoryCost(DesignCost):
         start = space.settled(v)
 
         def stated(problem: CoDesignProblem) -> OptimalControlProblem:
-            """The program of a problem from here."""
+            """Program of a problem from here."""
             return _stated(problem, self.scenarios, start, constrained=True)
 
         solution = solve(build(stated(self.problem)), start=at_the_mean(self.problem, stated))
@@ -115,7 +115,7 @@ class TrajectoryCost(DesignCost):
         return space.to_unit(space.project(solution.p))
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
-        """Note that no design's trajectories keep the limits, with details at the given one."""
+        """Note that no trajectories keep the limits, with details."""
         space = self.problem.design
         design = space.settled(v)
         impossible = self.failed is not None and self.failed.status is OptimalControlStatus.INFEASIBLE
@@ -135,12 +135,12 @@ class TrajectoryCost(DesignCost):
 def _stated(
     problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array, *, constrained: bool
 ) -> OptimalControlProblem:
-    """The problem with the design among its unknowns."""
+    """Problem with the design among its unknowns."""
     guess = followed(problem, scenarios, design)
     return open_loop_problem(problem, scenarios, design=design, guess=guess, constrained=constrained)
 
 
 def _solved(program: NonlinearProgram, p: Array, last: Solution | None) -> Solution:
-    """Program solved at a design, from the last solution, or failing that its guess."""
+    """Solution at a design, from the last solution or else the guess."""
     solution = solve(program, p=p, start=last)
     return solution if solution.solved or last is None else solve(program, p=p)
