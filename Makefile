@@ -40,7 +40,7 @@ docs: $(SITE)          ## the site, in build/docs; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
 
 notebooks: $(SETUP)    ## run every notebook and keep what it shows, ten minutes
-	$(BIN)/jupyter execute --inplace --NotebookClient.record_timing=False notebooks/*.ipynb
+	$(BIN)/python docs/run_notebooks.py
 
 pictures: $(SETUP)     ## the pictures of the pages, each by its script
 	for f in docs/pictures/[!_]*.py; do $(BIN)/python $$f || exit 1; done

@@ -37,5 +37,11 @@ def bars_are_bars(app, what, name, obj, options, lines):
         lines[i] = "".join(p if p.startswith("`") else p.replace("|", r"\|") for p in LITERAL.split(line))
 
 
+def notebooks_are_pages(app, page, source):
+    """A link to a notebook of the repository leads to its page."""
+    source[0] = source[0].replace("](../../notebooks/", "](../notebooks/")
+
+
 def setup(app):
+    app.connect("source-read", notebooks_are_pages)
     app.connect("autodoc-process-docstring", bars_are_bars)
