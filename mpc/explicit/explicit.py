@@ -217,7 +217,7 @@ class ExplicitMPC:
 
     @classmethod
     def load(cls, path: str | Path) -> ExplicitMPC:
-        """Read what `save` wrote; damaged or mixed files are refused."""
+        """Read what `save` wrote, executing nothing; damaged or mixed files are refused."""
         from mpc.explicit.storage import load_parts
 
         return cls(*load_parts(as_path("path", path)))

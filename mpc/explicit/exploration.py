@@ -71,7 +71,7 @@ class Search:
         return self.regions.queued
 
     def begin(self, deadline: float = np.inf) -> None:
-        """Queue regions at a few random parameters, more where none is found.
+        """Queue regions at random parameters, more where none is found.
 
         Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
         """
@@ -145,19 +145,19 @@ class Search:
         return other if other.queued else self
 
     def found(self, status: MPQPStatus) -> Found:
-        """The regions done."""
+        """Regions done."""
         return self.regions.found(status, self.holes.uncovered)
 
 
 class NeededRows(NamedTuple):
-    """Rows of M not known to be redundant, and whether all were checked."""
+    """Rows of M kept, and whether all were checked."""
 
     rows: Ints
     finished: bool
 
 
 def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> NeededRows:
-    """Rows of M without the redundant ones, even where these touch the set.
+    """Irredundant rows of M, without those that only touch.
 
     A row is kept in doubt, and when it was not looked at before the deadline, `time.perf_counter()` [s].
     """

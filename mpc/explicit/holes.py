@@ -48,7 +48,7 @@ class Holes:
         return self.look_across(deadline) or self.look_around(deadline)
 
     def look_across(self, deadline: float) -> bool:
-        """Solve the QP beyond open facets, with the result of `lead_on`.
+        """Solve the QP beyond open facets; True as for `lead_on`.
 
         Of very many facets some are drawn: a hole of any size has many.
         """
@@ -118,7 +118,7 @@ class Holes:
         return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
 
     def _look_at(self, points: Array, feasible: bool, deadline: float) -> bool:
-        """Queue active sets at points in no region; False when time is up.
+        """Queue active sets at uncovered points; False when time is up.
 
         feasible : whether they are known to be, whatever the compiled solver says. The feasible points are pending.
         """
@@ -139,7 +139,7 @@ class Holes:
         return (points[first : first + size] for first in range(0, len(points), size))
 
     def _ask(self, deadline: float) -> bool:
-        """Solve the QP at pending points, with the result of `lead_on`.
+        """Solve the QP at pending points; True as for `lead_on`.
 
         Some are enough once one of them has shown that there is a hole.
         """

@@ -18,7 +18,7 @@ ActiveSets = list[tuple[int, ...]]
 
 
 class ScaledLaws(NamedTuple):
-    """Laws v = law[r] [t; 1], and whether each holds, (n,)."""
+    """Laws v = law[r] [t; 1], (n, nv, nt + 1), and validity (n,)."""
 
     law: Array
     holds: np.ndarray
@@ -124,7 +124,7 @@ class PiecewiseLaw(Protocol):
 
     @property
     def tree(self) -> SearchTree:
-        """Finds the region of a parameter."""
+        """Search tree of the regions."""
 
     @property
     def law(self) -> Array:

@@ -59,7 +59,7 @@ class OnlineQP:
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
     def at(self, t: Array, deadline: float = np.inf) -> Opening:
-        """Opening at the parameter t, less certain past the deadline."""
+        """Opening at t; past the deadline room may be missed."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers

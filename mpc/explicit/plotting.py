@@ -84,7 +84,7 @@ def _is_index(value: Any, count: int) -> bool:
 
 
 def _polygons(law: PiecewiseLaw, axes: tuple[int, int], base: Array, ax: Any) -> list[Any]:
-    """Regions as polygons, without those that the section misses or touches."""
+    """Regions that the section cuts, as polygons."""
     import matplotlib.pyplot as plt
 
     from invariant_sets import Polytope

@@ -84,7 +84,7 @@ class RegionGraph:
         consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
 
     def seed(self, targets: Array) -> Array:
-        """Queue active sets at feasible parameters near `targets`; return these parameters."""
+        """Queue active sets near `targets`; return their feasible parameters."""
         from mpc.explicit.kernels.places import seed
 
         self.make_room(4 * len(targets))
@@ -99,7 +99,7 @@ class RegionGraph:
         return np.asarray(look_at(self.data, self.graph, points))
 
     def covered(self, points: Array, distance: float = INSIDE) -> Bools:
-        """Whether points lie in a done region, or within a distance of one."""
+        """Whether points lie in a done region, or near one."""
         from mpc.explicit.kernels.places import covered
 
         return np.asarray(covered(self.facets, self.graph.counts, points, distance))
@@ -155,7 +155,7 @@ class RegionGraph:
         rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
 
     def found(self, status: MPQPStatus, uncovered: int) -> Found:
-        """The regions done."""
+        """Regions done."""
         bits = self.active_bits(self.done)
         members = np.nonzero(bits)[1].tolist()
         ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()

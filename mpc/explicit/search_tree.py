@@ -20,7 +20,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):
-    """Outcome of the growth of a search tree; the value is the advice."""
+    """Outcome of growing a search tree; the value is the advice."""
 
     COMPLETE = "Complete: every leaf holds regions of one law, or few."
     TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."

@@ -1,4 +1,4 @@
-"""Explicit laws on disk: arrays in `.npz`, the rest in JSON."""
+"""Explicit laws on disk: checked `.npz` and JSON files, no pickle."""
 
 from __future__ import annotations
 

@@ -251,7 +251,7 @@ def _compact(law: PiecewiseLaw, laws: int) -> Leaves:
 
 
 def _scan(law: PiecewiseLaw, scalar: str) -> Search:
-    """Tables of the scan; -1 - i is the other side of plane i."""
+    """Tables of the scan; -1 - i is minus plane i."""
     rows = law.partition.scaled_rows
     offsets = law.partition.offsets
     planes, number, flipped = distinct_planes(rows)
