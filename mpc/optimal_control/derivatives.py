@@ -229,7 +229,7 @@ def _structure(piece: Piece) -> Any:
 
 
 def _lifted(group: list[Piece]) -> Piece:
-    """One piece for functions whose differing constants and factors become data."""
+    """One piece whose differing constants and factors are data."""
     if len(group) == 1:
         return group[0]
     first = group[0]

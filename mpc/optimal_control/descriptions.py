@@ -29,7 +29,7 @@ def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
 
 
 def limit_of_row(program: NonlinearProgram, row: int) -> str:
-    """Name of a row's limit at any time in any scenario: "path 2"."""
+    """Name of the limit of a row: "path 2"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_linked_phase(program, rows.phase)}"
 

@@ -158,7 +158,7 @@ class BestIterate(ca.Callback):  # type: ignore[misc]
         return [0]
 
     def better_than(self, violations: Array, f: float) -> bool:
-        """Whether a better iterate was kept than one with these values."""
+        """Whether a better iterate was kept than this one."""
         return bool(len(self.z)) and self.rank < _rank(float(violations.max(initial=0.0)), f)
 
 

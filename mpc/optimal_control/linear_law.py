@@ -14,7 +14,7 @@ INVARIANT = "invariant"
 
 
 def gain_at_rest(law: LinearMPC) -> Array:
-    """Gain (nu, nx) of the regulator, else of the first step.
+    """Gain (nu, nx) of the regulator, else of the horizon's first step.
 
     Vehicles that cannot move sideways are such: at rest their linearisation cannot be stabilised.
     """
@@ -29,7 +29,7 @@ def gain_at_rest(law: LinearMPC) -> Array:
 
 
 def invariant_set(law: LinearMPC) -> Polytope:
-    """Largest set in which u = -Kx invariantly keeps X and U, linearised.
+    """Largest set in which the linearisation keeps X and U under u = -Kx.
 
     Raises
     ------

@@ -31,7 +31,7 @@ from mpc.tolerances import AT_REST
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NonlinearMPC:
-    """Model predictive controller of x⁺ = f(x, u, w, p), a callable u = controller(x).
+    """Model predictive controller u = controller(x) of x⁺ = f(x, u, w, p).
 
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to the model, x_k in X (k = 1 … N), u_k in U
     (k = 0 … N-1) and x_N in the terminal set. Limits, soft limits, rates, references and previews are stated as for
@@ -163,7 +163,7 @@ class NonlinearMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Signals a closed loop hands over besides the state; see `LinearMPC.needs`."""
+        """Signals a closed loop hands over; see `LinearMPC.needs`."""
         return self.linear.needs
 
     @property
@@ -291,7 +291,7 @@ class NonlinearMPC:
         return first if value.ndim == 2 else first[0]
 
     def to_c(self, folder: str | Path) -> Path:
-        """Write a real-time iteration as self-contained C: `nonlinear_mpc.c` and its header.
+        """Write a real-time iteration as C: `nonlinear_mpc.c` and header.
 
         It contains `iteration` (model, derivatives, quadratic program and the active-set solver qrqp of CasADi),
         `step` and `derivatives`. Left to the caller: the first plan (call `iteration` some times at the first state),

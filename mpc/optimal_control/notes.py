@@ -80,7 +80,7 @@ def _at_ends(part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str,
 
 
 def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[str, Array], phase: str) -> str:
-    """First time at which a function is not finite, in words, or ""."""
+    """First time of a non-finite function, in words, or ""."""
     if function is None:
         return ""
     n = max((value.shape[1] for value in columns.values() if value.ndim == 2), default=1)

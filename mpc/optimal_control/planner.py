@@ -203,7 +203,7 @@ class Planner:
         return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
 
     def _best(self, x: Array, found: _Path, first: _Path, w: Array, given: Given) -> tuple[_Path, float]:
-        """Cheapest of the found path, its start and the linear law, and its cost.
+        """Cheapest of found path, start and linear law, and its cost.
 
         A real-time iteration is replaced only by one that costs far less: it may pay now for what comes.
         """

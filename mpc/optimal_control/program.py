@@ -173,7 +173,7 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
-    """Program whose scenario costs start from their values at the guess."""
+    """Program with scenario costs evaluated at the guess."""
     own = program.costs
     if own.stop == own.start:
         return program

@@ -188,7 +188,7 @@ class _Rounds:
 
 
 def _reach_bounds(solution: Solution) -> bool:
-    """Whether inputs reach their bounds, between which they may jump."""
+    """Whether inputs reach their bounds."""
     for phase in solution.phases:
         low, high = phase.part.phase.u_bounds
         room = INPUT_AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
@@ -208,7 +208,7 @@ def _halved(mesh: Array) -> Array:
 
 
 def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solution:
-    """Best solution, with the reason and status where tolerances are missed."""
+    """Best solution, with a reason where tolerances are missed."""
     found = replace(solution, iterations=run.iterations[0], solve_time=time.perf_counter() - began)
     if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found

@@ -123,7 +123,7 @@ class Solution:
 
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
-        """Violations of limits between mesh points, one a phase: see `Excess`."""
+        """Violations of limits between mesh points; see `Excess`."""
         return path_excess(self.program, self.unknowns, self.phases, self.p)
 
     @property
@@ -133,7 +133,7 @@ class Solution:
 
     @cached_property
     def missed(self) -> tuple[Missed, ...]:
-        """Errors between mesh points, one a phase: see `mesh_errors`."""
+        """Errors between mesh points; see `mesh_errors`."""
         return tuple(mesh_errors(phase, self.p) for phase in self.phases)
 
     @property
@@ -195,7 +195,7 @@ class Solution:
 
     @property
     def p_gradient(self) -> Array:
-        """Derivatives (np,) of the cost by fixed parameters; else 0."""
+        """Derivatives (np,) of the optimal cost by held or bounded parameters; else 0."""
         return -self.multipliers["bounds"][self.program.parameters]
 
     def sensitivity(self) -> SolutionSensitivity:

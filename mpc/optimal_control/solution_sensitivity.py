@@ -118,7 +118,7 @@ def _held(program: NonlinearProgram) -> NDArray[np.int64]:
 
 
 def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tuple[Array, Any, Any, Array]:
-    """Scaled gradient and Hessian of the Lagrangian, row Jacobian, and rows."""
+    """Scaled Lagrangian gradient and Hessian, row Jacobian, and rows."""
     y = ca.MX.sym("multipliers", program.g.numel())
     lagrangian = program.f + ca.dot(y, program.g)
     hessian, gradient = ca.hessian(lagrangian, program.v)

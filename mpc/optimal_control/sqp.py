@@ -1,4 +1,4 @@
-"""One step of sequential quadratic programming for a discrete plan."""
+"""Sequential quadratic programming for discrete plans."""
 
 from __future__ import annotations
 

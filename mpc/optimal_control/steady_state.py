@@ -16,7 +16,7 @@ from mpc.tracking import sizes_of
 
 
 class SteadyStates:
-    """Steady states of a model in X and U, as in `targets.nearest_target`.
+    """Steady states of a model in X and U.
 
     Parameters
     ----------
