@@ -26,7 +26,7 @@ class QPResult:
 
 
 class DenseQP:
-    """Minimise ½ z'Hz + q'z subject to Gz <= b for many (q, b), H positive definite.
+    """Minimise ½ z'Hz + q'z subject to Gz <= b for many (q, b).
 
     Variables are scaled by the diagonal of H, rows to unit length and bounds to size one, so the answer does not
     depend on the units of inputs, states or cost. The solver is DAQP, a dual active-set method that keeps its

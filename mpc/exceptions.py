@@ -33,7 +33,7 @@ class InfeasibleError(MPCError):
 
 
 class NotStabilisableError(MPCError, ValueError):
-    """Pair (A, B) that only absurd gains or none stabilise.
+    """Pair (A, B) that no gain, or only an absurd one, stabilises.
 
     Attributes
     ----------

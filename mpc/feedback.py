@@ -1,4 +1,4 @@
-"""Feedback over the horizon that keeps predictions of unstable plants bounded."""
+"""Feedback that keeps predictions of unstable plants bounded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Weights: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 def stabilising_feedback(problem: MPCProblem) -> Array | None:
-    """Gains (number of blocks, nu, nx) of u = -K_b x, or None where unneeded.
+    """Gains (number of blocks, nu, nx) of u = -K_b x, or None.
 
     They are the optimal gains of the unconstrained problem from the Riccati recursion over the horizon, for which the
     condensed Hessian is block diagonal; where the weights do not stabilise, those for weights in units of the sets.
@@ -110,7 +110,7 @@ def _solve_scaled(M: Array, right: Array) -> Array:
 
 
 def _growth(problem: MPCProblem, A: Array, B: Array, gains: Array | None, sx: Array) -> float:
-    """Largest entry of the closed-loop transitions to any block, in cost units."""
+    """Largest entry of the closed-loop transitions, in cost units."""
     worst = 1.0
     product = np.eye(problem.nx)
     k = 0

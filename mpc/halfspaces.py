@@ -28,7 +28,7 @@ def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
 
 
 def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
-    """Distance (n,) along each axis to the nearest or farthest row; 0 without.
+    """Distance (n,) along each axis to a row; 0 without.
 
     A row that misses the origin by the rounding of the farthest one is taken to go through it.
     """

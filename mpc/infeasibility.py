@@ -234,7 +234,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
 
 
 def _sentence(problem: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
-    """Sentence that says what has to give and what contradicts what."""
+    """Sentence on what gives and what contradicts."""
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:

@@ -31,7 +31,7 @@ SOLVERS = ("daqp", "osqp", "clarabel")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearMPC(MPCProblem):
-    """Model predictive controller of x⁺ = Ax + Bu (+ Ew), a callable u = controller(x).
+    """Model predictive controller u = controller(x) of x⁺ = Ax + Bu (+ Ew).
 
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to x_k in X (k = 1 … N), u_k in U
     (k = 0 … N-1) and x_N in the terminal set (Borrelli, Bemporad and Morari, *Predictive Control*, 2017, eq. 12.6).

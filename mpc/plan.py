@@ -30,7 +30,7 @@ class Status(Outcome):
 
 @dataclass(frozen=True)
 class Residuals:
-    """Relative optimality residuals on scaled data, independent of the solver [-]."""
+    """Relative optimality residuals, independent of the solver [-]."""
 
     stationarity: float
     primal: float
@@ -85,7 +85,7 @@ class Plan:
 
     @property
     def feasible(self) -> bool:
-        """Whether the problem was solved as posed, soft constraints aside."""
+        """Whether the problem was solved as posed; soft constraints may give."""
         return self.status is Status.SOLVED
 
     def __repr__(self) -> str:

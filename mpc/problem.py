@@ -172,7 +172,7 @@ class MPCProblem:
 
     @cached_property
     def _reaching_inputs(self) -> Array:
-        """Least size (nu,) of each input that brings a state to its limit.
+        """Least input sizes (nu,) that bring states to their limits.
 
         The size of an input without limits of its own; infinite where it reaches none. What an unstable plant adds by
         itself does not count.

@@ -29,7 +29,7 @@ class Relaxed:
 
 
 def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: Array) -> Relaxed | None:
-    """Solution with least relaxed state constraints; None for conflicting other constraints.
+    """Solution with least relaxed state constraints, or None.
 
     Whether the problem is infeasible is decided here, by the violation that is left when it is made least: what the QP
     solver said before is only the reason to ask.

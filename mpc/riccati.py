@@ -212,7 +212,7 @@ class _Regulation:
 
 
 def _relative(M: Array, P: Array) -> float:
-    """Largest entry of a matrix, in units of a unit diagonal of P."""
+    """Largest entry of a matrix, relative to P's diagonal."""
     size = np.sqrt(np.abs(np.diag(P)))
     return float(np.where(M == 0, 0.0, np.abs(M) / size / size[:, None]).max())
 

@@ -189,7 +189,7 @@ class StagewiseQP:
         return A, B, c
 
     def _rows(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
-        """Rows (C, D, d) of step k, each in the unit of its bound."""
+        """Rows (C, D, d) of step k in units of their bounds."""
         nx = self.problem.nx
         n = self.n
         width = free + priced
@@ -224,7 +224,7 @@ class StagewiseQP:
 
 
 def _input_size(problem: MPCProblem, x: Array, given: Given) -> Array:
-    """Size (nu,) of the inputs by limits or weights, whichever is less.
+    """Size (nu,) of the inputs by limits or weights.
 
     Limits of 1e6 on an input say nothing of its size, and a solver's tolerance is a part of it.
     """

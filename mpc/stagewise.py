@@ -71,7 +71,7 @@ class _Iteration:
         self.refresh()
 
     def refresh(self) -> None:
-        """Compute row residuals and recursion gains at the present point."""
+        """Compute row residuals and recursion gains."""
         self.residuals: Arrays = []
         self.violation = 0.0
         for k, (st, x, v, s) in enumerate(zip(self.stages, self.states, self.variables, self.slacks)):

@@ -92,7 +92,7 @@ class OffsetFreeMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Signals a closed loop hands over besides the state; see `LinearMPC.needs`."""
+        """Signals a closed loop hands over; see `LinearMPC.needs`."""
         return self.mpc.needs | {"reference"}
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeMPC:
@@ -140,7 +140,7 @@ class OffsetFreeMPC:
         return self.mpc.solve(x, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
 
     def __call__(self, x: ArrayLike, reference: ArrayLike | None = None, **signals: ArrayLike) -> Array:
-        """First input of the plan: (nx,) -> (nu,) or (n, nx) -> (n, nu).
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu).
 
         The reference of the outputs may be replaced by one of the states, `x_ref` (nx,), which stands for C x_ref.
         """
@@ -188,7 +188,7 @@ class OffsetFreeLoop:
         return self.controller.needs | {"last_input"}
 
     def reset(self, n: int = 1) -> None:
-        """Forget the last states and start from the controller's own estimate."""
+        """Forget the last states and estimates."""
         self._each = [self.controller._alone() for _ in range(as_count("n", n))]
         self._last: Array | None = None
 
@@ -264,7 +264,7 @@ def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Arra
 
 
 def sizes_of(problem: MPCProblem) -> Array:
-    """Sizes (nx + nu,) of states and inputs, 1 for an input without limits."""
+    """Sizes (nx + nu,) of states and inputs, 1 without limits."""
     return np.concatenate([problem.state_extent, np.where(problem.input_extent > 0, problem.input_extent, 1.0)])
 
 

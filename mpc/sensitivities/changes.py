@@ -46,7 +46,7 @@ class Changes:
 
 
 def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count: int | None = None) -> Changes:
-    """Derivatives checked, 0 for None.
+    """Derivatives dA, …, d_rate_limit, checked; 0 for None.
 
     Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others.
 

@@ -1,4 +1,4 @@
-"""Optimality conditions of a plan as functions of state and parameters."""
+"""Optimality conditions of a plan."""
 
 from __future__ import annotations
 
