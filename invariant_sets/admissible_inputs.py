@@ -125,7 +125,7 @@ class AdmissibleInputs:
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class AdmissibleInputFamily:
-    """Admissible inputs of several plants; state i meets filter i.
+    """Admissible inputs of several plants; filter i takes state i.
 
     Parameters
     ----------

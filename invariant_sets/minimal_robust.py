@@ -1,4 +1,4 @@
-"""Smallest robust invariant set of a stable loop under bounded disturbances.
+"""Smallest robust invariant set of a stable loop.
 
 References
 ----------

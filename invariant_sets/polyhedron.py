@@ -210,7 +210,7 @@ class Polyhedron:
 
     @cached_property
     def vertices(self) -> Array:
-        """Vertices (k, n), counter-clockwise in the plane; may raise `UnboundedError`."""
+        """Vertices (k, n), counter-clockwise in the plane; (0, n) if empty. Raises `UnboundedError`."""
         if self._vertices is not None:
             return self._vertices
         if self._body is None:
@@ -379,7 +379,7 @@ class Polyhedron:
         return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:
-        """Smallest box (lower, upper), (n,) each; may raise `EmptySetError`."""
+        """Smallest box (lower, upper), (n,) each, infinite where unbounded. Raises `EmptySetError`."""
         self._require_point("bounding_box")
         lower, upper = self._box
         return lower.copy(), upper.copy()

@@ -45,7 +45,7 @@ class Polytope(SetOperations):
         return self.is_subset(other, tol) and Polytope.is_subset(other, self, tol)  # type: ignore[arg-type]
 
     def chebyshev_ball(self) -> tuple[Array, float]:
-        """Centre (n,) and radius of a largest ball; 0 flat, inf endless.
+        """Centre (n,) and radius of a largest ball, 0 if flat, maybe inf.
 
         The ball is Euclidean in the units of x. Raises `EmptySetError`.
 
@@ -69,7 +69,7 @@ class Polytope(SetOperations):
         return body.centre + body.basis @ y[:-1], -value * unit
 
     def sample(self, n: int, *, rng: np.random.Generator) -> Array:
-        """Sample of n points, nearly uniform on the set's affine hull.
+        """Sample of n points, nearly uniform in the set.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Largest set in which a system without input stays within constraints."""
+"""Largest positively invariant set."""
 
 from __future__ import annotations
 

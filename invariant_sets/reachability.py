@@ -65,7 +65,7 @@ def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = No
 
 def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: int, *, E: Any = None,
                      W: Set | None = None, time_limit: float | None = None) -> SetResult:
-    """States that inputs steer through X into `target` in `steps` steps.
+    """States that inputs steer through X into `target` in exactly `steps` steps.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ Rows = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """System x⁺ = A x + B u + w, w in hull(disturbances) or None."""
+    """System x⁺ = A x + B u + w; `disturbances` are vertices, or None."""
 
     A: Array
     B: Array

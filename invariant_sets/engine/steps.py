@@ -47,7 +47,7 @@ class Step:
 
     @property
     def holds(self) -> bool:
-        """Whether the set is right to the tolerance of every certificate."""
+        """Whether the set is right to the certificates' tolerance."""
         return max(self.violation, self.missing) <= INVARIANT
 
 
