@@ -1,4 +1,4 @@
-"""Convex polytopes and invariant sets of linear systems: numpy, scipy and daqp, nothing else."""
+"""Convex polytopes and invariant sets of linear systems."""
 
 from ccdtools_ground.front_door import front_door
 

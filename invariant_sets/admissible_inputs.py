@@ -1,4 +1,4 @@
-"""The inputs that keep the next state in a set: a filter to put behind any controller."""
+"""Filter of inputs that keep a state set."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class AdmissibleInputs:
-    """The set {u in U : A x + B u + E w in S for every w in W}, as a function of the state x.
+    """Inputs {u in U : A x + B u + E w in S for all w}.
 
     Parameters
     ----------
@@ -78,13 +78,13 @@ class AdmissibleInputs:
         return f"AdmissibleInputs(nx={nx}, nu={nu}, {len(self._rows.room)} rows of S, {len(self.U.b)} rows of U)"
 
     def at(self, x: Any) -> Polytope:
-        """Return the admissible inputs at one state x (nx,) as a `Polytope`, possibly empty."""
+        """Admissible inputs at one state x (nx,) as a `Polytope`, possibly empty."""
         x = as_vector(x, "x", size=self._rows.after.shape[1])
         rows = self._rows.slope @ self._rows.back
         return self.U.intersection(Polytope(rows, self._rows.rooms(x[None])[0] + rows @ self._rows.middle))
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Any]:
-        """Return the admissible input nearest to a proposed one, and whether there is any.
+        """Nearest admissible input to a proposed one, and whether any exists.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class AdmissibleInputs:
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class AdmissibleInputFamily:
-    """The admissible inputs of several plants at once: state i is filtered by filter i.
+    """Admissible inputs of several plants; filter i takes state i.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class AdmissibleInputFamily:
         return f"AdmissibleInputFamily({len(self.filters)} filters, nx={self._after.shape[2]})"
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Array]:
-        """Return each filter's admissible input nearest to a proposed one, and whether there is any.
+        """Nearest admissible input of each filter, and whether any exists.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class AdmissibleInputFamily:
 
 @dataclass(frozen=True)
 class _LocalRows:
-    """Rows of S and U on v, with u = middle + size v: slope v <= room + after x, H v <= h."""
+    """Rows on v, u = middle + size v: slope v <= room + after x, H v <= h."""
 
     middle: Array
     size: Array
@@ -217,19 +217,19 @@ class _LocalRows:
         return float(ends[side < 0].max()), float(ends[side > 0].min())
 
     def rooms(self, states: Array) -> Array:
-        """Return what is left of each row of S before the input acts, (k, m)."""
+        """Room (k, m) of each row of S before the input acts."""
         with np.errstate(over="ignore", invalid="ignore"):
             rooms = self.room + states @ self.after.T
         return np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM)
 
     def local(self, u: Array) -> Array:
-        """Return inputs (k, nu) as v (k, q)."""
+        """Inputs (k, nu) as v (k, q)."""
         with np.errstate(over="ignore"):
             return np.clip((u - self.middle) @ self.back.T, -LARGEST_ROOM, LARGEST_ROOM)
 
 
 def _local_rows(system: CheckedSystem) -> _LocalRows:
-    """Return the rows of S and U in coordinates in which U has extents of one."""
+    """Rows of S and U in coordinates with unit extents of U."""
     body = system.U._body
     assert body is not None
     F, g = tightened_rows(system.states, system.motion.disturbances)
@@ -241,7 +241,7 @@ def _local_rows(system: CheckedSystem) -> _LocalRows:
 
 
 def _proposals(value: Any, nu: int, count: int) -> Array:
-    """Return the proposed inputs (count, nu), or raise `InputError`."""
+    """Proposed inputs (count, nu), or raise `InputError`."""
     proposed, _ = as_batch(value, "u_proposed", nu)
     if len(proposed) != count:
         raise InputError("u_proposed", f"{len(proposed)} rows", f"{count} as in x")
@@ -249,7 +249,7 @@ def _proposals(value: Any, nu: int, count: int) -> Array:
 
 
 def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return the nearest admissible v (k, q), and whether it is admissible. One QP is solved a state."""
+    """Nearest admissible v (k, q) by QPs, and whether each is admissible."""
     v = np.zeros(wanted.shape)
     admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
@@ -262,12 +262,12 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
 
 
 def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
-    """Return whether v meets all rows of S to the tolerance."""
+    """Whether v meets all rows of S to the tolerance."""
     return bool((rows.slope @ v - room).max(initial=-np.inf) <= ADMISSIBLE)
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
-    """Return the point of U nearest to `wanted` with slope·v <= room. None if DAQP finds none."""
+    """Point of U nearest to `wanted` with slope·v <= room, or None."""
     if not len(wanted):
         return wanted
     reach = np.abs(wanted).max()
@@ -278,7 +278,7 @@ def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
 
 
 def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
-    """Return the input in U whose largest scaled violation is least."""
+    """Input in U with the least largest scaled violation."""
     nu = len(wanted)
     if nu == 0 or not len(room):
         return wanted

@@ -1,4 +1,4 @@
-"""Optima of small dense linear programs: proposed by DAQP, then HiGHS, then rationals, and checked here.
+"""Checked optima of small dense linear programs.
 
 A solver only proposes an active set. Point and multipliers are recomputed from it, and an optimum counts once primal
 feasibility, dual feasibility and complementarity hold.
@@ -28,7 +28,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Optimum:
-    """A checked minimiser of cᵀx over A x <= b."""
+    """Checked minimiser of cᵀx over A x <= b."""
 
     value: float  # cᵀx
     x: Array  # (n,): minimiser
@@ -38,7 +38,7 @@ class Optimum:
 
 
 def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:
-    """Return the least values (k,) that DAQP finds, and which of them (k,) are right.
+    """Least values (k,) by DAQP, and whether each (k,) is right.
 
     They are right to `LP_ROUNDING`, recomputed where their active rows meet in a corner; if `coarse`, as found, to
     `LP_RESIDUAL`.
@@ -62,7 +62,7 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
 
 
 def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
-    """Move points X (k, n) whose active rows meet in a corner to it, in place."""
+    """Move points X (k, n) to the corners of their active rows, in place."""
     n = X.shape[1]
     active = dual > 0.0
     corners = np.count_nonzero(active, axis=1) == n
@@ -72,7 +72,7 @@ def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
 
 
 def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum that DAQP finds if it is exact as it is. None if not."""
+    """Optimum by DAQP if exact as it is, otherwise None."""
     columns = np.abs(A).max(axis=0)
     if 0 < columns.min() < UNEVEN:
         return None
@@ -82,7 +82,7 @@ def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return a checked optimum, proposed by DAQP or else by HiGHS, or an exact one. None if there is none."""
+    """Checked optimum by DAQP, HiGHS or rational arithmetic, or None."""
     columns = np.abs(A).max(axis=0)
     if columns.min() >= UNEVEN or columns.min() == 0:
         return _best(c, A, b) or _exact(c, A, b)
@@ -94,7 +94,7 @@ def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum in rational arithmetic. Rows that miss each other by rounding are allowed to. None if none."""
+    """Optimum in rational arithmetic, with rows relaxed by rounding, or None."""
     for rounding in (0.0, LP_ROUNDING, LP_SOLVER):
         answer = exact_optimum(c, A, b + rounding * (np.abs(b) + 1.0))
         if answer is not None:
@@ -103,7 +103,7 @@ def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def _best(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the first proposed optimum within `LP_RESIDUAL`, or the best one within `LP_COARSE`."""
+    """First proposed optimum within `LP_RESIDUAL`, else best within `LP_COARSE`."""
     coarse = []
     for propose in (from_daqp, _from_highs, partial(_from_highs, method="highs-ipm")):
         optimum = propose(c, A, b)
@@ -115,13 +115,13 @@ def _best(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
-    """Return the optimum that DAQP proposes, recomputed; None if it proposes none."""
+    """Optimum by DAQP, recomputed, or None."""
     x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
     return _recomputed(c, A, b, x, info["lam"]) if flag == 1 else None
 
 
 def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optimum | None:
-    """Return the optimum that HiGHS proposes, recomputed; None if it proposes none."""
+    """Optimum by HiGHS, recomputed, or None."""
     from scipy.optimize import linprog
 
     answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
@@ -133,7 +133,7 @@ def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optim
 
 
 def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
-    """Return the better of the proposed optimum and those at which its active rows hold with equality."""
+    """Better of the proposed optimum and that of its active rows."""
     best = None
     for least in (0.0, ACTIVE * dual.max(initial=0.0)):
         exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
@@ -145,7 +145,7 @@ def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
 
 
 def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Optimum | None:
-    """Return point and multipliers with which the `active` rows hold with equality. None if they are dependent."""
+    """Point and multipliers of the `active` rows, or None."""
     rows = A[active]
     if len(active) == len(c):
         try:
@@ -162,7 +162,7 @@ def _at_active_rows(c: Array, A: Array, b: Array, x: Array, active: Array) -> Op
 
 
 def _measured(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
-    """Return the point and its multipliers with the largest violation of the optimality conditions."""
+    """Point and multipliers with their largest violation of optimality."""
     value = float(c @ x)
     excess = A @ x - b
     slope = np.abs(c + dual @ A)

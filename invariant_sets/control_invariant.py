@@ -1,4 +1,4 @@
-"""The largest set in which some admissible input can keep the state for ever.
+"""Largest set in which admissible inputs can keep the state.
 
 References
 ----------
@@ -24,7 +24,7 @@ from invariant_sets.validation import as_count, check_tolerance
 def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = None,
                                   W: Set | None = None, tol: float = GAP, max_iterations: int = 500,
                                   max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
-    """Return the maximal (robust) control invariant set of x⁺ = A x + B u + E w in X, with u in U, w in W.
+    """Maximal (robust) control invariant set of x⁺ = A x + B u + E w.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = No
 
 @dataclass(frozen=True)
 class Options:
-    """The caller's tolerance and caps, as given. Checked when a task is made of them."""
+    """Tolerance and caps as given, checked by `limits`."""
 
     tol: Any = GAP
     max_iterations: Any = 500
@@ -85,13 +85,13 @@ class Options:
     time_limit: Any = None
 
     def limits(self) -> Limits:
-        """Return the limits, the time counted from now. Raise `InputError` where one is no proper number."""
+        """Limits with time from now; raise `InputError` for improper numbers."""
         return Limits(check_tolerance(self.tol), as_count("max_iterations", self.max_iterations),
                       as_count("max_facets", self.max_facets),
                       Deadline.after(check_time_limit(self.time_limit)))
 
 
 def control_task(A: Any, B: Any, X: Set, U: Set, options: Options, *, E: Any = None, W: Set | None = None) -> Task:
-    """Return the checked task of `maximal_control_invariant_set`, or raise `InputError`."""
+    """Checked task of `maximal_control_invariant_set`, or raise `InputError`."""
     checked = checked_system(A, B, X, U, E, W)
     return Task(checked.motion, checked.states, checked.U, options.limits())

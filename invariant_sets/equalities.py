@@ -1,4 +1,4 @@
-"""Equality rows solved by elimination, in mixed units and with rows that depend on each other; first units for it.
+"""Elimination of equality rows, and first units for it.
 
 References
 ----------
@@ -19,7 +19,7 @@ Array = np.ndarray
 
 
 class Stated(NamedTuple):
-    """A x <= b and A_eq x = b_eq, with the sizes of the terms that b (m,) and b_eq (k,) were computed from.
+    """Rows A x <= b, A_eq x = b_eq, and sizes of terms behind b (m,), b_eq (k,).
 
     A right-hand side that is a difference may be wrong by the rounding of what it was computed from.
     """
@@ -33,12 +33,12 @@ class Stated(NamedTuple):
 
     @classmethod
     def given(cls, A: Array, b: Array, A_eq: Array, b_eq: Array) -> Stated:
-        """Return rows as a caller states them. Their right-hand sides may be wrong by the rounding of themselves."""
+        """Rows as a caller states them, right-hand sides rounded."""
         return cls(A, b, A_eq, b_eq, np.abs(b), np.abs(b_eq))
 
     @property
     def unit(self) -> Stated:
-        """The set by rows of norm one. Rows of norm zero stay as they are."""
+        """Rows of norm one; rows of norm zero stay."""
         size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
         return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
                       self.terms / size, self.terms_eq / size_eq)
@@ -46,7 +46,7 @@ class Stated(NamedTuple):
 
 @dataclass(frozen=True)
 class AffineHull:
-    """{centre + basis y}, in which the coordinates `free` of x each depend on one y alone."""
+    """Hull {centre + basis y}; `free` coordinates move with one y."""
 
     # a point, and columns that span the hull
     centre: Array  # (n,)
@@ -58,12 +58,12 @@ class AffineHull:
 
 
 def row_norms(rows: Array) -> Array:
-    """Return the norms (m,) of rows (m, n), whose squares may be no doubles."""
+    """Norms (m,) of rows (m, n), without overflow of squares."""
     return np.asarray(np.hypot.reduce(rows, axis=1, initial=0.0))
 
 
 def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:
-    """Return {x : E x = e}. None if there is no such point.
+    """Affine hull {x : E x = e}, or None if empty.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:
-    """Clear column j of all rows but row i, in place. Entries of the rows in `rest` become zero where they cancel."""
+    """Clear column j of all rows but row i, in place."""
     terms[i] /= abs(rows[i, j])
     rows[i] /= rows[i, j]
     factors = rows[:, j].copy()
@@ -131,7 +131,7 @@ def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) ->
 
 
 def starting_scale(stated: Stated) -> tuple[Array, Array]:
-    """Return a first length (n,) for every coordinate of a set, and which of its inequalities may be far away (m,).
+    """First coordinate lengths (n,), and which inequalities may be far (m,).
 
     Rows and columns are balanced, so that every coordinate is steep in some row; the tightest steep row on either side
     then gives its length, by its terms where its right-hand side has cancelled. A row is suspected to be far away if
@@ -179,7 +179,7 @@ def starting_scale(stated: Stated) -> tuple[Array, Array]:
 
 
 def _tightest(rows: Array, right: Array, sign: Array) -> Array:
-    """Return the larger of the two distances (n,) at which steep rows end a coordinate on either side, 0 if none do."""
+    """Larger distance (n,) of steep rows on either side, 0 without any."""
     steep = rows > 0.5
     reach = np.where(steep, right[:, None] / np.where(steep, rows, 1.0), np.inf)
     above = np.where(sign < 0, np.inf, reach).min(axis=0, initial=np.inf)
@@ -190,12 +190,12 @@ def _tightest(rows: Array, right: Array, sign: Array) -> Array:
 
 
 def _middle(values: Array) -> float:
-    """Return the (upper) median of the values (k,), k >= 1."""
+    """Upper median of the values (k,), k >= 1."""
     return float(np.sort(values)[len(values) // 2])
 
 
 def opposite_rows(A: Array, b: Array, terms: Array) -> tuple[Array, Array]:
-    """Return one row of each pair that says aᵀx <= β and −aᵀx <= −β, and which rows such pairs make needless.
+    """One row of each opposite pair, and the rows these make needless.
 
     Parameters
     ----------

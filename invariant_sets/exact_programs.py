@@ -1,4 +1,4 @@
-"""Small linear programs in rational arithmetic: the last resort where doubles leave no digits.
+"""Small linear programs in rational arithmetic.
 
 References
 ----------
@@ -17,7 +17,7 @@ Array = np.ndarray
 
 
 def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | None:
-    """Return least value, minimiser (n,) and multipliers (m,) of cᵀx over A x <= b.
+    """Least value, minimiser (n,) and multipliers (m,), or None.
 
     None if it is empty, too large, or has no bound on a single variable where the cost asks for one: these bounds are
     the first active rows of the dual simplex method.
@@ -52,7 +52,7 @@ def exact_optimum(c: Array, A: Array, b: Array) -> tuple[float, Array, Array] | 
 
 
 def _first_bounds(c: Array, A: Array) -> list[int] | None:
-    """Return a bound on each single variable with a multiplier >= 0 at the cost c. None if one is missing."""
+    """Bound on each single variable, opposing the cost c, or None."""
     single = np.count_nonzero(A, axis=1) == 1
     active = []
     for j, cost in enumerate(c):
@@ -64,7 +64,7 @@ def _first_bounds(c: Array, A: Array) -> list[int] | None:
 
 
 def _exchange(inverse: list[list[Fraction]], weights: list[Fraction], leaving: int) -> None:
-    """Replace the active row of column `leaving` by the one with these weights in the others, in place."""
+    """Exchange the active row of column `leaving`, in place."""
     for line in inverse:
         line[leaving] /= weights[leaving]
         for k, weight in enumerate(weights):
@@ -73,5 +73,5 @@ def _exchange(inverse: list[list[Fraction]], weights: list[Fraction], leaving: i
 
 
 def _dot(first: Sequence[Fraction], second: Sequence[Fraction]) -> Fraction:
-    """Return the sum of products."""
+    """Sum of products."""
     return sum((one * other for one, other in zip(first, second) if one and other), Fraction(0))

@@ -1,4 +1,4 @@
-"""The exceptions of `invariant_sets`: misuse is raised, a numerical outcome is a status in a result."""
+"""Exceptions of `invariant_sets`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["EmptySetError", "InputError", "InvariantSetsError", "NumericalError"
 
 
 class UnboundedError(InvariantSetsError, ValueError):
-    """The operation needs a bounded set, for example vertices or a volume.
+    """Unbounded set where a bounded one is needed.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class UnboundedError(InvariantSetsError, ValueError):
 
 
 class EmptySetError(InvariantSetsError, ValueError):
-    """The operation needs at least one point, for example a sample.
+    """Empty set where a point is needed.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class EmptySetError(InvariantSetsError, ValueError):
 
 
 class NumericalError(InvariantSetsError, ArithmeticError):
-    """No solver could finish. The data are too badly conditioned for double precision.
+    """Failure of all solvers on badly conditioned data.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class NumericalError(InvariantSetsError, ArithmeticError):
 
 
 class TimeLimitError(InvariantSetsError, TimeoutError):
-    """An operation would take longer than its time limit, or more memory than one hull may have.
+    """Operation beyond its time limit, or the memory of one hull.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Unbounded sets by points and rays: {points} + cone(rays) + span(lines), from rows and back to rows.
+"""Unbounded sets by points and rays, from rows and back.
 
 Both ways go through one convex hull, as for bounded sets: the facets of the hull of the dual points F/g and 0 are the
 vertices, and those through 0 the rays.
@@ -25,7 +25,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Generators:
-    """conv(points) + cone(rays) + span(lines)."""
+    """Set conv(points) + cone(rays) + span(lines)."""
 
     points: Array  # (p, n): at least one
     # directions without an end, and without an end on either side
@@ -33,17 +33,17 @@ class Generators:
     lines: Array  # (l, n)
 
     def image(self, M: Array, c: Array) -> Generators:
-        """Return the generators of {M x + c}."""
+        """Generators of {M x + c}."""
         return Generators(self.points @ M.T + c, self.rays @ M.T, self.lines @ M.T)
 
     def plus(self, other: Generators) -> Generators:
-        """Return the generators of the Minkowski sum."""
+        """Generators of the Minkowski sum."""
         sums = (self.points[:, None, :] + other.points[None, :, :]).reshape(-1, self.points.shape[1])
         return Generators(sums, np.vstack([self.rays, other.rays]), np.vstack([self.lines, other.lines]))
 
 
 def generators(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Generators:
-    """Return the generators of {F y <= g}, unit rows and g > 0."""
+    """Generators of {F y <= g} with unit rows and g > 0."""
     k = F.shape[1]
     across, lines = _spanned(F)
     if not len(across):
@@ -64,7 +64,7 @@ def generators(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Generato
 
 
 def _ends(dual: Array) -> tuple[Array, Array]:
-    """Return the ends (p, 1) of an interval about 0 and its rays (r, 1), from its dual points."""
+    """Ends (p, 1) and rays (r, 1) of an interval about 0."""
     ends = np.array([value for value in (dual.max(), dual.min()) if value != 0.0])
     ends = ends if len(ends) < 2 or ends[0] * ends[1] < 0 else ends[np.abs(ends).argmax()][None]
     rays = [-np.sign(ends[0])] if len(ends) == 1 else []
@@ -72,7 +72,7 @@ def _ends(dual: Array) -> tuple[Array, Array]:
 
 
 def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Array, Array, Array]:
-    """Return unit rows (A, b) and equalities (A_eq, b_eq) of conv(points) + cone(rays) + span(lines).
+    """Unit rows (A, b) and equalities (A_eq, b_eq) of the generated set.
 
     The set is taken to units in which its points spread by about one, lines are divided out, and a set that is flat in
     those units is solved on its hull.
@@ -111,14 +111,14 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
 
 
 def _of_length_one(R: Array) -> Array:
-    """Return the directions with norm one, without those that are zero but for rounding."""
+    """Directions with norm one, without rounded zeros."""
     norms = row_norms(R)
     kept = norms > FLAT * norms.max(initial=0.0)
     return R[kept] / norms[kept, None]
 
 
 def _spanned(R: Array) -> tuple[Array, Array]:
-    """Return orthonormal rows that span the rows of R, and orthonormal rows across them."""
+    """Orthonormal rows that span R, and rows across them."""
     n = R.shape[1]
     if not len(R) or not n:
         return np.zeros((0, n)), np.eye(n)
@@ -128,7 +128,7 @@ def _spanned(R: Array) -> tuple[Array, Array]:
 
 
 def _solid_rows(points: Array, rays: Array, inner: Array, deadline: Deadline) -> tuple[Array, Array]:
-    """Return rows (F, g) of the solid set conv(points) + cone(rays), where innerᵀray < 0 for every ray.
+    """Rows (F, g) of solid conv(points) + cone(rays), innerᵀray < 0.
 
     The cone over the set, with the points (p, 1) and the rays (r, 0), is cut across by a plane; the hull of the cut has
     one facet for every facet of the set, and perhaps one at infinity.

@@ -1,4 +1,4 @@
-"""From inequalities to vertices and back, and which rows are needed; on arrays, with 0 well inside.
+"""Vertices of inequalities and back, and irredundant rows.
 
 References
 ----------
@@ -32,7 +32,7 @@ Array = np.ndarray
 
 
 def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Array, Array]:
-    """Return the irredundant row indices and the vertices (k, n) of the bounded {F y <= g}, g > 0.
+    """Irredundant rows and vertices (k, n) of bounded {F y <= g}, g > 0.
 
     The hull of the dual points F/g has the irredundant rows as its vertices, and one facet per primal vertex; a
     vertex of more than n facets comes several times unless they are merged.
@@ -55,7 +55,7 @@ def facets_and_vertices(F: Array, g: Array, *, merge: bool = True) -> tuple[Arra
 
 
 def convex_hull(points: Array) -> Any:
-    """Return Qhull's hull of the points (k, n), n >= 2. Raise `NumericalError` where it cannot.
+    """Qhull's hull of the points (k, n), n >= 2, or `NumericalError`.
 
     Symmetric data in five or six dimensions have so many coplanar points that Qhull stops over a wide merge. It is then
     told to go on (Q12), and at last to move the points by a part of 1e-10 or so (QJ). That all points lie in the hull
@@ -76,7 +76,7 @@ def convex_hull(points: Array) -> Any:
 
 
 def hull_volume(points: Array) -> float:
-    """Return the volume of the hull of the points (k, n). Joggled by 1e-10 or so where Qhull fails otherwise."""
+    """Volume of the hull of the points (k, n), joggled if necessary."""
     if points.shape[1] == 1:
         return float(np.ptp(points))
     from scipy.spatial import ConvexHull, QhullError
@@ -91,7 +91,7 @@ def hull_volume(points: Array) -> float:
 
 
 def cone_volume(F: Array, g: Array) -> float | None:
-    """Return the volume of the bounded {F y <= g}, g > 0, as a sum over its vertices. None where digits cancel.
+    """Volume of bounded {F y <= g}, g > 0; None where digits cancel.
 
     Qhull triangulates the dual, whose facets are simplicial cones of normals, one or more to a vertex v. With c = Aᵀγ
     for the n rows A of a cone, the volume is Σ (cᵀv)ⁿ / (n! |det A| Π γ). It needs no hull of the vertices, of which
@@ -119,7 +119,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
 
 
 def _holds_all(equations: Array, points: Array) -> bool:
-    """Return whether all points are inside the facets, in parts that fit into memory."""
+    """Whether all points are inside the facets."""
     limit = SAME * np.abs(points).max()
     step = max(1, 10_000_000 // len(points))
     return all((points @ part[:, :-1].T + part[:, -1]).max() <= limit
@@ -127,7 +127,7 @@ def _holds_all(equations: Array, points: Array) -> bool:
 
 
 def _check_vertices(V: Array, F: Array, g: Array) -> None:
-    """Raise `NumericalError` unless the vertices agree with LPs in 20 directions (five and more dimensions)."""
+    """Raise `NumericalError` unless the vertices agree with random LPs."""
     D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
     exact = np.array([-minimise(-d, F, g)[0] for d in D])
     if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=CHECKED * np.abs(exact).max()):
@@ -135,7 +135,7 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
 
 
 def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
-    """Return the indices of the points V (k, n) of {F y <= g} that are its vertices, by more than `SAME` and `doubt`.
+    """Indices of points V (k, n) that are vertices.
 
     Rounding puts points on edges that another row only touches; fewer than n independent rows meet there, if no more
     is in doubt. A point goes if it lies in the hull of the others, by least squares with weights that sum to one.
@@ -159,12 +159,12 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
 
 
 def merge_points(points: Array, tol: float = SAME) -> Array:
-    """Return the points without those closer than `tol` (largest coordinate difference) to an earlier one."""
+    """Points without those within `tol` of an earlier one, by coordinates."""
     return points[distinct(points, tol)]
 
 
 def distinct(points: Array, tol: float = SAME) -> Array:
-    """Return the indices of the points that are not within `tol` of an earlier one.
+    """Indices of the points not within `tol` of an earlier one.
 
     Copies are neighbours in the order along a fixed generic direction. Only where points that differ are neighbours
     too are all pairs compared.
@@ -186,7 +186,7 @@ def distinct(points: Array, tol: float = SAME) -> Array:
 
 
 def _distinct_by_pairs(points: Array, tol: float) -> Array:
-    """Return the indices that `distinct` does, from all close pairs. Most copies go by rounding before."""
+    """Indices that `distinct` returns, from all close pairs."""
     from scipy.spatial import cKDTree
 
     _, first = np.unique(np.round(points / tol), axis=0, return_index=True)
@@ -198,7 +198,7 @@ def _distinct_by_pairs(points: Array, tol: float) -> Array:
 
 
 def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
-    """Return the indices of the rows that {F y <= g} needs (unit rows, 0 inside).
+    """Indices of the rows that {F y <= g} needs (unit rows, 0 inside).
 
     Qhull's dual removes most; then one LP per row removes duplicates and rows that only touch: a row goes if the
     others alone already keep aᵀy <= b + tol. (`daqp.minrep` 0.11 is not used: it drops rows that are needed.)
@@ -217,7 +217,7 @@ def irredundant_rows(F: Array, g: Array, tol: float = REDUNDANT) -> Array:
 
 
 def strongly_irredundant_rows(F: Array, g: Array) -> Array:
-    """Return the indices of the rows on the hull of the dual points F/g and 0. All rows where Qhull cannot tell.
+    """Indices of rows on the dual hull; all where it is unavailable.
 
     It is not asked where the hull may have very many facets, as that of a box in 20 dimensions, which has 2²⁰.
     {F y <= g} with 0 inside may be unbounded: then 0 is a vertex of the dual hull and counts for nothing.
@@ -233,7 +233,7 @@ def strongly_irredundant_rows(F: Array, g: Array) -> Array:
 
 
 def hull_rows(points: Array) -> tuple[Array, Array, Array]:
-    """Return facets (F, g), unit rows, of the hull of full-dimensional points (k, n), and its vertices' indices."""
+    """Facets (F, g) of a hull of points (k, n), and vertex indices."""
     if points.shape[1] == 0:
         return np.zeros((0, 0)), np.zeros(0), np.arange(1)
     if points.shape[1] == 1:
@@ -246,7 +246,7 @@ def hull_rows(points: Array) -> tuple[Array, Array, Array]:
 
 
 def counter_clockwise(V: Array) -> Array:
-    """Return points of the plane in the order of their angle about the mean. Others as they are."""
+    """Points of the plane ordered by angle; others as they are."""
     if V.shape[1] != 2 or len(V) < 3:
         return V
     x = V - V.sum(axis=0) / len(V)

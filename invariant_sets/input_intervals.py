@@ -1,4 +1,4 @@
-"""One input at many states: the nearest point of an interval of admissible inputs, or the least violation.
+"""Admissible intervals of a single input at many states.
 
 Everything is vectorised over the states, in units in which a violation of one is "the extent of the set away".
 """
@@ -32,7 +32,7 @@ class Intervals:
     upper: float | Array
 
     def nearest(self, wanted: Array) -> tuple[Array, Array]:
-        """Return the inputs (k,) nearest to the wanted ones (k,), and the violation of the worst row by each.
+        """Inputs (k,) nearest to `wanted` (k,), and their worst violations.
 
         Where no input meets all rows, the one with the least violation, and nearest to the wanted one among those.
         """
@@ -52,11 +52,11 @@ class Intervals:
         return v, self.violation(v)
 
     def violation(self, v: Array) -> Array:
-        """Return the violation of the worst row by each input; negative inside."""
+        """Violation of the worst row by each input; negative inside."""
         return (self.slope * v[:, None] - self.room).max(axis=1, initial=-np.inf)
 
     def _at_level(self, level: Array) -> tuple[Array, Array]:
-        """Return the ends of {v : slope v <= room + level}. The lower is above the upper where it is empty."""
+        """Ends of {v : slope v <= room + level}, lower above upper if empty."""
         room = self.room + level[:, None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             bound = room / self.slope
@@ -65,7 +65,7 @@ class Intervals:
         return np.maximum(low, self.lower), np.minimum(high, self.upper)
 
     def _least_level(self) -> Array:
-        """Return the least violation that some input has, at the moving rows, by bisection from above."""
+        """Least violation of the moving rows by some input, by bisection."""
         middle = np.reshape(np.asarray(self.lower + self.upper) / 2, (-1, 1))
         moving = np.where(np.abs(self.slope) > UNMOVED, self.slope * middle - self.room, -np.inf)
         top = np.maximum(moving.max(axis=1, initial=0.0), 0.0)

@@ -1,4 +1,4 @@
-"""`Body`: a set as {centre + basis y : F y <= g}, full-dimensional and well scaled in y; found from any rows.
+"""Sets as `Body` {centre + basis y : F y <= g}, from any rows.
 
 What is large, small or zero is judged by the set's own extents, which a `LocalBox` finds.
 """
@@ -21,7 +21,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Body:
-    """{centre + basis y : F y <= g}: full-dimensional in y, 0 in its interior, extents of order one."""
+    """Set {centre + basis y : F y <= g}, solid and scaled in y."""
 
     centre: Array  # (n,): an interior point relative to the affine hull
     basis: Array  # (n, k): columns span the affine hull; they carry the scale. Diagonal if k = n
@@ -39,7 +39,7 @@ class Body:
 
     @property
     def inverse(self) -> Array:
-        """The matrix (k, n) that takes x − centre to y."""
+        """Matrix (k, n) that takes x − centre to y."""
         inverse = np.zeros(self.basis.shape[::-1])
         columns = np.arange(len(self.free))
         inverse[columns, self.free] = 1 / self.basis[self.free, columns]
@@ -47,7 +47,7 @@ class Body:
 
     @property
     def normals(self) -> Array:
-        """Rows (n − k, n) that span the orthogonal complement of the hull, one for each coordinate that is not free."""
+        """Rows (n − k, n) that span the orthogonal complement of the hull."""
         n = len(self.centre)
         tied = np.ones(n, bool)
         tied[self.free] = False
@@ -55,7 +55,7 @@ class Body:
 
     @property
     def rows(self) -> Stated:
-        """The set as unit rows on x."""
+        """Set as unit rows on x."""
         A = self.F @ self.inverse
         A_eq = self.normals
         if not (np.isfinite(A).all() and A.any(axis=1).all()):
@@ -64,7 +64,7 @@ class Body:
                       self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
 
     def less(self, Q: Body, V: Array | None = None) -> Body | None:
-        """Return {x : x + q in the set for every q in Q}, not `settled`. None if the hull or an end excludes all of it.
+        """Set {x : x + q in the set for all q in Q}, not `settled`, or None.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
         V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
@@ -82,11 +82,11 @@ class Body:
         return replace(self, g=self.g - reach, sizes=sizes, centre=self.centre - Q.centre, terms=self.terms + Q.terms)
 
     def holds_part_of(self, whole: Body) -> bool:
-        """Return whether the tightened set holds a copy of the `whole`, `SETTLED` of its size. It is as little flat."""
+        """Whether the tightened set holds a copy `SETTLED` times the `whole`."""
         return bool((self.g > SETTLED * whole.g).all())
 
     def settled(self) -> Body | None:
-        """Return the set, whose g may have changed, about a point of its own and by its own extents. None if empty."""
+        """Set re-centred and rescaled after g has changed, or None if empty."""
         if not len(self.free):
             return self
         none = np.zeros((0, len(self.free)))
@@ -94,7 +94,7 @@ class Body:
         return None if found is None else self.part(found)
 
     def part(self, inner: Body) -> Body:
-        """Return the part of the set whose y lies in a body."""
+        """Part of the set whose y lies in a body."""
         half = np.abs(self.basis) @ inner.half_widths
         if len(self.free) < len(self.centre) and len(inner.free) > 1:
             shape = replace(inner, centre=np.zeros(len(self.free)))
@@ -105,7 +105,7 @@ class Body:
 
 
 def body_of(stated: Stated) -> Body | None:
-    """Return the `Body` of {A x <= b, A_eq x = b_eq}, or None if the set is empty."""
+    """`Body` of {A x <= b, A_eq x = b_eq}, None if empty."""
     A, b, A_eq, b_eq, terms, sizes = stated
     used = A.any(axis=1)
     used_eq = A_eq.any(axis=1)
@@ -137,7 +137,7 @@ def body_of(stated: Stated) -> Body | None:
 
 
 def _solved(stated: Stated, scale: Array) -> Body | None:
-    """Return the `Body`, None if the set is empty.
+    """`Body` of the stated rows, None if empty.
 
     Equality rows are eliminated first. Those that hide in the inequalities are added as they show, and all is done
     again in units that suit the set.
@@ -179,7 +179,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
 
 
 def support(body: Body, D: Array) -> Array:
-    """Return the (k,) maxima of the rows of D (k, n) over the body, +inf where there is none."""
+    """Maxima (k,) of the rows of D (k, n), +inf if unbounded."""
     local = D @ body.basis
     cancelled = np.abs(local) <= CANCELLED * (np.abs(D) @ np.abs(body.basis))
     local = np.where(cancelled, 0.0, local) if body.basis.shape[1] < body.basis.shape[0] else local
@@ -192,7 +192,7 @@ def support(body: Body, D: Array) -> Array:
 
 
 def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: float) -> Body | None:
-    """Return the `Body` of what rows leave of a line, None if empty: a point, a segment, a ray or the line itself."""
+    """`Body` of rows on a line, None if empty."""
     slope = A @ hull.basis
     sizes = np.abs(A) @ np.abs(hull.basis)
     slope = np.where(np.abs(slope) > cancelled * sizes, slope, 0.0)
@@ -210,7 +210,7 @@ def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: flo
 
 
 def _box(A: Array, b: Array, terms: Array) -> Body | None:
-    """Return the `Body` of rows that hold one coordinate each. None if empty."""
+    """`Body` of rows that hold one coordinate each, None if empty."""
     n = A.shape[1]
     column = np.abs(A).argmax(axis=1)
     slope = A[np.arange(len(b)), column]
@@ -243,7 +243,7 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
 
 
 def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
-    """Return the least bound (n,) of each column and its doubt. One within its own doubt of another says less."""
+    """Least bound (n,) of each column, and its doubt."""
     most = np.full(n, np.inf)
     np.minimum.at(most, column, bound + doubt)
     felt = bound + doubt <= most[column]
@@ -255,7 +255,7 @@ def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array,
 
 
 def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
-    """Return the box as a `Body` about its ball's centre, without rows that cannot touch the set."""
+    """`Body` of the box about its ball's centre."""
     y = box.ball.centre
     bounded = not box.unbounded.any()
     touching = np.arange(len(box.g))
@@ -270,7 +270,7 @@ def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
-    """Return the `Body` of {A x <= b} with the vertices V (k, n). None if it is flat or V are not its vertices."""
+    """`Body` of {A x <= b} with vertices V (k, n), or None."""
     lower = V.min(axis=0)
     upper = V.max(axis=0)
     centre = (lower + upper) / 2
@@ -293,7 +293,7 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
 
 
 def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
-    """Return the `Body` of the hull of the points anchor + Y (k, n), and which of them are its vertices.
+    """Hull of anchor + Y (k, n) as a `Body`, and vertex indices.
 
     The points are taken to units in which they spread by about one. A direction in which they spread by less than
     `FLAT`, or by less than `GIVEN` times the terms (n,) of the coordinates, is flat; the hull is then that of some
@@ -331,27 +331,27 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
 
 
 def _pivots(rows: Array) -> Array:
-    """Return columns (r,), in order, in which independent rows (r, n) are steep and far from dependent."""
+    """Pivot columns (r,) of independent rows (r, n), in order."""
     from scipy.linalg import qr
 
     return np.sort(qr(rows, mode="r", pivoting=True)[1][:len(rows)])
 
 
 def null_space(rows: Array) -> Array:
-    """Return an orthonormal basis (n, k) of {x : rows x = 0}."""
+    """Orthonormal basis (n, k) of {x : rows x = 0}."""
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
     rank = int((s > NULL_SPACE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
     return vt[rank:].T
 
 
 def normals(basis: Array) -> Array:
-    """Return orthonormal rows (n − k, n) that are orthogonal to the k columns of a basis."""
+    """Orthonormal rows (n − k, n) across the k columns of a basis."""
     left, _, _ = np.linalg.svd(basis / row_norms(basis.T), full_matrices=True)
     return left[:, basis.shape[1]:].T
 
 
 def unit_rows(A: Array, b: Array) -> tuple[Array | None, Array]:
-    """Return the rows scaled to unit norm without zero rows; (None, b) if a zero row says 0 <= negative."""
+    """Rows of unit norm without zero rows; (None, b) if one contradicts."""
     norms = row_norms(A)
     reference = norms.max(initial=0.0)
     zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)

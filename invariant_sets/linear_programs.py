@@ -1,4 +1,4 @@
-"""Questions answered by small dense linear programs: least values, largest balls, rays; every verdict is checked.
+"""Small dense linear programs with checked verdicts.
 
 "Unbounded" needs a ray, "infeasible" a Farkas certificate; optima come from `checked_optima`.
 
@@ -22,7 +22,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Ball:
-    """A largest ball in {A x <= b}, with the multipliers that prove it largest."""
+    """Largest ball in {A x <= b}, with the multipliers that prove it."""
 
     radius: float  # negative: the least violation that every point must accept
     centre: Array  # (n,)
@@ -30,7 +30,7 @@ class Ball:
 
 
 def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
-    """Return the least cᵀx over A x <= b and a minimiser.
+    """Least cᵀx over A x <= b and a minimiser.
 
     Parameters
     ----------
@@ -71,13 +71,13 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
 
 
 def least_value(c: Array, A: Array, b: Array) -> float:
-    """Return the value of `minimise`, right to `LP_ROUNDING` where the first answer of DAQP is."""
+    """Value of `minimise`, to `LP_ROUNDING` where DAQP's first answer is."""
     optimum = quick_optimum(c, A, b)
     return minimise(c, A, b)[0] if optimum is None else optimum.value
 
 
 def maximise_rows(D: Array, A: Array, b: Array) -> Array:
-    """Return the (k,) maxima of the rows of D over A x <= b: +inf unbounded, −inf if empty."""
+    """Maxima (k,) of rows of D over A x <= b; +inf unbounded, −inf empty."""
     costs, A, b = (np.ascontiguousarray(array, dtype=np.float64) for array in (-D, A, b))
     values = np.zeros(len(costs))
     known = np.zeros(len(costs), bool)
@@ -89,7 +89,7 @@ def maximise_rows(D: Array, A: Array, b: Array) -> Array:
 
 
 def maximise_in_box(D: Array, A: Array, b: Array, box: float) -> Array:
-    """Return the (k,) maxima of the rows of D over {A x <= b, |x| <= box}, which must hold a point."""
+    """Maxima (k,) of rows of D over nonempty {A x <= b, |x| <= box}."""
     rows, right = _with_box(A, b, box, A.shape[1])
     values, known = optima_at_once(-D, rows, right, coarse=True)
     for i in np.flatnonzero(~known):
@@ -101,7 +101,7 @@ def maximise_in_box(D: Array, A: Array, b: Array, box: float) -> Array:
 
 
 def inscribed_ball(A: Array, b: Array, cap: float) -> tuple[float, Array]:
-    """Return radius and centre of a largest ball in A x <= b (rows of unit norm), the radius at most `cap`.
+    """Radius and centre of a largest ball in A x <= b, unit rows.
 
     A negative radius is the least violation that every point must accept: the set is empty.
     """
@@ -110,7 +110,7 @@ def inscribed_ball(A: Array, b: Array, cap: float) -> tuple[float, Array]:
 
 
 def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ball:
-    """Return a largest `Ball` in A x <= b (rows of unit norm), radius at most `cap`, centre in |x| <= `box`.
+    """Largest `Ball` in A x <= b, unit rows, centre in |x| <= `box`.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
 
 
 def ray_along(d: Array, F: Array) -> Array | None:
-    """Return a direction r with F r <= 0 and dᵀr > 0, |r| <= 1. None if there is none but for rounding."""
+    """Direction r with F r <= 0, dᵀr > 0, |r| <= 1, or None."""
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
     if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
         return None
@@ -147,7 +147,7 @@ def ray_along(d: Array, F: Array) -> Array | None:
 
 
 def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
-    """Return the answer of `minimise` without an optimum: infeasible or unbounded, by their certificates."""
+    """Answer of `minimise` for infeasible or unbounded programs, by certificates."""
     ball = largest_ball(A, b, 1.0)
     if ball.radius < -LP_RESIDUAL:  # its multipliers are the Farkas certificate
         return np.inf, None
@@ -165,7 +165,7 @@ def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
 
 
 def _with_box(A: Array, b: Array, box: float, width: int) -> tuple[Array, Array]:
-    """Return the rows with |xᵢ| <= box added for the first `width` variables."""
+    """Rows with |xᵢ| <= box added for the first `width` variables."""
     m = len(b)
     each = np.arange(width)
     rows = np.zeros((m + 2 * width, A.shape[1]))

@@ -1,4 +1,4 @@
-"""A box around a set in coordinates of its own, which are rescaled until the extents of the set are one.
+"""Box around a set in rescaled coordinates of its own.
 
 What the box shows decides the next one: it moves closer until the extents of the set are one, and further away
 while the set reaches its edges. A row that cannot reach the box has no influence on it.
@@ -33,25 +33,25 @@ Array = np.ndarray
 
 
 class BallCertificate(NamedTuple):
-    """Room that the rows holding the ball leave between them, and coordinates (k,) in which they do not close."""
+    """Room that the ball's rows leave, and open coordinates (k,)."""
 
     room: float
     open: Array
 
     @property
     def closed(self) -> bool:
-        """Whether the rows close in every coordinate, so that `room` bounds the set."""
+        """Whether `room` bounds the set in every coordinate."""
         return not self.open.any()
 
     @property
     def decided_by_rounding(self) -> bool:
-        """Whether the room is no more than the rounding of the rows."""
+        """Whether the room is only the rounding of the rows."""
         return self.room == 0.0
 
 
 @dataclass(frozen=True)
 class LocalBox:
-    """{x : A x <= b} within the box x = centre + basis y, |y| <= `HALF_BOX`."""
+    """Set {A x <= b} within x = centre + basis y, |y| <= `HALF_BOX`."""
 
     # the coordinates
     centre: Array  # (n,)
@@ -74,7 +74,7 @@ class LocalBox:
 
     @cached_property
     def certificate(self) -> BallCertificate:
-        """Room left by the rows that hold the ball, taken together.
+        """Room left by the rows that hold the ball.
 
         With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty
         (Farkas), and a zero one that the rows hold with equality. The room is zero where rounding decides.
@@ -88,7 +88,7 @@ class LocalBox:
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether the set is thinner than `FLAT` of the box, or than the rounding of the rows that hold it."""
+        """Whether the set is thinner than `FLAT` of the box, or rounding."""
         if self.ball.radius <= FLAT:
             return True
         return bool(self.certificate.decided_by_rounding and self.ball.dual.any() and self.certificate.closed)
@@ -96,7 +96,7 @@ class LocalBox:
 
 def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array, *,
                   cancelled: float) -> LocalBox | None:
-    """Return the box in which the extents of the set are one. None if the set is empty.
+    """Box with unit extents of the set; None if it is empty.
 
     The view ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
     closer look would change that.
@@ -143,7 +143,7 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
 
 def _local_box(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbounded: Array,
                cancelled: float) -> LocalBox | None:
-    """Return the box in the coordinates given. None if a row parallel to the hull excludes all of it."""
+    """Box in the given coordinates; None if a parallel row excludes it."""
     F = A @ basis
     g = b - A @ centre
     slope = np.abs(A)
@@ -178,7 +178,7 @@ def _local_box(A: Array, b: Array, terms: Array, centre: Array, basis: Array, un
 
 
 def _extents(box: LocalBox) -> tuple[Array, Array]:
-    """Return the lower and upper ends (k,) of the set within the box, at most `HALF_BOX`."""
+    """Lower and upper ends (k,) of the set within the box."""
     k = box.F.shape[1]
     F = box.F[box.near]
     g = box.g[box.near] + 1.01 * max(-box.ball.radius, 0.0)
@@ -188,7 +188,7 @@ def _extents(box: LocalBox) -> tuple[Array, Array]:
 
 
 def _ends(box: LocalBox, unbounded: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the extents, the coordinates (k,) in which the set leaves the box, and those in which it has no end."""
+    """Extents, coordinates (k,) that leave the box, and endless ones."""
     lower, upper = _extents(box)
     beyond = ((lower < -0.99 * HALF_BOX) | (upper > 0.99 * HALF_BOX)) & ~unbounded
     if beyond.any():
@@ -199,7 +199,7 @@ def _ends(box: LocalBox, unbounded: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _endless(box: LocalBox, lower: Array, upper: Array) -> Array:
-    """Return the coordinates (k,) in which the set has no end, as a ray of its recession cone proves."""
+    """Whether the set has no end in each coordinate (k,)."""
     k = box.F.shape[1]
     answer = np.zeros(k, bool)
     for j in range(k):
@@ -210,7 +210,7 @@ def _endless(box: LocalBox, lower: Array, upper: Array) -> Array:
 
 
 def _frame(box: LocalBox, lower: Array, upper: Array, unbounded: Array) -> tuple[Array, Array]:
-    """Return middle and half width (k,) of the next box.
+    """Middle and half width (k,) of the next box.
 
     A coordinate without an end gets the smallest length at which a row feels it as much as the other coordinates.
     """
@@ -230,7 +230,7 @@ def _frame(box: LocalBox, lower: Array, upper: Array, unbounded: Array) -> tuple
 
 
 def half_widths(box: LocalBox) -> Array:
-    """Return half the width (n,) of the set in every coordinate of x; 0 in those in which it is flat."""
+    """Half width (n,) of the set in every coordinate; 0 if flat."""
     basis = box.basis
     k = basis.shape[1]
     reach = np.abs(basis).sum(axis=1)
@@ -244,7 +244,7 @@ def half_widths(box: LocalBox) -> Array:
 
 
 def hidden_equalities(box: LocalBox) -> Array:
-    """Return the numbers in A of independent rows that hold with equality on the whole of a flat set.
+    """Numbers in A of independent rows tight on a whole flat set.
 
     The slack of a row of multiplier λᵢ is at most radius / λᵢ: with the largest ones it is a few times `FLAT`. Those
     of the least doubt come first: a row that the hull nearly holds says little of where it goes.

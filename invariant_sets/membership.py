@@ -1,4 +1,4 @@
-"""Points that satisfy rows, up to a slack and to the rounding of the row's own data at the point."""
+"""Membership of points in rows, up to slack and rounding."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ Array = np.ndarray
 
 
 def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, reach: Array | None) -> Array:
-    """Return whether A x <= b + max(slack, rounding (|b| + |A||x|)) for each of the points, (k,) bools.
+    """Whether A x <= b + max(slack, rounding (|b| + |A||x|)), (k,) bools.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, 
 
 
 def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float, most: Array | None) -> Array:
-    """Return which points (k,) satisfy the rows with the rounding at each of them; `most` is a limit (m,) for all."""
+    """Whether points (k,) satisfy the rows with the rounding at each."""
     values = A @ points.T
     if most is None:
         most = b + _allowed(A, b, slack, rounding, _largest(points))
@@ -51,12 +51,12 @@ def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float
 
 
 def _largest(points: Array) -> Array:
-    """Return the largest |x| (n,) of the points (k, n) that are finite."""
+    """Largest finite |x| (n,) of the points (k, n)."""
     size = np.abs(points)
     return size[np.isfinite(size).all(axis=1)].max(axis=0, initial=0.0)
 
 
 def _allowed(A: Array, b: Array, slack: Array, rounding: float, size: Array) -> Array:
-    """Return the allowed violation of rows at points of the size |x| (n,) or (k, n): (m,) or (k, m)."""
+    """Allowed violation (m,) or (k, m) at sizes |x| (n,) or (k, n)."""
     terms = np.abs(b) + size @ np.abs(A).T
     return np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0))

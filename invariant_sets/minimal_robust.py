@@ -1,4 +1,4 @@
-"""The smallest robust invariant set: what a bounded disturbance can do to a stable loop.
+"""Smallest robust invariant set of a stable loop.
 
 References
 ----------
@@ -33,7 +33,7 @@ Array = np.ndarray
 def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, eps: float = 1e-2,
                                             max_iterations: int = 500, max_facets: int = 2000,
                                             time_limit: float | None = None) -> SetResult:
-    """Return a robust positively invariant outer approximation of the smallest one, ⊕ᵢ AⁱEW.
+    """Robust invariant outer approximation of the smallest one, ⊕ᵢ AⁱEW.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
 
 @dataclass(frozen=True)
 class _Approximation:
-    """A robust set (None if there is none yet), its relative excess, the terms it took, and how that ended."""
+    """Robust set or None, its relative excess, terms and status."""
 
     set: Any
     gap: float
@@ -115,7 +115,7 @@ class _Approximation:
 
 
 def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Return the scaled partial sum if W is full-dimensional and begins to shrink. Else the set from outside."""
+    """Scaled partial sum where possible, else the set from outside."""
     if Polytope.from_vertices(W).affine_dim == len(A):
         found = _scaled_sum(A, W, limits)
         if found is not None:
@@ -124,14 +124,14 @@ def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
 
 
 def _extent(A: Array, W: Array) -> Array:
-    """Return the half width (n,) of the smallest robust set in every coordinate, 1 where it has none."""
+    """Half width (n,) of the smallest robust set, 1 where it has none."""
     eye = np.eye(len(A))
     size = np.maximum(_sum_of_supports(eye, A, W, MOST_SUM_TERMS), _sum_of_supports(-eye, A, W, MOST_SUM_TERMS))
     return np.where(size > 0.0, size, 1.0)
 
 
 def _moving_subspace(A: Array, W: Array) -> Array:
-    """Return an orthonormal basis (n, k) of what W, A W, A² W, … span. The minimal set is flat elsewhere."""
+    """Orthonormal basis (n, k) of the span of W, A W, A² W, …."""
     scale = np.abs(W).max(initial=0.0)
     if scale == 0.0:
         return np.zeros((len(A), 0))
@@ -145,7 +145,7 @@ def _moving_subspace(A: Array, W: Array) -> Array:
 
 
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
-    """Return the scaled partial sum for vertices W of a full-dimensional set with 0 inside. None if no term shrinks."""
+    """Scaled partial sum for vertices W; None if no term shrinks."""
     hull = Polytope.from_vertices(W)
     target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
     partial = hull
@@ -181,7 +181,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
 
 
 def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Iterate R ← A R ⊕ W from the largest robust set in a box around the answer. Every iterate is robust."""
+    """Iterate R ← A R ⊕ W from a robust set outside."""
     eye = np.eye(len(A))
     upper = _sum_of_supports(eye, A, W, MOST_SUM_TERMS)
     lower = -_sum_of_supports(-eye, A, W, MOST_SUM_TERMS)
@@ -216,19 +216,19 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
 
 
 def _status_of(limit: LimitReached) -> Status:
-    """Return the status that belongs to a cap."""
+    """Status that belongs to a cap."""
     return Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
 
 
 def _excess(R: Polytope, partial: Polytope) -> float:
-    """Return the least g with R ⊆ (1 + g) partial, inf while the partial sum is flat; 0 is inside both."""
+    """Least g with R ⊆ (1 + g) partial, inf if that is flat."""
     if partial.affine_dim < partial.dim or partial.b.min() <= 0:
         return np.inf
     return max(0.0, float((R._supports(partial.A) / partial.b).max() - 1.0))
 
 
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
-    """Return Σ_i max_w dᵀAⁱw for every row d of D, from below. The terms after the last are left out."""
+    """Sum Σ_i max_w dᵀAⁱw for every row d of D, truncated."""
     total = np.zeros(len(D))
     directions = np.array(D)
     largest = np.abs(W).max(axis=0)

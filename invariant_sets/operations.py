@@ -26,10 +26,10 @@ AnySet = TypeVar("AnySet", bound=Polyhedron)
 
 
 class SetOperations(Polyhedron):
-    """Set operations, to be inherited by `Polytope`. Every one returns a new set."""
+    """Set operations for `Polytope`; every one returns a new set."""
 
     def minimal(self) -> Self:
-        """Return the same set without redundant rows (weakly redundant ones and duplicates too).
+        """Same set without redundant rows, weakly redundant ones and duplicates.
 
         Equalities hidden in the inequalities become rows of A_eq. The empty set becomes 0·x <= −1.
         """
@@ -41,12 +41,12 @@ class SetOperations(Polyhedron):
         return type(self)._of(body.rows, self._vertices, body)
 
     def intersection(self, other: Polyhedron) -> Self:
-        """Return P ∩ Q, both of the same dimension."""
+        """Intersection P ∩ Q of sets of the same dimension."""
         other = same_space(self, other)
         return type(self)._of(Stated(*(np.concatenate(pair) for pair in zip(self._stated, other._stated))))
 
     def cartesian_product(self, other: Polyhedron) -> Self:
-        """Return P × Q = {(x, y) : x in P, y in Q}."""
+        """Product P × Q = {(x, y) : x in P, y in Q}."""
         other = _checked_set(other)
         return type(self)._of(Stated(
             _diagonal(self.A, other.A), np.append(self.b, other.b), _diagonal(self.A_eq, other.A_eq),
@@ -54,7 +54,7 @@ class SetOperations(Polyhedron):
             np.append(self._terms_eq, other._terms_eq)))
 
     def minkowski_sum(self, other: Polyhedron, *, time_limit: float | None = None) -> Self:
-        """Return P ⊕ Q = {x + y : x in P, y in Q}: everything that can be reached by adding the two.
+        """Minkowski sum P ⊕ Q = {x + y : x in P, y in Q}.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class SetOperations(Polyhedron):
 
     @classmethod
     def _moved(cls, P: Polyhedron, point: Body) -> Self:
-        """Return P moved by a point, P not empty."""
+        """Nonempty P moved by a point."""
         A, b, A_eq, b_eq, terms, terms_eq = P._stated
         c = point.centre
         rows = Stated(A, b + A @ c, A_eq, b_eq + A_eq @ c, terms + np.abs(A) @ point.terms,
@@ -109,7 +109,7 @@ class SetOperations(Polyhedron):
         return cls._of(rows, None if P._vertices is None else P._vertices + c, body)
 
     def pontryagin_difference(self, other: Polyhedron) -> Self:
-        """Return P ⊖ Q = {x : x + y in P for every y in Q}: P, tightened by all that Q may do.
+        """Difference P ⊖ Q = {x : x + y in P for all y in Q}.
 
         P ⊖ ∅ is the whole space, by that definition.
 
@@ -148,7 +148,7 @@ class SetOperations(Polyhedron):
         return type(self).empty(n) if found is None else type(self)._of(found.rows, body=found)
 
     def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
-        """Return {M x + c : x in P}. M may be singular or change the dimension.
+        """Image {M x + c : x in P}, M of any rank and size.
 
         Parameters
         ----------
@@ -196,7 +196,7 @@ class SetOperations(Polyhedron):
             raise TimeLimitError("affine_map", time_limit, str(limit), outer) from None
 
     def preimage(self, M: Any, c: Any = None) -> Self:
-        """Return {x : M x + c in P}. M may be singular. The result is then unbounded.
+        """Preimage {x : M x + c in P}, unbounded for singular M.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class SetOperations(Polyhedron):
                                      self._terms_eq + np.abs(self.A_eq) @ np.abs(c)))
 
     def projection(self, coordinates: Any, *, time_limit: float | None = None) -> Self:
-        """Return the projection onto the given coordinates, in the given order: some value of the others exists.
+        """Projection onto the given coordinates, in the given order.
 
         `time_limit` as in `affine_map`.
         """
@@ -222,7 +222,7 @@ class SetOperations(Polyhedron):
         return self.affine_map(np.eye(self.dim)[kept], time_limit=time_limit)
 
     def slice(self, coordinates: Any, values: Any) -> Self:
-        """Return the cut where `coordinates` have the given values, as a set of the other coordinates."""
+        """Cut at values of `coordinates`, as a set of the others."""
         fixed = self._coordinates(coordinates)
         values = as_vector(values, "values", size=len(fixed))
         free = np.setdiff1d(np.arange(self.dim), fixed)
@@ -234,7 +234,7 @@ class SetOperations(Polyhedron):
         return self.preimage(M, c)
 
     def scale(self, factor: float) -> Self:
-        """Return {factor·x : x in P}, about the origin. Factor 0 gives {0}, a negative one also reflects."""
+        """Set {factor·x : x in P}; factor 0 gives {0}."""
         value = as_floats("factor", factor)
         if value.ndim != 0:
             raise InputError("factor", f"shape {value.shape}", "a number", "Use affine_map for a matrix.")
@@ -250,7 +250,7 @@ class SetOperations(Polyhedron):
                                      abs(k) * self._terms, abs(k) * self._terms_eq))
 
     def _coordinates(self, coordinates: Any) -> Array:
-        """Return distinct indices of coordinates, or raise `InputError`."""
+        """Distinct indices of coordinates, or raise `InputError`."""
         try:
             index = np.atleast_1d(np.asarray(coordinates))
         except ValueError:  # ragged
@@ -262,7 +262,7 @@ class SetOperations(Polyhedron):
 
 
 def same_space(P: Polyhedron, Q: AnySet, name: str = "other") -> AnySet:
-    """Return Q, or raise `InputError` unless it is a `Polytope` of P's dimension."""
+    """Q, or raise `InputError` unless a `Polytope` of P's dimension."""
     Q = _checked_set(Q, name)
     if Q.dim != P.dim:
         raise InputError(name, f"a set of dimension {Q.dim}", f"dimension {P.dim}")
@@ -270,25 +270,25 @@ def same_space(P: Polyhedron, Q: AnySet, name: str = "other") -> AnySet:
 
 
 def _checked_set(Q: AnySet, name: str = "other") -> AnySet:
-    """Return Q, or raise `InputError` unless it is a `Polytope`."""
+    """Q, or raise `InputError` unless it is a `Polytope`."""
     if not isinstance(Q, Polyhedron):
         raise InputError(name, type(Q).__name__, "a Polytope")
     return Q
 
 
 def _diagonal(P: Array, Q: Array) -> Array:
-    """Return the block diagonal matrix of P and Q."""
+    """Block diagonal matrix of P and Q."""
     return np.block([[P, np.zeros((len(P), Q.shape[1]))], [np.zeros((len(Q), P.shape[1])), Q]])
 
 
 def _touching(kind: type[AnySet], D: Array, values: Array) -> AnySet:
-    """Return the set of rows D x <= values, of those that are finite."""
+    """Set of the rows D x <= values with finite values."""
     finite = np.isfinite(values)
     return kind(D[finite], values[finite])
 
 
 def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
-    """Return points, rays and lines of a set that is not empty."""
+    """Points, rays and lines of a nonempty set."""
     body = P._body
     assert body is not None
     if body.bounded:
@@ -301,7 +301,7 @@ def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
 
 
 def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
-    """Return the rows of the image of a body under M. None if M is not injective on its hull."""
+    """Rows of a body's image under M; None if not injective."""
     G = M @ body.basis
     terms = np.abs(M) @ np.abs(body.basis)
     G = np.where(np.abs(G) > CANCELLED * terms, G, 0.0)
@@ -323,7 +323,7 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
 
 
 def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[Array, Array, Array]:
-    """Return the rows A (M x + c) <= b on x, with the sizes of the terms of their right-hand sides."""
+    """Rows A (M x + c) <= b on x, with sizes of their terms."""
     rows = A @ M
     rows = np.where(np.abs(rows) > PRODUCT_ROUNDING * (np.abs(A) @ np.abs(M)), rows, 0.0)
     return rows, b - A @ c, terms + np.abs(A) @ np.abs(c)

@@ -32,7 +32,7 @@ SetOfDesign = Callable[[Array], Set]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParametricSet:
-    """The maximal control invariant sets C(p) of x⁺ = A(p) x + B(p) u [+ E(p) w], computed when asked for.
+    """Maximal control invariant sets C(p) for designs p (np,).
 
     Parameters
     ----------
@@ -94,11 +94,11 @@ class ParametricSet:
 
     @property
     def _options(self) -> Options:
-        """The tolerance and caps of every design."""
+        """Tolerance and caps of every design."""
         return Options(self.tol, self.max_iterations, self.max_facets, self.time_limit)
 
     def result(self, p: Any) -> SetResult:
-        """Return the whole result, with status and certificate, at one design p (np,)."""
+        """Result with status and certificate at one design p (np,)."""
         p = as_vector(p, "p") + 0.0  # −0 and 0 are one design
         key = p.tobytes()
         if key not in self._results:
@@ -109,11 +109,11 @@ class ParametricSet:
         return self._results[key]
 
     def at(self, p: Any) -> Polytope:
-        """Return the maximal control invariant set at one design p (np,)."""
+        """Maximal control invariant set at one design p (np,)."""
         return self.result(p).set
 
     def compute(self, designs: Any, *, n_jobs: int = 1) -> list[SetResult]:
-        """Return the results of several designs (k, np), computed in parallel where they are not yet known.
+        """Results of several designs (k, np), computed in parallel.
 
         Parameters
         ----------
@@ -135,7 +135,7 @@ class ParametricSet:
         return [self.result(p) for p in designs]
 
     def contains(self, x: Any, p: Any, tol: float = MEMBERSHIP) -> Any:
-        """Return whether x[i] lies in C(p[i]).
+        """Whether x[i] lies in C(p[i]).
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class ParametricSet:
         return bool(inside[0]) if single else inside
 
     def _states(self, p: Any) -> int:
-        """Return the number of states: of X, or of the first design where X is no set by itself."""
+        """Number of states, from X or the first design."""
         if isinstance(self.X, Polytope):
             return self.X.dim
         designs, _ = _designs(p)
@@ -167,7 +167,7 @@ class ParametricSet:
         return self.at(designs[0]).dim
 
     def _groups(self, p: Any, count: int) -> Iterator[tuple[Array, Array]]:
-        """Yield every different design and the samples that have it."""
+        """Yield every different design and its samples."""
         designs, _ = _designs(p)
         if len(designs) == 1:
             designs = np.broadcast_to(designs, (count, designs.shape[1]))
@@ -179,7 +179,7 @@ class ParametricSet:
         yield from zip(unique, np.split(order, ends[:-1]))
 
     def sample(self, p: Any, n: int, *, rng: np.random.Generator) -> Array:
-        """Return n states, nearly uniform in C(p): (n, nx) for one design (np,), (k, n, nx) for several (k, np)."""
+        """Sample (n, nx) or (k, n, nx) nearly uniform in C(p)."""
         n = as_count("n", n, least=0)
         rng = as_generator("rng", rng)
         designs, single = _designs(p)
@@ -188,13 +188,13 @@ class ParametricSet:
         return x[0] if single else x
 
     def volume(self, p: Any) -> Any:
-        """Return the volume of C(p), "how much can this design recover from": a float, or (k,) for p (k, np)."""
+        """Volume of C(p): a float, or (k,) for p (k, np)."""
         designs, single = _designs(p)
         volumes = np.array([self.at(design).volume for design in designs])
         return float(volumes[0]) if single else volumes
 
     def volume_gradient(self, p: Any, *, step: float = 1e-3) -> Array:
-        """Return the derivative of the volume with respect to the design, (np,).
+        """Derivative (np,) of the volume with respect to the design.
 
         Parameters
         ----------
@@ -225,7 +225,7 @@ class ParametricSet:
     # --- one design -----------------------------------------------------------------------------------------
 
     def _compute(self, p: Array) -> SetResult:
-        """Return the result at a design that is not yet known, from a neighbour where that helps."""
+        """Result at an unknown design, from a neighbour where that helps."""
         neighbour = self._neighbour(p) if self.warm_start else None
         if neighbour is not None:
             warm = self._warm(p, *neighbour)
@@ -234,7 +234,7 @@ class ParametricSet:
         return self._cold(p)
 
     def _cold(self, p: Array, guess: Polytope | None = None) -> SetResult:
-        """Return the result computed from X, or from X and a set that should hold the answer."""
+        """Result computed from X, or from X and a guess."""
         p = frozen(p)  # one array for three functions of the caller's
         answer = self.matrices(p)
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
@@ -244,14 +244,14 @@ class ParametricSet:
         return largest_invariant_set(task, guess)
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
-        """Return the nearest known result that was slow to find, and its relative distance in p."""
+        """Nearest known slow result, and its relative distance in p."""
         near = [(float(np.abs(p - q).max() / max(np.abs(p).max(), TINY)), k) for k, (q, _) in enumerate(self._slow)
                 if len(q) == len(p)]
         distance, k = min(near, default=(np.inf, 0))
         return (self._slow[k][1], distance) if distance <= 0.02 else None
 
     def _warm(self, p: Array, neighbour: SetResult, distance: float) -> SetResult | None:
-        """Return the result from an inflated neighbour. None if the neighbour's rows are felt."""
+        """Result from an inflated neighbour; None if its rows are felt."""
         around = neighbour.outer
         if around.affine_dim < around.dim or not around.is_bounded:
             return None
@@ -266,17 +266,17 @@ class ParametricSet:
 
 
 def _varies(S: Any) -> bool:
-    """Return whether a set is a function of the design."""
+    """Whether a set is a function of the design."""
     return callable(S) and not isinstance(S, (type, Polytope))
 
 
 def _set_at(S: Any, p: Array) -> Set:
-    """Return a set, of a function of the design that at one design (np,)."""
+    """Set at one design (np,), given itself or as a function."""
     return S(p) if _varies(S) else S
 
 
 def _designs(p: Any) -> tuple[Array, bool]:
-    """Return designs (k, np), and whether p was a single one (np,)."""
+    """Designs (k, np), and whether p was a single one (np,)."""
     values = as_floats("p", p)
     if values.ndim < 2:
         return as_vector(values, "p")[None], True

@@ -1,4 +1,4 @@
-"""Pictures of polytopes; the only module here that imports matplotlib."""
+"""Pictures of polytopes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = np.ndarray
 
 
 def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, **style: Any) -> Any:
-    """Draw a polytope and return the artist: a patch in the plane, a face collection in space.
+    """Draw a polytope and return the artist, patch or face collection.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
 def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None = None,
                 labels: Iterable[str] | None = None, ax: Any = None, coordinates: Any = None,
                 **style: Any) -> list[Any]:
-    """Draw sets of several designs in colours ordered by `values`, largest first, and return the artists.
+    """Draw sets of several designs in colours; return the artists.
 
     In the plane a fill is opaque and pale, and every outline lies above all fills: the legend shows the colours that
-    are seen, and no set hides another's outline.
+    are seen, and no set hides another's outline. The largest set is drawn first.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None
 
 
 def _listed(values: Any, name: str) -> list[Any]:
-    """Return the members of an iterable, or raise `InputError`."""
+    """Members of an iterable, or raise `InputError`."""
     try:
         return list(values)
     except TypeError:
@@ -99,7 +99,7 @@ def _listed(values: Any, name: str) -> list[Any]:
 
 
 def _family_colours(numbers: Array) -> Array:
-    """Return one colour a number, (k, 3). The palest end of the map is left out, since it vanishes on white."""
+    """One colour a number, (k, 3), visible on white."""
     from matplotlib import colormaps
 
     spread = np.ptp(numbers) or 1.0
@@ -107,7 +107,7 @@ def _family_colours(numbers: Array) -> Array:
 
 
 def _fill(colour: Array, dim: int) -> dict[str, Any]:
-    """Return the style of one member of a family: opaque and pale in the plane, translucent in space."""
+    """Style of one member, opaque in plane, translucent in space."""
     if dim == 3:
         return {"facecolor": (*colour, 0.15), "edgecolor": colour}
     return {"facecolor": tuple(0.75 + 0.25 * colour), "edgecolor": colour, "zorder": 1}
@@ -120,7 +120,7 @@ def _check_drawable(P: Any, name: str) -> None:
 
 
 def _axes(dim: int) -> Any:
-    """Return new axes, three-dimensional where `dim` is 3."""
+    """New axes, three-dimensional where `dim` is 3."""
     from matplotlib import pyplot as plt
 
     return plt.figure().add_subplot(projection="3d" if dim == 3 else None)
@@ -150,7 +150,7 @@ def _draw_space(P: SetOperations, ax: Any, style: dict[str, Any]) -> Any:
 
 
 def _faces(P: SetOperations) -> list[Array]:
-    """Return the vertices of every face of a body in space, in order around the face."""
+    """Vertices of every face of a body in space, in order."""
     V = P.vertices
     if P.affine_dim < 3:
         return [_around(V)]
@@ -161,7 +161,7 @@ def _faces(P: SetOperations) -> list[Array]:
 
 
 def _around(V: Array) -> Array:
-    """Return coplanar points in the order of their angle about the mean."""
+    """Coplanar points ordered by angle about the mean."""
     offset = V - V.mean(axis=0)
     offset = offset / np.maximum(np.ptp(V, axis=0), np.finfo(float).tiny)
     plane = np.linalg.svd(offset, full_matrices=False)[2][:2]

@@ -1,4 +1,4 @@
-"""`Polyhedron`: the rows of a convex set, and what can be asked of them point by point and direction by direction."""
+"""`Polyhedron`: the rows of a convex set, and questions about it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Polyhedron:
-    """{x : A x <= b, A_eq x = b_eq}. It is never changed. Vertices and the like are computed once, on demand.
+    """Convex set {x : A x <= b, A_eq x = b_eq}, never changed.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Polyhedron:
 
     @classmethod
     def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None, settled: bool = True) -> Self:
-        """Return the set of these rows, with its vertices V (k, n) and its body where known. Nothing is copied.
+        """Set of these rows, with vertices V (k, n) and body where known.
 
         A body that is not settled says where the set lies; its own extents are found when something asks for them.
         """
@@ -99,7 +99,7 @@ class Polyhedron:
 
     @classmethod
     def _of_points(cls, anchor: Array, Y: Array, terms: Array) -> Self:
-        """Return the hull of the points anchor + Y (k, n), whose coordinates come from terms of these sizes (n,).
+        """Hull of the points anchor + Y (k, n), with term sizes (n,).
 
         Far from the origin the differences Y keep the digits that the points themselves have lost.
         """
@@ -113,14 +113,14 @@ class Polyhedron:
 
     @property
     def _stated(self) -> Stated:
-        """The rows, with the sizes of their terms."""
+        """Rows with the sizes of their terms."""
         return Stated(self.A, self.b, self.A_eq, self.b_eq, self._terms, self._terms_eq)
 
     # --- construction -------------------------------------------------------------------------------------
 
     @classmethod
     def from_bounds(cls, lower: Any, upper: Any) -> Self:
-        """Return the box lower <= x <= upper. An infinite bound is no bound.
+        """Box lower <= x <= upper; an infinite bound is no bound.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class Polyhedron:
 
     @classmethod
     def from_vertices(cls, V: Any, *, time_limit: float | None = None) -> Self:
-        """Return the convex hull of the points V (k, n), k >= 1. Flat hulls get equalities.
+        """Convex hull of the points V (k, n), with equalities if flat.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class Polyhedron:
 
     @classmethod
     def empty(cls, n: int) -> Self:
-        """Return the empty set in n dimensions, as the row 0 x <= −1."""
+        """Empty set in n dimensions, as the row 0 x <= −1."""
         return cls(np.zeros((1, as_count("n", n))), [-1.0])
 
     # --- shape --------------------------------------------------------------------------------------------
@@ -183,7 +183,7 @@ class Polyhedron:
 
     @cached_property
     def _body(self) -> Body | None:
-        """The set in coordinates that suit it; None if it is empty."""
+        """Set in well-scaled coordinates; None if empty."""
         unsettled = self.__dict__.get("_unsettled")
         if unsettled is not None:
             return unsettled.settled()
@@ -200,12 +200,12 @@ class Polyhedron:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the set fits into a box. The empty set is bounded."""
+        """Whether the set is bounded, as the empty set is."""
         return self._vertices is not None or self._body is None or self._body.bounded
 
     @property
     def affine_dim(self) -> int:
-        """Dimension of the affine hull: n if full-dimensional, 0 for a point, −1 for the empty set."""
+        """Dimension of the affine hull: 0 for a point, −1 if empty."""
         return -1 if self._body is None else self._body.basis.shape[1]
 
     @cached_property
@@ -226,7 +226,7 @@ class Polyhedron:
 
     @cached_property
     def _offsets(self) -> tuple[Array, Array]:
-        """A point (n,) and the vertices less that point (k, n), of a bounded set that is not empty."""
+        """Point (n,) and vertices less it (k, n), bounded and nonempty."""
         if self._vertices is not None:
             return self._vertices[0], self._vertices - self._vertices[0]
         body = self._require_bounded("vertices")
@@ -237,7 +237,7 @@ class Polyhedron:
 
     @property
     def _about_centre(self) -> Array | None:
-        """The vertices less the centre of the body (k, n) where they are known already."""
+        """Vertices less the body's centre (k, n), if already known."""
         if self._vertices is None and self._enumerated is None:
             return None
         anchor, Y = self._offsets
@@ -245,7 +245,7 @@ class Polyhedron:
 
     @cached_property
     def volume(self) -> float:
-        """Volume in the n-dimensional space; 0 if flat or empty. Raises `UnboundedError`."""
+        """Volume in n dimensions; 0 if flat or empty. Raises `UnboundedError`."""
         body = self._body
         if body is None or body.basis.shape[1] < self.dim:
             return 0.0
@@ -262,14 +262,14 @@ class Polyhedron:
         return hull_volume((self.vertices - body.centre) @ body.inverse.T) * unit
 
     def _require_bounded(self, what: str) -> Body:
-        """Return the body, or raise `EmptySetError` or `UnboundedError`."""
+        """Body, or raise `EmptySetError` or `UnboundedError`."""
         body = self._require_point(what)
         if not body.bounded:
             raise UnboundedError(what)
         return body
 
     def _require_point(self, what: str) -> Body:
-        """Return the body, or raise `EmptySetError`."""
+        """Body, or raise `EmptySetError`."""
         if self._body is None:
             raise EmptySetError(what)
         return self._body
@@ -277,7 +277,7 @@ class Polyhedron:
     # --- questions ----------------------------------------------------------------------------------------
 
     def contains(self, x: Any, tol: float = MEMBERSHIP) -> Any:
-        """Return whether points lie in the set.
+        """Whether points lie in the set.
 
         Parameters
         ----------
@@ -300,12 +300,12 @@ class Polyhedron:
         return bool(inside[0]) if single else inside
 
     def __contains__(self, x: Any) -> bool:
-        """Return whether one point (n,) lies in the set, to the tolerance of `contains`."""
+        """Whether one point (n,) lies in the set, as by `contains`."""
         return bool(self.contains(as_vector(x, "x", size=self.dim, finite=False)))
 
     @cached_property
     def _one_sided(self) -> tuple[Array, Array]:
-        """All rows as inequalities (m + 2k, n): the given ones, then the two sides of each equality."""
+        """Rows (m + 2k, n) as inequalities, two for each equality."""
         if not len(self.b_eq):
             return self.A, self.b
         return (frozen(np.concatenate([self.A, self.A_eq, -self.A_eq])),
@@ -313,12 +313,12 @@ class Polyhedron:
 
     @property
     def _all_terms(self) -> Array:
-        """The sizes of the terms of the right-hand sides of all one-sided rows."""
+        """Sizes of the terms of all one-sided right-hand sides."""
         return np.concatenate([self._terms, self._terms_eq, self._terms_eq]) if len(self.b_eq) else self._terms
 
     @cached_property
     def _missed(self) -> Array:
-        """Violation of each one-sided row by the centre of the set, doubled. A set holds its own points."""
+        """Violation of each one-sided row by the set's centre, doubled."""
         A, b = self._one_sided
         if self._solid_vertices is not None or self._body is None:
             return np.zeros(len(b))
@@ -326,7 +326,7 @@ class Polyhedron:
 
     @cached_property
     def _reach(self) -> Array | None:
-        """A size |x| (n,) that no point of the set exceeds, with room for rounding. None if unbounded or empty."""
+        """Size |x| (n,) that no point exceeds; None if unbounded or empty."""
         if self._solid_vertices is not None:
             return 1.01 * np.abs(self._solid_vertices).max(axis=0)
         if self._body is None or not self._body.bounded:
@@ -334,11 +334,11 @@ class Polyhedron:
         return 1.01 * np.abs(self._body.centre) + 2.02 * self._body.half_widths
 
     def _ranges_of(self, A: Array) -> Array:
-        """Return the range of each row of A (m, n) over the bounding box of the set."""
+        """Range of each row of A (m, n) over the bounding box."""
         return np.abs(A) @ self._widths
 
     def _covers(self, other: Polyhedron, tol: float) -> bool:
-        """Return whether `other`, not empty, lies in this set, not empty either."""
+        """Whether nonempty `other` lies in this nonempty set."""
         A, b = self._one_sided
         body = other._require_point("is_subset")
         ranges = np.maximum(self._ranges, other._ranges_of(A))
@@ -349,12 +349,12 @@ class Polyhedron:
 
     @cached_property
     def _ranges(self) -> Array:
-        """The range of each one-sided row over the bounding box of the set."""
+        """Range of each one-sided row over the bounding box."""
         return self._ranges_of(self._one_sided[0])
 
     @cached_property
     def _solid_vertices(self) -> Array | None:
-        """The vertices where they are known and have a width in every coordinate. They tell the bounding box."""
+        """Known vertices with a width in every coordinate, otherwise None."""
         V = self._vertices
         if V is None or len(self.b_eq):
             return None
@@ -364,14 +364,14 @@ class Polyhedron:
 
     @cached_property
     def _widths(self) -> Array:
-        """The widths (n,) of the bounding box, by the vertices where they are known; 0 where it is flat."""
+        """Widths (n,) of the bounding box; 0 where it is flat."""
         if self._solid_vertices is not None:
             return self._solid_vertices.max(axis=0) - self._solid_vertices.min(axis=0)
         return np.zeros(self.dim) if self._body is None else 2 * self._body.half_widths
 
     @cached_property
     def _relative_rows(self) -> tuple[Array, Array]:
-        """All rows as inequalities, divided by their range over the bounding box, or by what their data are sure of."""
+        """One-sided rows divided by their range or certainty."""
         A, b = self._one_sided
         place = 0.0 if self._reach is None else np.abs(A) @ self._reach
         ranges = np.where(self._ranges > 0.0, self._ranges, 1.0)
@@ -379,19 +379,19 @@ class Polyhedron:
         return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:
-        """Return the smallest box (lower, upper), each (n,), infinite where unbounded. Raises `EmptySetError`."""
+        """Smallest box (lower, upper), (n,) each, infinite where unbounded. Raises `EmptySetError`."""
         self._require_point("bounding_box")
         lower, upper = self._box
         return lower.copy(), upper.copy()
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """The bounding box of a set with a point, found once: above four dimensions by linear programs."""
+        """Bounding box of a nonempty set."""
         eye = np.eye(self.dim)
         return frozen(0.0 - self._supports(-eye)), frozen(self._supports(eye) + 0.0)  # no negative zeros
 
     def support(self, d: Any) -> Any:
-        """Return h(d) = max dᵀx over the set: +inf if unbounded in d, −inf if empty.
+        """Support h(d) = max dᵀx: +inf if unbounded, −inf if empty.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Polyhedron:
         return float(values[0]) if single else values
 
     def _supports(self, D: Array) -> Array:
-        """Return the support in the directions D (k, n), without a check of D."""
+        """Support in the directions D (k, n), unchecked."""
         if self._body is None:
             return np.full(len(D), -np.inf)
         if self._enumerated is not None or (self._body.bounded and self.dim <= 4):

@@ -1,4 +1,4 @@
-"""`Polytope`: a convex polyhedron given by inequalities and optional equalities."""
+"""`Polytope`: inequalities and optional equalities."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Polytope(SetOperations):
     __doc__ = Polyhedron.__doc__
 
     def is_subset(self, other: Polyhedron, tol: float = MEMBERSHIP) -> bool:
-        """Return whether P ⊆ Q. The empty set is a subset of every set.
+        """Whether P ⊆ Q; the empty set is in every set.
 
         Parameters
         ----------
@@ -41,11 +41,11 @@ class Polytope(SetOperations):
         return other._covers(self, tol)
 
     def equals(self, other: Polyhedron, tol: float = MEMBERSHIP) -> bool:
-        """Return whether P and Q are the same set of points, to `tol` of their width. Rows may differ."""
+        """Whether P and Q are the same points, to relative `tol`."""
         return self.is_subset(other, tol) and Polytope.is_subset(other, self, tol)  # type: ignore[arg-type]
 
     def chebyshev_ball(self) -> tuple[Array, float]:
-        """Return centre (n,) and radius of a largest ball inside; 0 if flat, inf if none is largest.
+        """Centre (n,) and radius of a largest ball, 0 if flat, maybe inf.
 
         The ball is Euclidean in the units of x. Raises `EmptySetError`.
 
@@ -69,7 +69,7 @@ class Polytope(SetOperations):
         return body.centre + body.basis @ y[:-1], -value * unit
 
     def sample(self, n: int, *, rng: np.random.Generator) -> Array:
-        """Return n points, nearly uniform in the set (relative to its affine hull), by hit and run.
+        """Sample of n points, nearly uniform in the set.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class Polytope(SetOperations):
         return f"<table><caption>Polytope</caption>{rows}</table>"
 
     def plot(self, ax: Any = None, **style: Any) -> Any:
-        """Draw the set, or its projection on the first three coordinates, and return the artist.
+        """Draw the set or its projection; return the artist.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The largest set in which a system without input stays inside constraints."""
+"""Largest positively invariant set."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NO_INPUT = Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
 def maximal_positively_invariant_set(A: Any, X: Set, *, C: Any = None, E: Any = None, W: Set | None = None,
                                      tol: float = GAP, max_iterations: int = 500,
                                      max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
-    """Return the largest set of states whose trajectories x⁺ = A x + E w keep C x in X for ever.
+    """Largest set whose trajectories x⁺ = A x + E w keep C x in X.
 
     Parameters
     ----------

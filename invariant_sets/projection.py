@@ -1,4 +1,4 @@
-"""Projections by Fourier–Motzkin elimination that keep their digits, and the rows that a set needs.
+"""Projection by Fourier–Motzkin elimination, and irredundant rows.
 
 Every combination of two rows is formed with weights of at most one, so that rounding stays that of the data; rows
 that the box of the set keeps away from it are dropped, since they could never touch it.
@@ -33,7 +33,7 @@ Array = np.ndarray
 
 def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
                  deadline: Deadline = NO_DEADLINE) -> tuple[Array, Array]:
-    """Return unit rows of the projection of {R z <= r} on its first `keep` coordinates.
+    """Unit rows of {R z <= r} projected on its first `keep` coordinates.
 
     Parameters
     ----------
@@ -67,14 +67,14 @@ def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
 
 
 def unit(R: Array, r: Array) -> tuple[Array, Array]:
-    """Return the rows with unit norm. Rows of norm zero stay as they are."""
+    """Rows with unit norm; rows of norm zero stay."""
     norms = row_norms(R)
     norms[norms == 0.0] = 1.0
     return R / norms[:, None], r / norms
 
 
 def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Array, Array]:
-    """Return unit rows of the projection of {R z <= r} (unit rows) that drops the last coordinate.
+    """Unit rows of {R z <= r}, unit rows, without the last coordinate.
 
     With `fresh`, a (m,) mask, only the rows that follow from at least one fresh row are returned.
     """
@@ -95,7 +95,7 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
 
 
 def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
-    """Return every row of `high` with every row of `low`, their last coefficients cancelling."""
+    """Combinations of `high` with `low` rows that cancel the last coefficient."""
     if len(high) * len(low) > MOST_ROWS:
         raise SizeLimitReached(f"an elimination with {len(high)} times {len(low)} rows")
     larger = np.maximum(above[:, None], below[None, :])
@@ -105,7 +105,7 @@ def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
 
 
 def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
-    """Return unit rows (R, r); 0 x <= negative becomes the only row."""
+    """Unit rows (R, r); 0 x <= negative becomes the only row."""
     R = rows[:, :-1]
     r = rows[:, -1]
     norms = np.linalg.norm(R, axis=1)
@@ -120,7 +120,7 @@ def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
 
 
 def without_far_rows(R: Array, r: Array, reach: Array) -> tuple[Array, Array]:
-    """Return the rows that can touch the box |z| <= reach, which holds the set.
+    """Rows that can touch the box |z| <= reach around the set.
 
     Dropping all others at once changes nothing: on the way out of the set the first row crossed is crossed inside
     the box.
@@ -133,7 +133,7 @@ def without_far_rows(R: Array, r: Array, reach: Array) -> tuple[Array, Array]:
 
 
 def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
-    """Return the rows that matter, found from an inner point; all of them where the set is thin or the rows few."""
+    """Needed rows; all of them where the set is thin."""
     if len(r) <= FEW_ROWS:
         return R, r
     radius, middle = inscribed_ball(R, r, cap=1.0)
@@ -144,7 +144,7 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
 
 
 def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
-    """Return the indices of the rows that {F y <= g} needs (unit rows, g > 0), weakly redundant ones perhaps too."""
+    """Indices of rows that {F y <= g} needs (unit rows, g > 0), perhaps more."""
     if F.shape[1] <= CHEAP_HULL_DIM:
         return strongly_irredundant_rows(F, g)
     needed = np.zeros(len(g), bool)
@@ -170,7 +170,7 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
 
 
 def _hit_by_rays(F: Array, g: Array, directions: Array) -> Array:
-    """Return the first row that each ray from 0 crosses."""
+    """Rows that some ray from 0 crosses first, sorted."""
     hits = []
     step = max(1, 2_000_000 // len(F))
     for start in range(0, len(directions), step):

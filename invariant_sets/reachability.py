@@ -1,4 +1,4 @@
-"""Sets that can be steered to a target, and sets that can be reached, in a number of steps.
+"""Controllable and reachable sets in a number of steps.
 
 References
 ----------
@@ -30,7 +30,7 @@ Array = np.ndarray
 
 def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = None, E: Any = None,
                     W: Set | None = None, time_limit: float | None = None) -> SetResult:
-    """Return {x in X : some u in U has A x + B u + E w in S for all w in W}, the one-step predecessor of S.
+    """States in X that inputs steer into S in one step for all w.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = No
 
 def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: int, *, E: Any = None,
                      W: Set | None = None, time_limit: float | None = None) -> SetResult:
-    """Return the states in X that inputs in U can steer into `target` in exactly `steps` steps, staying in X.
+    """States that inputs steer through X into `target` in exactly `steps` steps.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     goal = _scaled(goal, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
-        """Return one step backwards from S, checked."""
+        """One step backwards from S, checked."""
         return backward_step(system, S, within, checked.U, deadline)
 
     progress = _repeat(step_back, goal, steps, deadline.part(EXACT_SHARE))
@@ -123,7 +123,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
 
 def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: Set | None = None,
                   E: Any = None, W: Set | None = None, time_limit: float | None = None) -> SetResult:
-    """Return the states that x⁺ = A x + B u + E w can reach from `start` in exactly `steps` steps.
+    """States that x⁺ = A x + B u + E w reaches in exactly `steps` steps.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     within = _scaled(within, size)
 
     def step_ahead(R: Polytope, deadline: Deadline) -> Step:
-        """Return one step forwards from R, cut by X and checked."""
+        """One step forwards from R, cut by X and checked."""
         moves = checked.U.affine_map(system.B)
         if system.disturbances is not None:
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
@@ -189,7 +189,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
 
 
 def _units(A: Array, *sets: Polytope) -> Array:
-    """Return a length (n,) for every coordinate, a power of two: its width in the first set that has one there.
+    """Length (n,) of every coordinate, a power of two.
 
     Where a step along it would move another coordinate by far more than that is wide, the length is shorter.
     """
@@ -207,13 +207,13 @@ def _units(A: Array, *sets: Polytope) -> Array:
 
 
 def _in_units(system: LinearSystem, size: Array) -> LinearSystem:
-    """Return the motion of x / size."""
+    """Motion of x / size."""
     noise = None if system.disturbances is None else system.disturbances / size
     return LinearSystem(system.A * size / size[:, None], system.B / size[:, None], noise)
 
 
 def _scaled(S: Polytope, size: Array) -> Polytope:
-    """Return {x / size : x in S}, with unit rows; size (n,) are powers of two."""
+    """Set {x / size : x in S}; size (n,) are powers of two."""
     body = S._body
     if body is None:
         return Polytope.empty(S.dim)
@@ -225,7 +225,7 @@ def _scaled(S: Polytope, size: Array) -> Polytope:
 
 
 def _in_given_units(result: SetResult, size: Array) -> SetResult:
-    """Return the result with its sets multiplied by size."""
+    """Result with its sets multiplied by size."""
     return replace(result, set=_scaled(result.set, 1 / size), outer=_scaled(result.outer, 1 / size))
 
 
@@ -239,7 +239,7 @@ class _Progress:
 
 def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
             deadline: Deadline) -> SetResult | _Progress:
-    """Return the result of so many steps from S, each checked, or where a limit stopped it."""
+    """Result of `steps` steps from S, or progress at a limit."""
     violation = -np.inf
     missing = 0.0
     points = 0
@@ -262,13 +262,13 @@ def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
 
 
 def _within(step: Step, X: Polytope) -> Step:
-    """Return the step with its set cut by X, which leaves what was checked of it as it is."""
+    """Step with its set cut by X."""
     cut = step.set.intersection(X).minimal() if len(X.b) + len(X.b_eq) else step.set
     return Step(cut, step.violation, step.missing, step.points)
 
 
 def _exact(S: Polytope, steps: int, certificate: Certificate) -> SetResult:
-    """Return the result of all steps: CONVERGED if the certificate holds and nothing is missing."""
+    """Result of all steps: CONVERGED if certified and nothing is missing."""
     if S.is_empty:
         return no_set(S.dim, steps)
     if not certificate.holds:
@@ -278,19 +278,19 @@ def _exact(S: Polytope, steps: int, certificate: Certificate) -> SetResult:
 
 
 def _last_part(deadline: Deadline) -> Deadline:
-    """Return the deadline for the inner set: the time left and 0.3 s more, or 1 s without a limit."""
+    """Deadline of the inner set: 0.3 s extra, or 1 s without limit."""
     return Deadline.after(0.3 + max(deadline.left, 0.0)) if np.isfinite(deadline.end) else Deadline.after(1.0)
 
 
 def _interrupted(inner: Polytope | None, outer: Polytope, progress: _Progress) -> SetResult:
-    """Return the result at a limit: the hull of states of whole trajectories, or no set."""
+    """Result at a limit: an inner hull of states, or no set."""
     if inner is None:
         return no_set(outer.dim, progress.steps, outer, progress.status)
     return SetResult(inner, outer, progress.status, progress.steps, Certificate(0.0, np.inf, len(inner.vertices)))
 
 
 def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:
-    """Return A, B and U. Where B and U are None, a single input is always zero."""
+    """A, B and U; a zero input where both are None."""
     if B is not None or U is not None:
         return A, B, U
     A = checked_state_matrix(A)
@@ -298,5 +298,5 @@ def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:
 
 
 def _whole_space(S: Polytope) -> Polytope:
-    """Return the whole space that S lies in."""
+    """Whole space that S lies in."""
     return Polytope(np.zeros((0, S.dim)), np.zeros(0))

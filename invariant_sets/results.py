@@ -1,4 +1,4 @@
-"""The result of a set computation: the set, how it ended, and a certificate that can be checked."""
+"""Result of a set computation, with status and certificate."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Status(Outcome):
 
 @dataclass(frozen=True)
 class Certificate:
-    """Independent check of the result by one linear program at every vertex (or facet).
+    """Check of the result at every vertex or facet.
 
     Attributes
     ----------
@@ -61,13 +61,13 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether the set has the property, inside X, at the stated tolerance."""
+        """Whether the set has the property, inside X, at the tolerance."""
         return bool(np.isfinite(self.violation) and max(self.violation, self.outside) <= self.tolerance)
 
 
 @dataclass(frozen=True)
 class SetResult:
-    """Result of every set computation of this package.
+    """Result of every set computation.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class SetResult:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the set fits into a box. An unbounded one has directions that the constraints never see."""
+        """Whether the set fits into a box."""
         return self.set.is_bounded
 
     def __repr__(self) -> str:
@@ -102,7 +102,7 @@ class SetResult:
 
 
 def no_set(nx: int, iterations: int, outer: Polytope | None = None, status: Status = Status.EMPTY) -> SetResult:
-    """Return a result with the empty set; `outer` too unless given."""
+    """Result with the empty set; `outer` too unless given."""
     nothing = Polytope(np.zeros((1, nx)), [-1.0])
     gap = 0.0 if status is Status.EMPTY else np.inf
     return SetResult(nothing, nothing if outer is None else outer, status, iterations, Certificate(np.inf, gap, 0))

@@ -1,4 +1,4 @@
-"""Hit and run: points spread uniformly over a bounded body.
+"""Hit and run: uniform samples of a bounded body.
 
 References
 ----------
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 def hit_and_run(body: Body, n: int, rng: np.random.Generator) -> Array:
-    """Return n points (n, k) in the coordinates y of the body, one chain each.
+    """Sample of n points (n, k) in coordinates y, one chain each.
 
     All chains start at the inner point y = 0 and take 20·k steps, in directions drawn with the covariance that a
     shorter run has found: without that a slanted body mixes slowly. Assumes a bounded body.
@@ -32,7 +32,7 @@ def hit_and_run(body: Body, n: int, rng: np.random.Generator) -> Array:
 
 
 def _walk(body: Body, Y: Array, shape: Array, steps: int, rng: np.random.Generator) -> Array:
-    """Return the points Y (n, k) after so many steps, each to a uniform point of a chord."""
+    """Points Y (n, k) after `steps` moves to uniform points of chords."""
     for _ in range(steps):
         direction = rng.standard_normal(Y.shape) @ shape.T
         speed = direction @ body.F.T

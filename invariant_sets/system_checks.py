@@ -1,4 +1,4 @@
-"""The checks that every function of a linear system and its sets shares; sets may be given by their bounds."""
+"""Checks of linear systems and their sets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): number
 
 @dataclass(frozen=True)
 class CheckedSystem:
-    """A, B and E as arrays, with their sets as polytopes; E and W are None without a disturbance.
+    """A, B, E as arrays, sets as polytopes; E and W may be None.
 
     `states` is what the caller's set of states means there: constraints X, a start, or a set S to stay in.
     """
@@ -33,12 +33,12 @@ class CheckedSystem:
 
     @cached_property
     def motion(self) -> LinearSystem:
-        """x⁺ = A x + B u + w with w in the hull of the vertices of E W."""
+        """System x⁺ = A x + B u + w with w in E W."""
         return LinearSystem(self.A, self.B, disturbance_vertices(self.E, self.W))
 
 
 def checked_state_matrix(A: Any) -> Array:
-    """Return the square matrix A (nx, nx), or raise `InputError`."""
+    """Square matrix A (nx, nx), or raise `InputError`."""
     A = as_matrix(A, "A")
     if A.shape[0] != A.shape[1] or A.shape[0] == 0:
         raise InputError("A", f"shape {A.shape}", "a square matrix (nx, nx)")
@@ -46,7 +46,7 @@ def checked_state_matrix(A: Any) -> Array:
 
 
 def checked_input_matrix(B: Any, nx: int) -> Array:
-    """Return B (nx, nu), or raise `InputError`."""
+    """Matrix B (nx, nu), or raise `InputError`."""
     B = as_matrix(B, "B", rows=nx)
     if B.shape[1] == 0:
         raise InputError("B", f"shape {B.shape}", "at least one column", "Use a zero column for no input.")
@@ -54,7 +54,7 @@ def checked_input_matrix(B: Any, nx: int) -> Array:
 
 
 def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tuple[None, None]:
-    """Return E (nx, nw), the identity if only W is given, and W, both None if neither is; or raise `InputError`."""
+    """E (nx, nw), by default the identity, and W, or Nones."""
     if W is None:
         if E is not None:
             raise InputError("E", "a matrix without W", "both or neither", "Give the disturbance set W too.")
@@ -67,7 +67,7 @@ def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tup
 
 
 def checked_system(A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *, name: str = "X") -> CheckedSystem:
-    """Return the system and its sets, or raise `InputError` where they do not fit; `name` is that of `states`."""
+    """System and its sets, checked, or raise `InputError`."""
     A = checked_state_matrix(A)
     B = checked_input_matrix(B, len(A))
     states = as_set(states, name, len(A))
@@ -76,12 +76,12 @@ def checked_system(A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *, name:
 
 
 def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:
-    """Return the vertices (k, nx) of E W, None without a disturbance."""
+    """Vertices (k, nx) of E W, None without a disturbance."""
     return None if E is None or W is None else W.vertices @ E.T
 
 
 def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:
-    """Return `value` as a `Polytope` of dimension `dim` (any if None), or raise `InputError`.
+    """`Polytope` of dimension `dim` (any if None), or raise `InputError`.
 
     Bounds (lower, upper), each a number or one number a coordinate, become a box; a number holds for every coordinate.
     """
@@ -96,7 +96,7 @@ def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:
 
 
 def as_set_or_numbers(value: Any, name: str) -> Set:
-    """Return `value` as a `Polytope`, or as it is where it is two numbers for every coordinate, however many.
+    """`Polytope`, or two numbers that hold for every coordinate.
 
     Raises `InputError` for whatever is no set in any dimension.
     """
@@ -106,7 +106,7 @@ def as_set_or_numbers(value: Any, name: str) -> Set:
 
 
 def _box(value: Any, name: str, dim: int | None) -> Polytope:
-    """Return the box of two bounds. Errors name the set and the side."""
+    """Box of two bounds; errors name the set and the side."""
     sides = [as_floats(f"{name}[{i}]", side) for i, side in enumerate(value)]
     n = max(side.size for side in sides) if dim is None else dim
     for i, side in enumerate(sides):

@@ -1,4 +1,4 @@
-"""Time limits that hold: a deadline that is handed down, and what a convex hull is expected to cost before it is begun.
+"""Deadlines, and the expected cost of convex hulls.
 
 References
 ----------
@@ -19,31 +19,31 @@ from invariant_sets.tolerances import MOST_HULL_FACETS, SECONDS_PER_FACET
 
 
 class LimitReached(InvariantSetsError):
-    """A computation met a cap before its end. Caught inside the package and turned into a status."""
+    """Cap that a computation met; it becomes a status."""
 
 
 class TimeLimitReached(LimitReached):
-    """The time limit came, or would come before the next step ends."""
+    """Time limit reached, or due before the next step ends."""
 
 
 class SizeLimitReached(LimitReached):
-    """The next step would need more rows or facets than fit."""
+    """More rows or facets needed than fit."""
 
 
 @dataclass(frozen=True)
 class Deadline:
-    """The moment at which a computation has to end."""
+    """Moment at which a computation has to end."""
 
     end: float = float("inf")  # on the clock of `time.perf_counter` [s]; inf if there is no limit
 
     @classmethod
     def after(cls, seconds: float | None) -> Deadline:
-        """Return the deadline so many seconds from now; None is no limit."""
+        """Deadline so many seconds from now; None is no limit."""
         return cls() if seconds is None else cls(time.perf_counter() + seconds)
 
     @property
     def left(self) -> float:
-        """Seconds that are left; negative once it has passed."""
+        """Seconds left; negative once the deadline has passed."""
         return self.end - time.perf_counter()
 
     @property
@@ -52,7 +52,7 @@ class Deadline:
         return self.left <= 0.0
 
     def part(self, share: float) -> Deadline:
-        """Return the deadline at which this share of the time left will have gone."""
+        """Deadline at which this share of the time left is gone."""
         left = self.left
         return self if left == float("inf") else Deadline(self.end - (1.0 - share) * max(left, 0.0))
 
@@ -62,7 +62,7 @@ class Deadline:
             raise TimeLimitReached("the time limit has passed")
 
     def check_hull(self, points: int, dim: int) -> None:
-        """Raise `LimitReached` if the hull of so many points would take longer than is left, or too much memory."""
+        """Raise `LimitReached` for a hull too large for time or memory."""
         facets = hull_facets(points, dim)
         if facets > MOST_HULL_FACETS:
             raise SizeLimitReached(f"a hull of {points} points in {dim} dimensions has about {facets:.0e} facets")
@@ -74,7 +74,7 @@ NO_DEADLINE = Deadline()
 
 
 def hull_facets(points: int, dim: int) -> float:
-    """Return the expected number of facets of the hull of so many points, at most what it can have (McMullen)."""
+    """Expected number of facets of a hull, at most McMullen's bound."""
     if points <= dim or dim < 2:
         return float(points)
     half = dim // 2
@@ -85,7 +85,7 @@ def hull_facets(points: int, dim: int) -> float:
 
 
 def check_time_limit(value: Any) -> float | None:
-    """Return `time_limit` as seconds, None for no limit. Raise `InputError` unless it is a number above 0."""
+    """Time limit [s], None for no limit; raise `InputError` unless positive."""
     if value is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Every tolerance of `invariant_sets`, with its meaning; those that count nothing are relative [-], without units.
+"""Tolerances of `invariant_sets`, relative [-] unless they count.
 
 "Of the extent" means: in coordinates in which the bounding box of the set at hand has half widths of one.
 """

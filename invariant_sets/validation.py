@@ -1,4 +1,4 @@
-"""Checks at the public door: shapes, numbers, finiteness. Everything behind it trusts its arrays."""
+"""Checks of arguments: shapes, numbers, finiteness."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = np.ndarray
 
 def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | None = None,
               finite: bool = True) -> Array:
-    """Return `value` as a two-dimensional float64 copy of the required shape."""
+    """Two-dimensional float64 copy of the required shape."""
     array = as_floats(name, value)
     if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
         expected = f"({'m' if rows is None else rows}, {'n' if columns is None else columns})"
@@ -25,7 +25,7 @@ def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | 
 
 
 def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = True) -> Array:
-    """Return `value` as a one-dimensional float64 copy of the required size."""
+    """One-dimensional float64 copy of the required size."""
     array = as_floats(name, value)
     if array.ndim == 0:
         array = array.reshape(1)
@@ -38,7 +38,7 @@ def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = 
 
 def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
              copy: bool = True) -> tuple[Array, bool]:
-    """Return `value` as a (k, columns) array, and whether it was a single (columns,) point."""
+    """Array (k, columns), and whether it was one point (columns,)."""
     plain = isinstance(value, np.ndarray) and value.dtype == np.float64 and not copy
     array = value if plain else as_floats(name, value)
     single = array.ndim <= 1
@@ -52,7 +52,7 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
 
 
 def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
-    """Return the bounds (n,) of a box, n >= 1, or raise `InputError`; lower <= upper, ±inf is no bound."""
+    """Bounds (n,) of a box, lower <= upper; ±inf is no bound."""
     lower = as_vector(lower, "lower", finite=False)
     if len(lower) == 0:
         raise InputError("lower", "no bounds", "one for each coordinate")
@@ -71,7 +71,7 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
 
 
 def check_tolerance(tol: Any, name: str = "tol") -> float:
-    """Return `tol` as a float, or raise `InputError` if it is negative or no number."""
+    """Tolerance as a float >= 0, or raise `InputError`."""
     try:
         value = np.nan if isinstance(tol, bool) else float(tol)
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""Model predictive control: linear MPC online, explained infeasibility, explicit MPC and its C code."""
+"""Model predictive control: linear, explicit and nonlinear, explained infeasibility, C code."""
 
 from ccdtools_ground.front_door import front_door
 

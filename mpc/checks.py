@@ -1,4 +1,4 @@
-"""Checks at the public door: shape, finiteness, symmetry and definiteness, each once."""
+"""Checks of arguments: shape, finiteness, symmetry, definiteness."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD an
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Return a read-only, C-contiguous float64 copy of `value`. None in `shape` matches any length."""
+    """Read-only float64 copy of `value`; None in `shape` matches any length."""
     array = as_floats(name, value)
     if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
         expected = (
@@ -32,7 +32,7 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
 
 
 def as_weight(name: str, value: ArrayLike, n: int) -> Array:
-    """Return a symmetric positive semidefinite (n, n) weight, read-only. A number or a vector is its diagonal."""
+    """Read-only semidefinite weight (n, n); a number or vector is its diagonal."""
     raw = as_floats(name, value)
     full = raw * np.eye(n) if raw.ndim == 0 else np.diag(raw) if raw.ndim == 1 else raw
     weight = as_array(name, full, (n, n))
@@ -55,9 +55,9 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
 
 
 def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None:
-    """Return the weight S (nx, nu) of 2 x'Su, read-only, for which [Q S; S' R] is positive semidefinite. None for None.
+    """Read-only cross weight S (nx, nu) of 2 x'Su; None for None.
 
-    Q and R are weights that `as_weight` has checked.
+    Q and R are weights that `as_weight` has checked. [Q S; S' R] is positive semidefinite.
     """
     if value is None:
         return None
@@ -82,7 +82,7 @@ def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None
 
 
 def as_seconds(name: str, value: Any) -> float:
-    """Return a wall time > 0 [s]. None and inf are no limit."""
+    """Wall time > 0 [s]; None and inf are no limit."""
     if value is None:
         return np.inf
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real) or not value > 0.0:  # type: ignore[operator]
@@ -94,7 +94,7 @@ def as_seconds(name: str, value: Any) -> float:
 
 
 def as_rate_limit(value: ArrayLike, nu: int) -> Array:
-    """Return the rate limits (nu,), positive; a number holds for every input."""
+    """Positive rate limits (nu,); a number holds for every input."""
     raw = as_floats("rate_limit", value)
     limit = as_array("rate_limit", np.full(nu, raw) if raw.ndim == 0 else raw, (nu,))
     if (limit <= 0).any():
@@ -103,7 +103,7 @@ def as_rate_limit(value: ArrayLike, nu: int) -> Array:
 
 
 def as_soft(value: Any) -> tuple[float, float]:
-    """Return the weights (linear >= 0, quadratic > 0) of soft constraints."""
+    """Weights (linear >= 0, quadratic > 0) of soft constraints."""
     linear, quadratic = as_array("soft", value, (2,))
     if linear < 0 or quadratic <= 0:
         raise InputError("soft", value, "two weights (linear >= 0, quadratic > 0)")
@@ -111,7 +111,7 @@ def as_soft(value: Any) -> tuple[float, float]:
 
 
 def as_blocks(value: Any, horizon: int) -> tuple[int, ...]:
-    """Return the lengths of the blocks of equal moves, which sum to the horizon."""
+    """Lengths of the blocks of equal moves; they sum to `horizon`."""
     lengths = tuple(value) if isinstance(value, list | tuple | np.ndarray) else (value,)
     try:
         lengths = tuple(as_count("blocks", length) for length in lengths)
@@ -123,7 +123,7 @@ def as_blocks(value: Any, horizon: int) -> tuple[int, ...]:
 
 
 def as_set(name: str, value: Any, n: int) -> Any:
-    """Return None or an object with `.A` and `.b`. Bounds (lower, upper) become a Polytope."""
+    """None or an object with `.A` and `.b`; bounds become a Polytope."""
     if value is None or (hasattr(value, "A") and hasattr(value, "b")):
         return value
     if not isinstance(value, (tuple, list)) or len(value) != 2:
@@ -142,7 +142,7 @@ def as_set(name: str, value: Any, n: int) -> Any:
 
 
 def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:
-    """Return (H, h) of {v : Hv <= h}, a `Polytope` or anything with `.A` and `.b`. None is the whole space."""
+    """Half-spaces (H, h) of a set; none for None."""
     value = as_set(name, value, n)
     if value is None:
         return np.zeros((0, n)), np.zeros(0)
@@ -157,7 +157,7 @@ def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:
 
 
 def as_pair(A: Any, B: ArrayLike | None) -> tuple[Array, Array]:
-    """Return (A, B) as arrays; A may be a discrete-time `control.StateSpace`, with B left out."""
+    """Arrays (A, B); A may be a discrete-time `control.StateSpace` without B."""
     if B is None:
         if not (hasattr(A, "A") and hasattr(A, "B")):
             raise InputError("B", "nothing", "A and B, or a discrete-time control.StateSpace in place of both")
@@ -175,7 +175,7 @@ def as_pair(A: Any, B: ArrayLike | None) -> tuple[Array, Array]:
 
 
 def _bound(name: str, value: Any, n: int) -> Array:
-    """One side (n,) of bounds, infinite where there is none."""
+    """One side (n,) of bounds; entries may be infinite."""
     side = as_floats(name, value)
     if side.ndim > 1 or side.size not in (1, n) or np.isnan(side).any():
         raise InputError(name, f"{side}", f"a number or {n} numbers, no NaN")

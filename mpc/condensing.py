@@ -1,4 +1,4 @@
-"""From the statement of an MPC to its QP: every input and state is affine in ξ = (θ, z), so cost and rows follow."""
+"""Condensed QP of an MPC problem, affine in ξ = (θ, z)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mpc.tolerances import DEFINITE, MOST_MATRIX_ENTRIES
 
 
 def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> ParametricQP:
-    """QP of `problem` in the free inputs, with the states eliminated.
+    """QP of `problem` in the inputs, states eliminated.
 
     For unstable plants over long horizons the free variable is v = u + K x instead of u, see `stabilising_feedback`.
 
@@ -64,7 +64,7 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Places of the parameters in ξ = (θ, z); z holds one input for each block."""
+    """Places of the parameters in ξ = (θ, z), one input per block."""
 
     problem: MPCProblem
     sizes: dict[str, int]
@@ -92,7 +92,7 @@ def _sizes(problem: MPCProblem, parameters: tuple[str, ...]) -> dict[str, int]:
 
 
 def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
-    """Inputs (N, nu, nv) and states (N + 1, nx, nv) as matrices acting on ξ."""
+    """Inputs (N, nu, nv) and states (N + 1, nx, nv) as matrices on ξ."""
     N = problem.horizon
     nx = problem.nx
     nu = problem.nu
@@ -118,7 +118,7 @@ def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
 
 
 def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int) -> Array:
-    """Matrix W of the cost ξ'Wξ = Σ e'Qe + 2 e'Sd + d'Rd + e_N'Pe_N."""
+    """Matrix W of the quadratic cost ξ'Wξ."""
     N = problem.horizon
     error = X.copy()
     effort = U.copy()
@@ -166,7 +166,7 @@ def constraints_of(
 
 
 def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
-    """Unit of each row for comparing violations of different rows; 1 for a slack."""
+    """Unit of each row for comparing violations; 1 for a slack."""
     units = problem.row_units
     return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
 
@@ -174,7 +174,7 @@ def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, 
 def soften(
     problem: MPCProblem, rows: Array, w: Array, labels: list[Constraint], H: Array
 ) -> tuple[Array, Array, list[Constraint], Array, Array]:
-    """One slack per step, in units of the bounds, with the cost linear * s + quadratic * s²."""
+    """One slack per step, priced linear * s + quadratic * s²."""
     assert problem.soft is not None
     linear, quadratic = problem.soft
     N = problem.horizon
@@ -190,7 +190,7 @@ def soften(
 
 
 def _check_convex(H: Array) -> None:
-    """Raise where the Hessian, scaled to a unit diagonal, has an eigenvalue near zero."""
+    """Raise where the scaled Hessian is not positive definite."""
     d = np.sqrt(np.abs(np.diag(H)))
     scaled = H / d / d[:, None] if d.all() and np.isfinite(H).all() else None
     smallest = -np.inf if scaled is None else float(np.linalg.eigvalsh(scaled)[0])

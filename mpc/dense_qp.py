@@ -1,4 +1,4 @@
-"""A dense strictly convex QP solved many times: scaled, warm-started, checked, with a second solver behind it."""
+"""Strictly convex dense QPs: scaled, warm-started, checked, with a fallback solver."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGL
 
 @dataclass(frozen=True, eq=False)
 class QPResult:
-    """Minimiser z, multipliers of Gz <= b (or what proves it infeasible), residuals, verdict and name of the solver."""
+    """Minimiser z, multipliers or proof of infeasibility, residuals, verdict and solver."""
 
     z: Array
     multipliers: Array
@@ -26,7 +26,7 @@ class QPResult:
 
 
 class DenseQP:
-    """Minimise ½ z'Hz + q'z subject to Gz <= b for many (q, b), H positive definite.
+    """Minimise ½ z'Hz + q'z subject to Gz <= b for many (q, b).
 
     Variables are scaled by the diagonal of H, rows to unit length and bounds to size one, so the answer does not
     depend on the units of inputs, states or cost. The solver is DAQP, a dual active-set method that keeps its
@@ -92,7 +92,7 @@ class DenseQP:
         return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)
 
     def _size_of(self, q: Array, bs: Array) -> float:
-        """Unit of the variables: the size of the bounds, or of what cost and violated rows ask for where that is less.
+        """Unit of the variables, from bounds, cost and violated rows.
 
         It is larger where the origin violates some rows by far more: their size is that of the answer.
         """
@@ -170,7 +170,7 @@ def _length(v: Array) -> float:
 
 
 def _typical(b: Array) -> float:
-    """Size of the smaller bounds: a tenth of those that are not zero are smaller still."""
+    """Tenth percentile of the nonzero sizes, 1 without any."""
     sizes = np.abs(b[b != 0])
     if not len(sizes):
         return 1.0

@@ -1,4 +1,4 @@
-"""The exceptions of `mpc`: misuse is raised, a numerical outcome is a status."""
+"""Exceptions of `mpc`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["InfeasibleError", "InputError", "MPCError", "NotConvexError", "NotSt
 
 
 class NotConvexError(MPCError, ValueError):
-    """A weight or the condensed Hessian is not (semi)definite as required.
+    """Weight or condensed Hessian that is not (semi)definite as required.
 
     Attributes
     ----------
@@ -29,11 +29,11 @@ class NotConvexError(MPCError, ValueError):
 
 
 class InfeasibleError(MPCError):
-    """No parameter of the set is feasible, so there is no explicit law."""
+    """No feasible parameter, hence no explicit law."""
 
 
 class NotStabilisableError(MPCError, ValueError):
-    """The pair (A, B) cannot be stabilised, or only by absurd gains.
+    """Pair (A, B) that no gain, or only an absurd one, stabilises.
 
     Attributes
     ----------

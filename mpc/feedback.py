@@ -1,4 +1,4 @@
-"""A feedback over the horizon around which inputs are planned, so that predictions of unstable plants stay bounded."""
+"""Feedback that keeps predictions of unstable plants bounded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Weights: TypeAlias = tuple[Array, Array, Array, Array]
 
 
 def stabilising_feedback(problem: MPCProblem) -> Array | None:
-    """Gains (number of blocks, nu, nx) of u = -K_b x at the start of each block, or None where none is needed.
+    """Gains (number of blocks, nu, nx) of u = -K_b x, or None.
 
     They are the optimal gains of the unconstrained problem from the Riccati recursion over the horizon, for which the
     condensed Hessian is block diagonal; where the weights do not stabilise, those for weights in units of the sets.
@@ -29,13 +29,13 @@ def stabilising_feedback(problem: MPCProblem) -> Array | None:
 
 
 def stabilising_weights(problem: MPCProblem) -> Weights:
-    """Weights (Q, R, S, P) whose regulator keeps predictions bounded: the problem's, or those in units of its sets."""
+    """Regulator weights (Q, R, S, P) that keep predictions bounded."""
     A, B = (np.broadcast_to(M, (problem.horizon, *M.shape)) for M in (problem.A, problem.B))
     return _least_growing(problem, A, B).weights
 
 
 def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
-    """Gains as of `stabilising_feedback` for A (N, nx, nx) and B (N, nx, nu) that change along a plan."""
+    """Gains of `stabilising_feedback` for A (N, nx, nx), B (N, nx, nu)."""
     sx, _ = cost_units(problem.A, problem.B, problem.Q, problem.R)
     growth = _growth(problem, A, B, None, sx)
     if growth <= GROWTH:
@@ -45,7 +45,7 @@ def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
 
 
 class _Chosen(NamedTuple):
-    """Gains over the horizon, the growth of the loop that they close, and the weights behind them."""
+    """Gains over the horizon, their closed-loop growth and their weights."""
 
     gains: Array
     growth: float
@@ -53,7 +53,7 @@ class _Chosen(NamedTuple):
 
 
 def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
-    """Gains of the problem's weights, or of those in set units where the loop grows less."""
+    """Gains of the problem's weights or set units, whichever grows less."""
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
     none = np.zeros((problem.nx, problem.nu))
     weights = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
@@ -69,7 +69,7 @@ def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
 
 
 def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
-    """Lengths of the blocks over which inputs are held. All one without move blocking."""
+    """Lengths of the input blocks, one each without move blocking."""
     return problem.blocks if problem.blocks is not None else (1,) * problem.horizon
 
 
@@ -103,14 +103,14 @@ def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) ->
 
 
 def _solve_scaled(M: Array, right: Array) -> Array:
-    """Product M⁻¹ right for a symmetric M ⪰ 0, scaled to a unit diagonal. Least squares where it is singular."""
+    """Product M⁻¹ right for M ⪰ 0, least squares where singular."""
     d = np.sqrt(np.abs(np.diag(M)))
     d[d == 0] = 1.0
     return np.asarray(np.linalg.lstsq(M / d / d[:, None], right / d[:, None], rcond=None)[0] / d[:, None])
 
 
 def _growth(problem: MPCProblem, A: Array, B: Array, gains: Array | None, sx: Array) -> float:
-    """Largest entry of the transition from the start to any block, closed by gains if given, in units of the cost."""
+    """Largest entry of the closed-loop transitions, in cost units."""
     worst = 1.0
     product = np.eye(problem.nx)
     k = 0

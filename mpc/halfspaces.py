@@ -1,4 +1,4 @@
-"""Small questions about a set {v : Hv <= h}: its box, its sizes, emptiness, nearest points; the sizes of limits."""
+"""Boxes, sizes, emptiness and nearest points of sets {v : Hv <= h}."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mpc.tolerances import EMPTY, FAR, ROUNDED_ZERO, SMALL_BOUND
 
 
 def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
-    """Bounds (low, high) of {v : Hv <= h} when every row concerns one entry, infinite where there is none."""
+    """Bounds (low, high) of an axis-aligned {v : Hv <= h}, else None."""
     if (np.count_nonzero(H, axis=1) != 1).any():
         return None
     low = np.full(H.shape[1], -np.inf)
@@ -28,7 +28,7 @@ def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
 
 
 def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
-    """Distance (n,) from the origin to the nearest (or farthest) row along each axis; 0 where no bound crosses it.
+    """Distance (n,) along each axis to a row; 0 without.
 
     A row that misses the origin by the rounding of the farthest one is taken to go through it.
     """
@@ -44,7 +44,7 @@ def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
 
 
 def is_empty(H: Array, h: Array) -> bool:
-    """Whether no point satisfies Hv <= h; for other sets than boxes by the verdict of two solvers."""
+    """Whether no point satisfies Hv <= h."""
     box = box_of(H, h)
     if box is not None:
         low, high = box
@@ -56,7 +56,7 @@ def is_empty(H: Array, h: Array) -> bool:
 
 
 def nearest_points(V: Array, H: Array, h: Array) -> Array:
-    """Points (n, nu) of {v : Hv <= h} nearest to the rows of V. Exact for a box, else see `nearest_point`."""
+    """Points (n, nu) of {v : Hv <= h} nearest to rows of V."""
     box = box_of(H, h)
     if box is not None:
         return np.asarray(np.clip(V, *box), dtype=np.float64)
@@ -64,7 +64,7 @@ def nearest_points(V: Array, H: Array, h: Array) -> Array:
 
 
 def nearest_point(v: Array, H: Array, h: Array) -> Array:
-    """Point of {v : Hv <= h} nearest to v in units of the set, or to v shrunk when v is very far away."""
+    """Point of {v : Hv <= h} nearest to v in set units."""
     extent = along_axes(H, h)
     metric = 1 / np.where(extent > 0, extent, 1.0)
     distance = float(np.abs(v * metric).max())
@@ -74,7 +74,7 @@ def nearest_point(v: Array, H: Array, h: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Half-spaces (H, h) of states, of the end and of inputs, rates, and what inputs move.
+    """Half-spaces (H, h) of states, end and inputs; rates; input matrix.
 
     Attributes
     ----------
@@ -92,14 +92,14 @@ class Limits:
     horizon: int
 
     def input_extent(self) -> Array:
-        """Size (nu,) of each input: the distance to its bound, or what the rate limit lets it move; 0 without limit."""
+        """Size (nu,) of each input by bound or rate; 0 without limit."""
         extent = along_axes(*self.input)
         if self.rate is None:
             return extent
         return np.where(extent > 0, np.minimum(extent, self.horizon * self.rate), self.rate)
 
     def state_extent(self) -> Array:
-        """Size (nx,) of each state: the distance to a bound, else what inputs with limits move; 0 without either."""
+        """Size (nx,) of each state by bounds or limited inputs; 0 without."""
         inputs = self.input_extent()
         limited = (inputs > 0) | ~self.B.any(axis=0)
         moved = np.abs(self.B) @ inputs
@@ -107,7 +107,7 @@ class Limits:
         return first_positive(along_axes(*self.state), along_axes(*self.terminal), moved)
 
     def reaches(self) -> dict[str, Array]:
-        """Extent of each set along each of its rows; 1 where it has none."""
+        """Extent of each set along its rows; 1 without any."""
         states = self.state_extent()
         ends = first_positive(along_axes(*self.terminal), states)
         found = {"state": np.abs(self.state[0]) @ states, "terminal": np.abs(self.terminal[0]) @ ends,
@@ -123,7 +123,7 @@ class Limits:
         return units
 
     def own(self) -> dict[str, NDArray[np.bool_]]:
-        """Rows of each set that are priced in units of their own bounds (bool)."""
+        """Whether each row is priced in units of its bound."""
         reaches = self.reaches()
         return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self._sets.items()}
 
@@ -133,7 +133,7 @@ class Limits:
 
 
 def first_positive(*sizes: Array) -> Array:
-    """The first of several sizes that is positive, entry by entry; 0 where none is."""
+    """First positive one of several sizes, entry by entry; 0 for none."""
     first = np.zeros_like(sizes[0])
     for size in sizes:
         first = np.where(first > 0, first, size)

@@ -1,4 +1,4 @@
-"""Explanations of infeasible MPC problems: what has to give, by how much, and which rows contradict each other."""
+"""Explanations of infeasible MPC problems."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Violation:
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """Explanation why there is no admissible input sequence; prints as one sentence.
+    """Why there is no admissible input sequence, printed as one sentence.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def explain_infeasibility(
 
 
 def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
-    """Least t >= 0 with Gz <= b + t on the rows, and the multipliers that prove it."""
+    """Least t >= 0 with Gz <= b + t, and the multipliers."""
     if not rows:
         return 0.0, np.zeros(0)
     from scipy.optimize import linprog
@@ -137,12 +137,12 @@ def _least_maximum(G: Array, b: Array, rows: Rows) -> tuple[float, Array]:
 
 
 def _impossible(G: Array, b: Array, rows: Rows) -> bool:
-    """Whether no z satisfies the rows, by a linear program. A quadratic one confirms it before it is reported."""
+    """Whether no z satisfies the rows, confirmed by a QP."""
     return _least_maximum(G, b, rows)[0] > FEASIBLE and _least_by_qp(G, b, rows) > FEASIBLE / 2
 
 
 def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
-    """Least t >= 0 with Gz <= b + t on the rows. A quadratic program finds it in which z costs next to nothing."""
+    """Least t >= 0 with Gz <= b + t, by a QP."""
     if not rows:
         return 0.0
     n = G.shape[1]
@@ -153,7 +153,7 @@ def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
 
 
 def _what_gave(problem: MPCProblem, labels: tuple[Constraint, ...], states: Array, units: Array) -> dict[int, float]:
-    """Rows that the states violate, with their violations in the given units."""
+    """Rows violated by the states, with their violations in `units`."""
     sets = {"state": problem.state_rows, "terminal": problem.terminal_rows}
     amounts = {}
     for i, (kind, step, row) in enumerate(labels):
@@ -164,7 +164,7 @@ def _what_gave(problem: MPCProblem, labels: tuple[Constraint, ...], states: Arra
 
 
 def _first_steps(G: Array, b: Array, labels: tuple[Constraint, ...]) -> Rows:
-    """Rows of the first 1, 2, 4 … steps, as few as contradict each other."""
+    """Rows of the first 1, 2, 4 … steps, until they contradict."""
     last = max(label.step for label in labels)
     length = 1
     while True:
@@ -189,7 +189,7 @@ def _what_gives(G: Array, b: Array, givable: Rows) -> dict[int, float]:
 
 
 def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
-    """Violations of least sum, among the rows that may give."""
+    """Violations of least sum among `givable`."""
     from scipy.optimize import linprog
 
     m, n = G.shape
@@ -217,7 +217,7 @@ def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
 
 
 def describe(problem: MPCProblem, label: Constraint) -> str:
-    """The constraint in words, for instance "x[0] <= 5"."""
+    """Constraint in words, for instance "x[0] <= 5"."""
     if label.kind == "rate":
         j = label.row % problem.nu
         sign = label.row < problem.nu
@@ -234,7 +234,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
 
 
 def _sentence(problem: MPCProblem, violations: tuple[Violation, ...], conflict: tuple[Constraint, ...]) -> str:
-    """Sentence that says what has to give and what contradicts what."""
+    """Sentence on what gives and what contradicts."""
     gives = ", ".join(f"{v.meaning} by {v.amount:.3g} at step {v.constraint.step}" for v in violations)
     steps: dict[str, list[int]] = {}
     for label in conflict:

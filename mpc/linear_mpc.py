@@ -31,7 +31,7 @@ SOLVERS = ("daqp", "osqp", "clarabel")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearMPC(MPCProblem):
-    """Model predictive controller of x⁺ = Ax + Bu (+ Ew), a callable u = controller(x).
+    """Model predictive controller u = controller(x) of x⁺ = Ax + Bu (+ Ew).
 
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to x_k in X (k = 1 … N), u_k in U
     (k = 0 … N-1) and x_N in the terminal set (Borrelli, Bemporad and Morari, *Predictive Control*, 2017, eq. 12.6).
@@ -102,7 +102,7 @@ class LinearMPC(MPCProblem):
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of the signals that a closed loop hands over at every step besides the state.
+        """Signals that a closed loop hands over besides the state.
 
         "last_input" (keyword `u_prev`, (n, nu)) with a rate limit; "reference" (`x_ref`, and `u_ref` where there is
         one) and "preview" (`w`, (N, nw) or (n, N, nw) for the next N = `horizon` steps) where `uses` names them.
@@ -110,7 +110,7 @@ class LinearMPC(MPCProblem):
         return frozenset(self.uses) | ({"last_input"} if self.rate_limit is not None else set())
 
     def build(self, *parameters: str) -> ParametricQP:
-        """The QP with state and named quantities left open, to inspect or hand to another solver.
+        """QP with the state and named parameters left open.
 
         Parameters
         ----------
@@ -154,10 +154,10 @@ class LinearMPC(MPCProblem):
         return self._solver_for(tuple(sorted(given))).plan(x, given, start)
 
     def solve_many(self, X: ArrayLike, **signals: ArrayLike) -> list[Plan]:
-        """One plan per row of X (n, nx), in order, each warm-started from the one before.
+        """Plans for the rows of X (n, nx), each warm-started.
 
         The signals are those of `solve`, the same for all rows; or one for each: `u_prev` as (n, nu), the others with
-        a first axis of length n, for example `w` as (n, N, nw).
+        a first axis of length n, for example `w` as (n, N, nw). Each starts from the one before.
         """
         rows = as_array("X", X, (None, self.nx))
         each = for_each_state(self, signals, len(rows))
@@ -166,7 +166,7 @@ class LinearMPC(MPCProblem):
         ]
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
-        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu). Finite for every finite x."""
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu), always finite."""
         x = as_floats("x", x)
         if x.ndim == 2:
             return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
@@ -176,7 +176,7 @@ class LinearMPC(MPCProblem):
         return np.array(self.solve(x, **signals).inputs[0])
 
     def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
-        """Explanation of infeasibility from x: what has to give, by how much, and what contradicts what.
+        """Explanation why the problem from x is infeasible.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class LinearMPC(MPCProblem):
         dP: ArrayLike | None = None, dX: ArrayLike | None = None, dU: ArrayLike | None = None,
         d_terminal_set: ArrayLike | None = None, d_rate_limit: ArrayLike | None = None, **signals: ArrayLike,
     ) -> PlanSensitivity:  # fmt: skip
-        """The plan from x with its exact derivatives by x and by parameters p (np,): ∂u_0/∂x, ∂u_0/∂p, ∂J*/∂p and more.
+        """Plan from x with its exact derivatives by state and parameters.
 
         Parameters
         ----------
@@ -240,7 +240,7 @@ class LinearMPC(MPCProblem):
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
         time_limit: float | None = None, method: str = "tree", tree_time_limit: float | None = 10.0,
     ) -> ExplicitMPC:  # fmt: skip
-        """Explicit law: the controller as a function of the state, computed for every state in advance.
+        """Explicit law as a function of the state.
 
         Parameters
         ----------
@@ -273,17 +273,17 @@ class LinearMPC(MPCProblem):
         return ExplicitMPC.from_partition(partition, self.input_rows, method=method, tree_time_limit=tree_time_limit)
 
     def _solver_for(self, parameters: tuple[str, ...]) -> CondensedSolver | SparseSolver:
-        """The solver for a combination of signals."""
+        """Solver for a combination of signals."""
         return (self._condensed if self.solver == "daqp" else self._sparse)[parameters]
 
     @cached_property
     def _condensed(self) -> _Built[CondensedSolver]:
-        """The solvers of the condensed QP, one for each combination of signals."""
+        """Solvers of the condensed QP by signals."""
         return _Built(partial(CondensedSolver, self))
 
     @cached_property
     def _sparse(self) -> _Built[SparseSolver]:
-        """The solvers with the states kept, one for each combination of signals."""
+        """Solvers with the states kept, by signals."""
         return _Built(partial(SparseSolver, self, solver=self.solver))
 
 
@@ -291,7 +291,7 @@ Solver = TypeVar("Solver", CondensedSolver, SparseSolver)
 
 
 class _Built(dict[tuple[str, ...], Solver]):
-    """The solver for each combination of signals, built when first asked for. Copies build theirs anew."""
+    """Solver for each combination of signals, built on demand."""
 
     def __init__(self, build: Callable[[tuple[str, ...]], Solver]):
         super().__init__()
@@ -306,7 +306,7 @@ class _Built(dict[tuple[str, ...], Solver]):
 
 
 def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:
-    """The names in `uses`, checked."""
+    """Names in `uses`, checked."""
     names = (
         (value,)
         if isinstance(value, str)

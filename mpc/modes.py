@@ -1,4 +1,4 @@
-"""Modes of a pair (A, B), or of the dual one (A', C'), that are reached, in whichever units say it best."""
+"""Modes of a pair (A, B) and how strongly they are reached."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mpc.tolerances import UNSEEN
 
 
 class Mode(NamedTuple):
-    """A mode of A: its eigenvalue, how strongly it is reached [-], and the parts |w| (nx,) of its left vector."""
+    """Mode of A: eigenvalue, strength [-] and |w| (nx,) of its left vector."""
 
     eigenvalue: complex
     strength: float
@@ -21,13 +21,13 @@ class Mode(NamedTuple):
 
     @property
     def value(self) -> str:
-        """The eigenvalue in four digits."""
+        """Eigenvalue in four digits."""
         real = abs(self.eigenvalue.imag) < UNSEEN
         return f"{self.eigenvalue.real:.4g}" if real else f"{self.eigenvalue:.4g}"
 
 
 def least_reached(A: Array, B: Array, eigenvalues: Iterable[complex], *units: Array) -> Mode:
-    """The mode that the columns of B reach least of those at some eigenvalues. Infinitely strong where there are none.
+    """Mode reached least at some eigenvalues; infinitely strong without eigenvalues.
 
     How strongly is σ_min [A - λI, B] relative to A, for columns of B as large as A: how strong an actuator is, is a
     matter of its cost. It depends on the units of the states: of given ones, and of those that balance A, those count
@@ -50,13 +50,13 @@ def least_reached(A: Array, B: Array, eigenvalues: Iterable[complex], *units: Ar
 
 
 def units_of(A: Array, *units: Array) -> Iterator[Array]:
-    """Factors (nx,) of the states: given ones, then those that balance A."""
+    """Factors (nx,) of the states: `units`, then those that balance A."""
     yield from units
     yield 1 / np.asarray(matrix_balance(A, permute=False, separate=True)[1][0])
 
 
 def _relative(A: Array, B: Array, unit: Array) -> tuple[tuple[Array, Array], float]:
-    """A and B with the states times `unit`, columns of B as large as A, and the size of A, at least one."""
+    """Scaled A and B, and the size of A, at least one."""
     F = A * unit[:, None] / unit
     G = B * unit[:, None]
     size = max(1.0, float(np.linalg.norm(F, 2)))

@@ -1,4 +1,4 @@
-"""The optimisation problem of an MPC step as an object that can be inspected."""
+"""Parametric QP of an MPC step."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Constraint(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ParametricQP:
-    """Minimise ½ z'Hz + (Fθ + f)'z + ½ θ'Yθ + y'θ + c subject to Gz <= w + Sθ.
+    """Minimise ½ z'Hz + (Fθ + f)'z + ½ θ'Yθ + y'θ + c, Gz <= w + Sθ.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class ParametricQP:
         return (self.Xz @ z + self.Xt @ theta + self.x).reshape(self.horizon + 1, -1)
 
     def fix(self, **values: ArrayLike) -> ParametricQP:
-        """Return the problem with some parameters set to numbers, for instance a constant reference."""
+        """Problem with some parameters set to numbers."""
         sizes = dict(self.parameters)
         unknown = set(values) - set(sizes)
         if unknown:
@@ -158,7 +158,7 @@ class ParametricQP:
         )  # fmt: skip
 
     def without(self, rows: Iterable[int]) -> ParametricQP:
-        """Return the problem without some of its constraints."""
+        """Problem without some of its constraints."""
         if not isinstance(rows, Iterable):
             raise InputError("rows", repr(rows), "the numbers of constraints")
         dropped = {self._row(i) for i in rows}
@@ -166,14 +166,14 @@ class ParametricQP:
         return replace(self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept))
 
     def _row(self, i: Any) -> int:
-        """The number of a constraint, checked."""
+        """Number of a constraint, checked."""
         if isinstance(i, (bool, np.bool_)) or not isinstance(i, (int, np.integer)) or not 0 <= i < self.m:
             raise InputError("rows", repr(i), f"numbers of constraints in 0 … {self.m - 1}")
         return int(i)
 
 
 def _vector(name: str, value: ArrayLike, n: int) -> Array:
-    """The value as a float array (n,), checked. An array that is one already is not copied."""
+    """Value as a float array (n,), not copied if already one."""
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (n,):
         return value
     return as_array(name, value, (n,))

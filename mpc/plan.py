@@ -1,4 +1,4 @@
-"""The result of an MPC solve."""
+"""Result of an MPC solve."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Status(Outcome):
 
 @dataclass(frozen=True)
 class Residuals:
-    """Relative optimality residuals, computed independently of the solver on scaled data [-]."""
+    """Relative optimality residuals, independent of the solver [-]."""
 
     stationarity: float
     primal: float
@@ -85,7 +85,7 @@ class Plan:
 
     @property
     def feasible(self) -> bool:
-        """True when the problem was solved as posed. Soft constraints may give, see `violation`."""
+        """Whether the problem was solved as posed; soft constraints may give."""
         return self.status is Status.SOLVED
 
     def __repr__(self) -> str:

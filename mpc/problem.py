@@ -1,4 +1,4 @@
-"""The statement of a linear MPC problem: model, weights, limits and horizon, checked, without a solver."""
+"""Checked statement of a linear MPC problem."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from mpc.riccati import lqr
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MPCProblem:
-    """Minimise Σ x'Qx + 2 x'Su + u'Ru + x_N'Px_N subject to the model and the limits.
+    """Minimise Σ x'Qx + 2 x'Su + u'Ru + x_N'Px_N subject to model and limits.
 
     `LinearMPC` says what every argument is. `condense` turns it into a `ParametricQP`, `LinearMPC` solves it.
 
@@ -79,14 +79,14 @@ class MPCProblem:
             self._set(P=P, given_P=P)
 
     def _set(self, **values: Any) -> None:
-        """Store checked values; the object is frozen once it is complete."""
+        """Store checked values, before the object is complete."""
         for name, value in values.items():
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
             object.__setattr__(self, name, value)
 
     def _check_sets(self) -> None:
-        """Store the three sets and their half-spaces; an empty one is refused."""
+        """Store the three sets and their half-spaces, none empty."""
         for name, rows, n in (
             ("X", "state_rows", self.nx), ("U", "input_rows", self.nu), ("terminal_set", "terminal_rows", self.nx),
         ):  # fmt: skip
@@ -96,7 +96,7 @@ class MPCProblem:
             self._set(**{name: checked, rows: (H, h)})
 
     def _check_options(self) -> None:
-        """Store E, rate limit, soft weights and blocks, checked, where they are given."""
+        """Store E, rate limit, soft weights and blocks, checked."""
         if self.E is not None:
             self._set(E=as_array("E", self.E, (self.nx, None)))
         if self.rate_limit is not None:
@@ -123,43 +123,43 @@ class MPCProblem:
 
     @property
     def signal_shapes(self) -> dict[str, tuple[int, int]]:
-        """Rows and columns of every signal a solve may take besides the state."""
+        """Shape of every signal of a solve besides the state."""
         N = self.horizon
         shapes = {"u_prev": (1, self.nu), "x_ref": (N + 1, self.nx), "u_ref": (N, self.nu), "w": (N, self.nw)}
         return shapes if self.nw else {name: shape for name, shape in shapes.items() if name != "w"}
 
     @cached_property
     def gain(self) -> Array:
-        """Gain K (nu, nx) of the unconstrained regulator u = -K x, see `lqr`."""
+        """Gain K (nu, nx) of the regulator u = -K x, see `lqr`."""
         if self.riccati_gain is not None:
             return self.riccati_gain
         return lqr(self.A, self.B, Q=self.Q, R=self.R, S=self.S)[0]
 
     @property
     def limits(self) -> Limits:
-        """Sets and rates, with the sizes that they say."""
+        """Sets and rates, with their sizes."""
         sets = self.state_rows, self.terminal_rows, self.input_rows
         return Limits(self.B, *sets, self.rate_limit, self.horizon)
 
     @cached_property
     def input_extent(self) -> Array:
-        """Size (nu,) of each input: the distance to its bound, or what the rate limit lets it move; 0 without limit."""
+        """Size (nu,) of each input by bound or rate; 0 without limit."""
         return self.limits.input_extent()
 
     @cached_property
     def state_extent(self) -> Array:
-        """Size (nx,) of each state: the distance to a bound of X or of the terminal set, else what the inputs move."""
+        """Size (nx,) of each state by bounds, else by what inputs move."""
         moved = np.abs(self.B) @ np.where(self.input_extent > 0, self.input_extent, 1.0)
         return first_positive(self.limits.state_extent(), moved, np.ones(self.nx))
 
     @cached_property
     def state_size(self) -> Array:
-        """Size (nx,) that states come to: `state_extent`, or what inputs move over the horizon where that is less."""
+        """Size (nx,) that states come to over the horizon."""
         return np.where(self._moved_states > 0, np.minimum(self.state_extent, self._moved_states), self.state_extent)
 
     @cached_property
     def _moved_states(self) -> Array:
-        """Distance (nx,) that the inputs move each state over the horizon. Infinite where no limit says it."""
+        """Distance (nx,) that inputs move each state; infinite without limits."""
         farthest = along_axes(*self.input_rows, farthest=True)
         if self.rate_limit is not None:
             farthest = np.minimum(np.where(farthest > 0, farthest, np.inf), self.horizon * self.rate_limit)
@@ -172,7 +172,7 @@ class MPCProblem:
 
     @cached_property
     def _reaching_inputs(self) -> Array:
-        """Least size (nu,) of each input with which it brings some state to its limit within the horizon.
+        """Least input sizes (nu,) that bring states to their limits.
 
         The size of an input without limits of its own; infinite where it reaches none. What an unstable plant adds by
         itself does not count.
@@ -187,7 +187,7 @@ class MPCProblem:
         return size
 
     def _responses(self, A: Array) -> Iterator[Array]:
-        """Sizes |A^k B| (nx, nu) of the responses to each input, step by step, as long as they are finite."""
+        """Sizes |A^k B| (nx, nu) of the responses, while finite."""
         block = self.B
         for _ in range(self.horizon):
             yield np.abs(block)
@@ -198,7 +198,7 @@ class MPCProblem:
 
     @cached_property
     def price_units(self) -> dict[str, Array]:
-        """Unit of each row of each set, in which a soft limit is priced: the size of its bound.
+        """Unit of each row for pricing soft limits: its bound's size.
 
         Where a bound is zero (or vanishes beside the set) the extent of the set along the row takes its place; where
         the set has none, what inputs with limits move in one step, else 1.
@@ -207,7 +207,7 @@ class MPCProblem:
 
     @cached_property
     def row_units(self) -> dict[str, Array]:
-        """Unit of each row of each set, in which violations of different rows are compared.
+        """Unit of each row for comparing violations of different rows.
 
         As `price_units`; where a bound is zero, what the inputs move over the horizon if that is less: limits of 1e6 on
         a state say nothing of its size.
@@ -224,7 +224,7 @@ class MPCProblem:
     def with_model(
         self, A: Any, B: ArrayLike | None = None, E: ArrayLike | None = None, *, P: ArrayLike | None = None
     ) -> Self:
-        """The problem for another design of the plant.
+        """Problem for another model.
 
         Parameters
         ----------

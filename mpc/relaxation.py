@@ -1,4 +1,4 @@
-"""The answer of a controller whose problem has no solution: relaxed state constraints first, the regulator last."""
+"""Plans of a controller whose problem has no solution."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from mpc.tolerances import FEASIBLE, KKT, RELAXATION_MARGIN, RELAXATION_SHARES, 
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """Solution with relaxed state constraints; SOLVED where nothing had to be relaxed after all."""
+    """Solution with relaxed state constraints; SOLVED where none needed it."""
 
     result: QPResult
     status: Status
 
 
 def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: Array) -> Relaxed | None:
-    """Solution with state constraints relaxed by the least amount. None when the others conflict among themselves.
+    """Solution with least relaxed state constraints, or None.
 
     Whether the problem is infeasible is decided here, by the violation that is left when it is made least: what the QP
     solver said before is only the reason to ask.
@@ -51,7 +51,7 @@ def relax(problem: MPCProblem, qp: ParametricQP, solver: DenseQP, q: Array, b: A
 
 
 def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
-    """Whether no input in U keeps the rate limit of the last one. Hard constraints cannot conflict otherwise.
+    """Whether no input in U keeps the rate limit.
 
     U is convex and not empty, so an input that is in U may stay where it is.
     """
@@ -66,7 +66,7 @@ def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
 def least_violation(
     qp: ParametricQP, units: Array, input_extent: Array, q: Array, b: Array, *, second: bool = True
 ) -> tuple[Array, Array] | None:
-    """Right-hand side relaxed by the least squares of the largest violation per step.
+    """Right-hand side relaxed by least squares of violations.
 
     Only rows of state and terminal constraints are relaxed; input, rate and slack rows are kept (Kerrigan and
     Maciejowski, *Soft constraints and exact penalty functions in MPC*, 2000, in two stages instead of one penalty).
@@ -116,7 +116,7 @@ def least_violation(
 
 
 def typical_cost(qp: ParametricQP, units: Array, input_extent: Array, q: Array) -> float:
-    """Cost of the unconstrained optimum, of each input at most that at its bounds; at least of one unit of some row.
+    """Cost of the unconstrained optimum within input bounds, at least one row unit's.
 
     A wide bound plays no part in it, and next to the origin, where nothing is wanted, violations still count.
     """
@@ -132,7 +132,7 @@ def typical_cost(qp: ParametricQP, units: Array, input_extent: Array, q: Array) 
 
 
 def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
-    """Plan of the saturated regulator, for conflicting input constraints and numbers that overflow."""
+    """Plan of the saturated regulator."""
     inputs, states = regulated(problem, x, np.zeros((problem.horizon, problem.nx)))
     unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
     violation = violation_of(problem, states)
@@ -141,7 +141,7 @@ def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
 
 
 def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]:
-    """Inputs and states under the regulator, saturated to U. Zero inputs where there is no regulator."""
+    """Inputs and states under the saturated regulator, or zero inputs."""
     try:
         gain = problem.gain
     except NotStabilisableError:

@@ -1,4 +1,4 @@
-"""The infinite-horizon regulator, checked: of nearly unstabilisable pairs SciPy returns gains of 1e8 unwarned."""
+"""Infinite-horizon regulator, checked for stabilisability."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class _Regulation:
     S: Array
 
     def solution(self, user_unit: Array) -> tuple[Array, Array] | None:
-        """Gain and cost matrix, checked. None where there is no solution, or none without an absurd gain."""
+        """Gain and cost matrix, checked; None without a sane solution."""
         for first in (self._by_scipy, self._stabilising):
             found = self._refined(first())
             if found is not None:
@@ -123,7 +123,7 @@ class _Regulation:
         return None
 
     def _sane(self, K: Array, user_unit: Array) -> bool:
-        """Whether in some units the feedback does not move the states 1 / `REACH` times as far as the plant does."""
+        """Whether in some units the feedback is not absurdly large."""
         for unit in units_of(self.A, np.ones(len(self.A)), user_unit):
             fed, own = (float(np.linalg.norm(M * unit[:, None] / unit)) for M in (self.B @ K, self.A))
             if REACH * fed <= max(1.0, own):
@@ -131,7 +131,7 @@ class _Regulation:
         return False
 
     def _by_scipy(self) -> Array:
-        """Root of SciPy's cost matrix; NaN where it finds none."""
+        """Root of SciPy's cost matrix; NaN without one."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", LinAlgWarning)
@@ -140,7 +140,7 @@ class _Regulation:
             return np.full_like(self.A, np.nan)
 
     def _stabilising(self) -> Array:
-        """Root of the cost matrix of a gain that stabilises, whatever the weights are."""
+        """Root of the cost matrix of some stabilising gain."""
         nx, nu = self.B.shape
         K = np.zeros((nu, nx))
         if _radius(self.A) >= 1:
@@ -153,7 +153,7 @@ class _Regulation:
         return self._root_of(K)
 
     def _refined(self, root: Array) -> tuple[Array, Array] | None:
-        """Gain and cost matrix L'L by Newton's steps from a root L. None where they do not settle.
+        """Gain and cost matrix L'L by Newton's method, or None.
 
         They settle where a step neither changes P, in units in which its diagonal is one, nor how far the closed loop
         is from the unit circle: that halves with every step where Q does not see a mode there.
@@ -179,7 +179,7 @@ class _Regulation:
         return _lyapunov_root(self.A - self.B @ K, self._cost_root[:, :n] - self._cost_root[:, n:] @ K)
 
     def _is_seen(self, K: Array, P: Array) -> bool:
-        """Whether the slowest mode of the closed loop costs more than rounding of Q."""
+        """Whether the slowest closed-loop mode costs more than rounding."""
         values, vectors = np.linalg.eig(self.A - self.B @ K)
         slow = int(np.argmax(np.abs(values)))
         mode = vectors[:, slow]
@@ -191,11 +191,11 @@ class _Regulation:
         return self.A.T @ P @ (self.A - self.B @ K) + self.Q - self.S @ K - P
 
     def _margin(self, K: Array) -> float:
-        """Distance of the closed loop from the unit circle. NaN of a gain that is not finite."""
+        """Distance of the closed loop from the unit circle, or NaN."""
         return 1 - _radius(self.A - self.B @ K) if np.isfinite(K).all() else np.nan
 
     def gain(self, root: Array) -> Array:
-        """Gain that belongs to a root of a cost matrix, by least squares. B'PB would square what cancels in it."""
+        """Gain for a root of a cost matrix, by least squares."""
         n = len(self.A)
         M = np.vstack([self._cost_root[:, n:], root @ self.B])
         right = np.vstack([self._cost_root[:, :n], root @ self.A])
@@ -212,13 +212,13 @@ class _Regulation:
 
 
 def _relative(M: Array, P: Array) -> float:
-    """Largest entry of a matrix in units in which the diagonal of P is one."""
+    """Largest entry of a matrix, relative to P's diagonal."""
     size = np.sqrt(np.abs(np.diag(P)))
     return float(np.where(M == 0, 0.0, np.abs(M) / size / size[:, None]).max())
 
 
 def _root(M: Array) -> Array:
-    """L with L'L = M for a symmetric M, positive semidefinite but for rounding."""
+    """Root L with L'L = M, for symmetric positive semidefinite M."""
     d = np.sqrt(np.abs(np.diag(M)))
     unit = np.where(d > 0, d, 1.0)
     values, vectors = np.linalg.eigh(M / unit / unit[:, None])
@@ -226,7 +226,7 @@ def _root(M: Array) -> Array:
 
 
 def _lyapunov_root(A: Array, root: Array) -> Array:
-    """L with L'L = P = A'PA + root'root for a stable A, by doubling, which no units of the states change.
+    """Root L with L'L = P = A'PA + root'root for stable A, by doubling.
 
     Infinite where it does not end.
     """
@@ -240,7 +240,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
 
 
 def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
-    """Error that names the mode in the way. Either the input does not reach it, or Q does not see it."""
+    """Error that names the mode that is unreachable or unseen."""
     A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
     none = np.ones(len(A))
     eigenvalues = np.linalg.eigvals(A)

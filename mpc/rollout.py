@@ -1,4 +1,4 @@
-"""Effects of inputs on the model: states, cost and violation, computed step by step from what is returned."""
+"""Effects of inputs on the model: states, cost and violation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Given = dict[str, Array]
 
 
 def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array:
-    """States (N + 1, nx) of the model under given inputs and, where there is one, the previewed disturbance."""
+    """States (N + 1, nx) of the model under inputs and disturbance."""
     states = np.empty((problem.horizon + 1, problem.nx))
     states[0] = x
     push = pushes(problem, given)
@@ -30,7 +30,7 @@ def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array
 def rollout_with_feedback(
     problem: MPCProblem, x: Array, deviations: Array, feedback: Array, given: Given
 ) -> tuple[Array, Array, float]:
-    """Inputs u = v - Kx held in U, their states, and how far v - Kx missed the limits, relative to them.
+    """Inputs u = v - Kx in U, states, and relative violation of limits.
 
     Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
     """
@@ -51,7 +51,7 @@ def rollout_with_feedback(
 
 
 def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
-    """Inputs within U and the rate limit that follow the given ones."""
+    """Inputs within U and the rate limit that follow `inputs`."""
     followed = nearest_points(np.nan_to_num(inputs), *problem.input_rows)
     if problem.rate_limit is None:
         return followed
@@ -63,7 +63,7 @@ def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
 
 
 def rate_violation(problem: MPCProblem, inputs: Array, given: Given) -> float:
-    """Largest change of an input beyond the rate limit, relative to it [-]."""
+    """Largest relative excess of the rate limit [-]."""
     if problem.rate_limit is None:
         return 0.0
     moves = np.diff(np.vstack([given["u_prev"], inputs]), axis=0)
@@ -78,7 +78,7 @@ def pushes(problem: MPCProblem, given: Given) -> Array:
 
 
 def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> float:
-    """Cost of inputs and states, measured from their references where there are some, with that of soft constraints."""
+    """Cost of inputs and states, soft constraints included."""
     error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
     effort = inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
     Q = np.asarray(problem.Q)
@@ -95,7 +95,7 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
 
 
 def violation_of(problem: MPCProblem, states: Array) -> float:
-    """Largest violation of a state or terminal constraint, in the units of its bound."""
+    """Largest violation of a state or terminal constraint, in bound units."""
     (H, h) = problem.state_rows
     (HT, hT) = problem.terminal_rows
     along = _largest(states[1:] @ H.T - h) if len(h) else 0.0
@@ -103,13 +103,13 @@ def violation_of(problem: MPCProblem, states: Array) -> float:
 
 
 def _largest(excess: Array) -> float:
-    """Largest entry, at least 0; the largest number where it overflows."""
+    """Largest entry, at least 0; finite on overflow."""
     largest = float(excess.max())
     return max(largest, 0.0) if np.isfinite(largest) else float(np.finfo(float).max)
 
 
 def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Array] | None = None) -> Array:
-    """Largest violation (N,) of each step k = 1 … N, relative to the unit of its row, by default `row_units` [-]."""
+    """Largest relative violation (N,) of each step [-]."""
     (H, h) = problem.state_rows
     (HT, hT) = problem.terminal_rows
     units = problem.row_units if units is None else units
@@ -119,7 +119,7 @@ def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Arr
 
 
 def finite(v: Array) -> Array:
-    """Numbers with those that overflowed replaced by the largest."""
+    """Numbers with overflow replaced by large ones and NaN by 0."""
     if np.isfinite(v).all():
         return v
     largest = float(np.finfo(float).max) / 4
@@ -127,7 +127,7 @@ def finite(v: Array) -> Array:
 
 
 def spread_signals(problem: MPCProblem, signals: dict[str, ArrayLike | None]) -> dict[str, Array]:
-    """Each given signal as one flat array. A single row is held over the horizon.
+    """Each signal as a flat array, single rows held over the horizon.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def spread_signals(problem: MPCProblem, signals: dict[str, ArrayLike | None]) ->
 
 
 def for_each_state(problem: MPCProblem, signals: dict[str, Any], n: int) -> list[dict[str, Array]]:
-    """The signals of n solves, the same for all but those that come with one entry for each."""
+    """Signals of n solves, common or one entry for each."""
     each = {
         name: as_array(name, value, (n, *((problem.nu,) if name == "u_prev" else problem.signal_shapes[name])))
         for name, value in signals.items()

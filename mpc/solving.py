@@ -1,4 +1,4 @@
-"""From a state to a plan: the condensed QP first; what does not meet the tolerance is solved in another form."""
+"""Plans from the condensed QP, else stage by stage."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from mpc.tolerances import FEASIBLE, GROWTH, KKT_REPORTED, OVERFLOW, RELAXATION_
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A plan before it is packed: inputs, states, status, residuals and the solver that found it."""
+    """Inputs, states, status, residuals and solver of a plan."""
 
     inputs: Array
     states: Array
@@ -40,7 +40,7 @@ class Candidate:
     solver: str
 
     def packed(self, problem: MPCProblem, given: Given, start: float) -> Plan:
-        """The plan, with cost and violation of these inputs and states; its clock began at `start`."""
+        """Plan with cost and violation; its clock began at `start`."""
         cost = cost_of(problem, self.inputs, self.states, given)
         violation = violation_of(problem, self.states)
         duration = time.perf_counter() - start
@@ -50,7 +50,7 @@ class Candidate:
 def stagewise_candidate(
     problem: MPCProblem, x: Array, given: Given, inputs: Array, typical_cost: float
 ) -> Candidate | None:
-    """The plan of `solve_stagewise` from a first guess of the inputs. None if the iteration did not converge.
+    """Plan of `solve_stagewise` from first inputs; None if not converged.
 
     Hard state constraints become squared violations, weighed against the typical cost; where all of them hold, the
     problem was feasible.
@@ -73,7 +73,7 @@ def stagewise_candidate(
 
 
 class CondensedSolver:
-    """Solves one MPC problem from many states, with the signals in `parameters`. Safe to use from many threads."""
+    """Solver of one MPC problem from many states; safe for threads."""
 
     def __init__(self, problem: MPCProblem, parameters: tuple[str, ...]):
         self.problem = problem
@@ -85,11 +85,11 @@ class CondensedSolver:
         self.dense = DenseQP(self.qp.H, self.qp.G, self.units, second=self.feedback is None)
 
     def theta(self, x: Array, given: Given) -> Array:
-        """The parameter of the QP."""
+        """Parameter of the QP."""
         return np.concatenate([x if name == "x" else given[name] for name, _ in self.qp.parameters])
 
     def runaway(self, x: Array, given: Given) -> Array | None:
-        """States of the relaxed plan if they leave the sets by more than `tolerances.GROWTH` times. Otherwise None."""
+        """States of a relaxed plan that runs away, otherwise None."""
         if self.feedback is None:
             return None
         plan = self.plan(x, given, time.perf_counter())
@@ -97,7 +97,7 @@ class CondensedSolver:
         return plan.states if away else None
 
     def plan(self, x: Array, given: Given, start: float) -> Plan:
-        """Plan from the state x; `start` is when the clock of its solve time began."""
+        """Plan from the state x; its clock began at `start`."""
         theta = self.theta(x, given)
         with np.errstate(over="ignore", invalid="ignore"):
             q, b = self.qp.at(theta)
@@ -109,7 +109,7 @@ class CondensedSolver:
             return found.packed(self.problem, given, start)
 
     def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Candidate | None:
-        """The best candidate; None where input constraints contradict each other."""
+        """Best candidate; None where input constraints contradict."""
         result = self.dense.solve(q, b)
         if not result.infeasible:
             first = self._candidate(result, Status.SOLVED, x, theta, given)
@@ -144,7 +144,7 @@ class CondensedSolver:
         return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
 
     def _runs_away(self, states: Array) -> bool:
-        """Whether states grow so far that v - Kx keeps too few digits of the inputs."""
+        """Whether v - Kx keeps too few digits of the inputs."""
         if self.feedback is None:
             return False
         starts = np.cumsum([0, *block_lengths(self.problem)])[:-1]
@@ -153,11 +153,11 @@ class CondensedSolver:
         return bool((feedback / extent).max() > RUNAWAY)
 
     def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
-        """The plan found stage by stage, for an unstable plant and where that converges. Otherwise the first one."""
+        """Plan found stage by stage for an unstable plant, else `first`."""
         second = self._stage_by_stage(first.inputs, x, given, q) if self.unstable else None
         return first if second is None else second
 
     def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Candidate | None:
-        """The plan found stage by stage; None if that did not converge."""
+        """Plan found stage by stage, or None."""
         typical = typical_cost(self.qp, self.units, self.problem.input_extent, q)
         return stagewise_candidate(self.problem, x, given, inputs, typical)

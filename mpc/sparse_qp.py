@@ -1,4 +1,4 @@
-"""The QP with the states kept: sparse, for long horizons and many states."""
+"""Sparse QP with the states kept."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERF
 
 
 class SparseSolver:
-    """Solves one MPC problem in states and inputs from many states. Safe to use from many threads.
+    """Solver of one MPC problem with the states kept; safe for threads.
 
     The solver is OSQP, an operator-splitting method (Stellato et al., Math. Prog. Comp. 12, 2020), or Clarabel. OSQP's
     answer is checked against the optimality conditions, and Clarabel asked where they do not hold. What neither solves
@@ -54,7 +54,7 @@ class SparseSolver:
         self._workspace = threading.local()
 
     def plan(self, x: Array, given: Given, start: float) -> Plan:
-        """Plan from the state x; `start` is when the clock of its solve time began."""
+        """Plan from the state x; its clock began at `start`."""
         with np.errstate(over="ignore", invalid="ignore"):
             conflict = inputs_conflict(self.problem, given.get("u_prev"))
             if conflict or not np.abs(x / self.problem.state_extent).max() < OVERFLOW:
@@ -78,7 +78,7 @@ class SparseSolver:
         return CondensedSolver(self.problem, self._parameters)
 
     def _solve(self, x: Array, given: Given) -> Candidate:
-        """The first candidate that meets the tolerance, or the last."""
+        """First candidate that meets the tolerance, or the last."""
         q, low, high = self._vectors(x, given)
         for solver in self.solvers:
             v, y = self._osqp(q, low, high) if solver == "osqp" else self._clarabel(q, low, high)
@@ -164,7 +164,7 @@ class SparseSolver:
         return Candidate(inputs, states, Status.SOLVED if accurate else Status.INACCURATE, residuals, name)
 
     def _trajectory(self, v: Array, x: Array, given: Given) -> tuple[Array, Array, float]:
-        """Inputs within U, the states they lead to, and how far the minimiser missed U, relative to it."""
+        """Inputs within U, their states, and the relative miss of U."""
         states = []
         variables = []
         column = 0
@@ -183,7 +183,7 @@ class SparseSolver:
 
 
 def _matrices(stagewise: StagewiseQP) -> tuple[Any, Any]:
-    """Upper triangle of the Hessian, and the rows: first state, dynamics, constraints."""
+    """Upper triangle of the Hessian, and rows of dynamics and constraints."""
     stages = stagewise.stages
     n = stagewise.n
     H = sparse.triu(sparse.block_diag([block for stage in stages for block in stage.hessians])).tocsc()
@@ -200,7 +200,7 @@ def _matrices(stagewise: StagewiseQP) -> tuple[Any, Any]:
 
 
 class PlanCheck:
-    """Gradient by the inputs alone, and duality gap, each relative to its own parts.
+    """Relative errors of the gradient by the inputs and the duality gap.
 
     In the residuals of all variables those of another size would hide it. With a cross weight the parts may cancel to a
     cost that is small beside them: then what both can have lost, by convexity, is also set against the cost itself.
@@ -231,7 +231,7 @@ class PlanCheck:
         self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
 
     def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array, own_cost: float | None = None) -> float:
-        """Largest relative error of variables v and multipliers y, with `states` (N + 1, nx) in place of those in v.
+        """Largest relative error of v and y, with `states` (N + 1, nx).
 
         `own_cost` is the cost of the plan in the units of H, where it is to be compared with.
         """
@@ -252,7 +252,7 @@ class PlanCheck:
         return max(doubt, (float(np.abs(left).sum()) * unit + gap) / max(own_cost, least))
 
     def _gradient(self, Hv: Array, q: Array, pushed: Array, unit: float) -> tuple[Array, float]:
-        """Gradient by the inputs, with costates that leave none by the states, and the size of its largest part."""
+        """Gradient by the inputs alone, and its largest part's size."""
         force = Hv + q + pushed
         costates = self._costates.solve(force[self._states.ravel()])
         left = force[self._inputs] - self._driven @ costates
@@ -261,7 +261,7 @@ class PlanCheck:
 
 
 def _columns(stagewise: StagewiseQP) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Places of inputs, in order, and states (N + 1, n) among the variables. The slacks are neither."""
+    """Places of inputs and states (N + 1, n) among the variables."""
     widths = np.array([len(stage.gx) + len(stage.gv) for stage in stagewise.stages])
     states = (np.cumsum(widths) - widths)[:, None] + np.arange(stagewise.n)
     inputs = [first[-1] + 1 + np.arange(stage.nu) for first, stage in zip(states, stagewise.stages)]

@@ -1,4 +1,4 @@
-"""An MPC problem written stage by stage in scaled variables, for `solve_stagewise`."""
+"""MPC problem stage by stage in scaled variables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
 
 @dataclass(frozen=True, eq=False)
 class QPStage:
-    """One step: ξ⁺ = Aξ + Bν + c, cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν + ξ'Hcν, rows Cν + Dξ <= d; without Hc, None.
+    """ξ⁺ = Aξ + Bν + c at cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν + ξ'Hcν, Cν + Dξ <= d; Hc may be None.
 
     ξ is (x, last input) where the last input matters, ν is (u, t) with t >= 0 the largest violation of the step where
     it has a price; `nu` is the number of entries of u in ν, zero where the input is held and at the end.
@@ -36,7 +36,7 @@ class QPStage:
 
     @property
     def hessians(self) -> list[Array]:
-        """The Hessian in (ξ, ν) as its diagonal blocks."""
+        """Hessian in (ξ, ν) as diagonal blocks."""
         if self.Hc is None:
             return [self.Hx, self.Hv]
         return [np.block([[self.Hx, self.Hc], [self.Hc.T, self.Hv]])]
@@ -51,7 +51,7 @@ class QPStage:
 
 
 class StagewiseQP:
-    """The stages of a problem, and the conversion between its units and theirs.
+    """Stages of a problem, and conversion of units.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class StagewiseQP:
         self.stages = [self._stage(k) for k in range(N + 1)]
 
     def first_guess(self, inputs: Array) -> list[Array]:
-        """Variables of every stage near given inputs (N, nu), inside the input set and the rate limit."""
+        """Strictly admissible variables of every stage near inputs (N, nu)."""
         scaled = self._towards(inputs) / self.input_size
         return [
             np.concatenate([scaled[k] if stage.nu else [], np.zeros(len(stage.gv) - stage.nu)])
@@ -102,7 +102,7 @@ class StagewiseQP:
         ]
 
     def _towards(self, inputs: Array) -> Array:
-        """Inputs that follow the given ones, drawn towards the middle and by less than the rate limit a step."""
+        """Inputs towards the middle, within less than the rate limit."""
         followed = FIRST_GUESS_SHARE * np.asarray(inputs)
         if self.problem.rate_limit is None:
             return followed
@@ -114,7 +114,7 @@ class StagewiseQP:
         return followed
 
     def plan(self, states: list[Array], variables: list[Array], x: Array) -> tuple[Array, Array]:
-        """Inputs (N, nu) and states (N + 1, nx) in the units of the plant, from the state x."""
+        """Inputs (N, nu) and states (N + 1, nx) in plant units."""
         inputs = np.empty((self.problem.horizon, self.problem.nu))
         for k in range(self.problem.horizon):
             inputs[k] = states[k][self.problem.nx :] if self.held[k] else variables[k][: self.problem.nu]
@@ -123,7 +123,7 @@ class StagewiseQP:
         return inputs * self.input_size, unscaled
 
     def _stage(self, k: int) -> QPStage:
-        """The stage of step k."""
+        """Stage of step k."""
         nx = self.problem.nx
         nu = self.problem.nu
         n = self.n
@@ -154,7 +154,7 @@ class StagewiseQP:
         return QPStage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free, Hc)
 
     def _cross(self, k: int, S: Array, Hx: Array, gx: Array, gv: Array, free: int) -> Array | None:
-        """Hc of step k. The other terms of the cross weight S are written into the rest of the cost."""
+        """Cross term Hc of step k; adds the rest of S in place."""
         nx = self.problem.nx
         gx[:nx] -= S @ self.u_ref[k]
         if not free:  # the input is one of the states
@@ -189,7 +189,7 @@ class StagewiseQP:
         return A, B, c
 
     def _rows(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
-        """Rows (C, D, d) of step k, each in the unit of its bound."""
+        """Rows (C, D, d) of step k in units of their bounds."""
         nx = self.problem.nx
         n = self.n
         width = free + priced
@@ -224,7 +224,7 @@ class StagewiseQP:
 
 
 def _input_size(problem: MPCProblem, x: Array, given: Given) -> Array:
-    """Size (nu,) of the inputs: their limits, or what their weight lets them spend on the weighted state if less.
+    """Size (nu,) of the inputs by limits or weights.
 
     Limits of 1e6 on an input say nothing of its size, and a solver's tolerance is a part of it.
     """

@@ -1,4 +1,4 @@
-"""A problem in stages solved with the states kept, for unstable plants over long horizons.
+"""Stagewise QPs, for unstable plants over long horizons.
 
 When the inputs cannot hold an unstable plant, its states grow by many orders of magnitude, and a QP with the states
 eliminated keeps no digits of the inputs. A Riccati recursion does: it sees one step at a time, and an input at its
@@ -23,7 +23,7 @@ Arrays = list[Array]
 
 @dataclass(frozen=True, eq=False)
 class StagewiseResult:
-    """Scaled states and variables of every stage, the largest Newton step left and the largest violated row [-]."""
+    """Scaled states and variables per stage, last step and violation [-]."""
 
     states: Arrays
     variables: Arrays
@@ -32,13 +32,13 @@ class StagewiseResult:
 
     @property
     def converged(self) -> bool:
-        """Whether another Newton step would change nothing, and every row holds."""
+        """Whether Newton steps have ended and every row holds."""
         return max(self.step, self.violation) <= STAGEWISE
 
 
 @dataclass(frozen=True, eq=False)
 class _Direction:
-    """A Newton step: feedforward of every stage, and the changes of slacks and multipliers."""
+    """Newton step: feedforward and changes of slacks and multipliers."""
 
     forward: Arrays
     slacks: Arrays
@@ -46,7 +46,7 @@ class _Direction:
 
 
 class _Iteration:
-    """States, variables, slacks s > 0 and multipliers y > 0 of all stages, and the Newton steps from there."""
+    """Iterate with slacks s > 0 and multipliers y > 0."""
 
     def __init__(self, stages: list[QPStage], start: Array, variables: Arrays):
         self.stages = stages
@@ -71,7 +71,7 @@ class _Iteration:
         self.refresh()
 
     def refresh(self) -> None:
-        """Residuals of the rows and the gains of the recursion at the present point."""
+        """Compute row residuals and recursion gains."""
         self.residuals: Arrays = []
         self.violation = 0.0
         for k, (st, x, v, s) in enumerate(zip(self.stages, self.states, self.variables, self.slacks)):
@@ -85,7 +85,7 @@ class _Iteration:
         self._factorise()
 
     def noise(self, k: int) -> Array:
-        """Rounding of the variables of stage k by the state through feedback. No digits lie below."""
+        """Rounding of the variables of stage k through feedback."""
         return FEEDBACK_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
 
     def largest_step(self, direction: _Direction) -> float:
@@ -94,7 +94,7 @@ class _Iteration:
         return max(float(np.max(change[: st.nu], initial=0.0)) for st, change in zip(self.stages, over))
 
     def _factorise(self) -> None:
-        """Gains K and the factors of every stage, backwards."""
+        """Compute gains K and factors of every stage, backwards."""
         count = len(self.stages)
         self.gains = [np.zeros(0) for _ in range(count)]
         self.inverses = [np.zeros(0) for _ in range(count)]
@@ -118,7 +118,7 @@ class _Iteration:
             self.inverses[k] = inverse
 
     def direction(self, rho: Arrays) -> _Direction:
-        """Newton step for the multipliers `rho` of the rows at the present point."""
+        """Newton step for row multipliers `rho`."""
         forward: Arrays = [np.zeros(0)] * len(self.stages)
         v_next = np.zeros(len(self.states[0]))
         for k in reversed(range(len(self.stages))):
@@ -152,7 +152,7 @@ class _Iteration:
         return length
 
     def mean_product(self, direction: _Direction | None = None, length: float = 0.0) -> float:
-        """Mean of slack times multiplier over the open rows, after a step where one is given."""
+        """Mean of slack times multiplier over open rows, after a step."""
         total = 0.0
         rows = 0
         for k, (s, y) in enumerate(zip(self.slacks, self.multipliers)):
@@ -164,7 +164,7 @@ class _Iteration:
         return total / max(rows, 1)
 
     def move(self, direction: _Direction, length: float) -> None:
-        """Take a step. States follow forwards with feedback, so that rounding does not grow with the plant."""
+        """Take a step; states follow forwards with feedback."""
         states = [self.states[0]]
         for k, (st, K, f) in enumerate(zip(self.stages, self.gains, direction.forward)):
             self.variables[k] = self.variables[k] + length * f + K @ (states[k] - self.states[k])
@@ -178,7 +178,7 @@ class _Iteration:
 
 
 def solve_stagewise(stages: list[QPStage], start: Array, variables: Arrays) -> StagewiseResult:
-    """Solution from the scaled first state and a first guess of the variables of every stage."""
+    """Solution from the scaled first state and first variables."""
     at = _Iteration(stages, start, variables)
     best = StagewiseResult(at.states, list(at.variables), np.inf, at.violation)
     waited = 0
@@ -207,7 +207,7 @@ def solve_stagewise(stages: list[QPStage], start: Array, variables: Arrays) -> S
 
 
 def _inverse(M: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix, scaled to a unit diagonal."""
+    """Inverse of a symmetric positive definite matrix, scaled."""
     scale = 1 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
     regular = M * scale * scale[:, None] + ROUNDING * np.eye(len(M))
     return np.asarray(np.linalg.inv(regular) * scale * scale[:, None])

@@ -1,4 +1,4 @@
-"""Offset-free tracking: a constant unknown disturbance is estimated, and the steady state to aim at moved with it."""
+"""Offset-free tracking by an estimated constant disturbance."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from mpc.tolerances import NEGLIGIBLE, STEADY, TARGET_COST, TARGET_DRIFT
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OffsetFreeMPC:
-    """An MPC whose tracked outputs y = Cx settle on their reference in spite of constant disturbances.
+    """MPC that tracks outputs y = Cx without offset.
 
     The object is not changed: `observe` returns the controller with the new estimate, and `loop` a controller with
-    memory for a closed-loop simulation.
+    memory for a closed-loop simulation. Constant disturbances are allowed for.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class OffsetFreeMPC:
             object.__setattr__(self, name, value)
 
     def _disturbed(self) -> Any:
-        """The regulator, checked, of a model with disturbances."""
+        """Regulator, checked, of a model with disturbances."""
         if not isinstance(self.mpc, LinearMPC):
             raise InputError("mpc", type(self.mpc).__name__, "a LinearMPC")
         return self.mpc if self.mpc.E is not None else self.mpc.with_model(self.mpc.A, self.mpc.B, np.eye(self.mpc.nx))
@@ -83,7 +83,7 @@ class OffsetFreeMPC:
         return self.mpc
 
     def _alone(self) -> OffsetFreeMPC:
-        """The controller of one run among others."""
+        """Controller of one run among others."""
         return self
 
     def __repr__(self) -> str:
@@ -92,11 +92,11 @@ class OffsetFreeMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of the signals that a closed loop hands over besides the state, see `LinearMPC.needs`."""
+        """Signals a closed loop hands over; see `LinearMPC.needs`."""
         return self.mpc.needs | {"reference"}
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeMPC:
-        """The controller after seeing one transition."""
+        """Controller after one observed transition."""
         mpc = self.mpc
         x = as_array("x", x, (mpc.nx,))
         u = as_array("u", u, (mpc.nu,))
@@ -106,7 +106,7 @@ class OffsetFreeMPC:
         return replace(self, disturbance=self.disturbance + self.gain * (seen - self.disturbance))
 
     def target(self, reference: ArrayLike) -> tuple[Array, Array]:
-        """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,), in least squares.
+        """Steady state (x, u) with Cx nearest to `reference` (ny,).
 
         Where several do, the one of least cost x'Qx + 2 x'Su + u'Ru.
 
@@ -125,13 +125,13 @@ class OffsetFreeMPC:
         return found.state, found.input
 
     def nearest_target(self, reference: ArrayLike) -> Target:
-        """The `target`, or where no steady state exists the state and input in X and U that drift least."""
+        """Target, or the least drifting state and input."""
         mpc = self.mpc
         r = as_array("reference", reference, (len(self.C),))
         return nearest_target(mpc, mpc.A, mpc.B, mpc.E @ self.disturbance, self.C, r)
 
     def solve(self, x: ArrayLike, reference: ArrayLike, **signals: ArrayLike) -> Plan:
-        """Plan from x towards the `nearest_target` of the reference, under the estimated disturbance.
+        """Plan from x towards the `nearest_target` of `reference`.
 
         Of the other signals only `u_prev` is open: references and disturbance are the controller's own.
         """
@@ -140,7 +140,7 @@ class OffsetFreeMPC:
         return self.mpc.solve(x, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
 
     def __call__(self, x: ArrayLike, reference: ArrayLike | None = None, **signals: ArrayLike) -> Array:
-        """First input of the plan: (nx,) -> (nu,) or (n, nx) -> (n, nu).
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu).
 
         The reference of the outputs may be replaced by one of the states, `x_ref` (nx,), which stands for C x_ref.
         """
@@ -152,11 +152,11 @@ class OffsetFreeMPC:
         return self.mpc(states, x_ref=target.state, u_ref=target.input, w=self.disturbance, **signals)
 
     def loop(self, n: int = 1) -> OffsetFreeLoop:
-        """A controller with memory for n runs at once, which observes every step that it makes."""
+        """Controller with memory for n runs, which observes every step."""
         return OffsetFreeLoop(self, n)
 
     def _reference(self, reference: ArrayLike | None, x_ref: ArrayLike | None) -> ArrayLike:
-        """The reference of the outputs, given itself or by a state (of a whole horizon the first row counts)."""
+        """Output reference, given itself or by a state's first row."""
         if reference is not None:
             return reference
         if x_ref is None:
@@ -166,14 +166,14 @@ class OffsetFreeMPC:
 
 
 def _refuse_own(signals: dict[str, Any]) -> None:
-    """Raise for a signal that the controller sets itself, or that there is none of."""
+    """Raise for signals other than `u_prev`."""
     for name in signals:
         if name != "u_prev":
             raise InputError(name, "a signal", "none but u_prev", "References and disturbance are set by the target.")
 
 
 class OffsetFreeLoop:
-    """`OffsetFreeMPC` for n runs of a closed loop: `reset(n)` forgets, a call observes the step before and answers."""
+    """`OffsetFreeMPC` with memory for n runs of a closed loop."""
 
     def __init__(self, controller: OffsetFreeMPC, n: int = 1):
         self.controller = controller
@@ -184,16 +184,16 @@ class OffsetFreeLoop:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of the signals that a closed loop hands over besides the state: applied input and reference."""
+        """Signals a closed loop hands over: applied input and reference."""
         return self.controller.needs | {"last_input"}
 
     def reset(self, n: int = 1) -> None:
-        """Forget the last states and start from the controller's own estimate."""
+        """Forget the last states and estimates."""
         self._each = [self.controller._alone() for _ in range(as_count("n", n))]
         self._last: Array | None = None
 
     def __call__(self, x: ArrayLike, **signals: Any) -> Array:
-        """Inputs (n, nu) for the states (n, nx) of all runs, or (nu,) for the one run's (nx,)."""
+        """Inputs (n, nu) for states (n, nx), or (nu,) for (nx,)."""
         states = as_floats("x", x)
         single = states.ndim == 1
         states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller._problem.nx))
@@ -207,7 +207,7 @@ class OffsetFreeLoop:
         return u[0] if single else u
 
     def _applied(self, u_prev: Any) -> Array:
-        """The last inputs (n, nu) of all runs, checked."""
+        """Last inputs (n, nu) of all runs, checked."""
         if u_prev is None:
             raise InputError("u_prev", "nothing", "the input that was applied one step ago", "Before the first: zeros.")
         return as_array(
@@ -217,7 +217,7 @@ class OffsetFreeLoop:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A state and input to aim at.
+    """State and input to aim at.
 
     Attributes
     ----------
@@ -239,9 +239,9 @@ class Target:
 
 
 def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Array, r: Array) -> Target:
-    """The target of x⁺ = Ax + Bu + push whose outputs Cx are nearest to r. Where nothing is steady, what drifts least.
+    """Target of x⁺ = Ax + Bu + push, steady or least drifting.
 
-    Weights and sets are those of the problem.
+    Weights and sets are those of the problem. Its outputs Cx are nearest to r.
     """
     size = sizes_of(problem)
     # (A - I)x + Bu + push = 0, states and inputs in units of their limits
@@ -264,12 +264,12 @@ def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Arra
 
 
 def sizes_of(problem: MPCProblem) -> Array:
-    """Sizes (nx + nu,) of states and inputs, 1 for an input without limits."""
+    """Sizes (nx + nu,) of states and inputs, 1 without limits."""
     return np.concatenate([problem.state_extent, np.where(problem.input_extent > 0, problem.input_extent, 1.0)])
 
 
 def _nearest(problem: MPCProblem, C: Array, r: Array, particular: Array, basis: Array, drift: Array) -> QPResult | None:
-    """QP over particular + basis z: output error, then cost, and the drift of those that are not steady."""
+    """QP over particular + basis z: output error, cost and drift."""
     size = sizes_of(problem)
     output = np.hstack([C, np.zeros((len(C), problem.nu))]) * size
     unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)

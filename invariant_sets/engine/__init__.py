@@ -1,1 +1,1 @@
-"""The recursion behind every invariant set, in coordinates that suit the arithmetic."""
+"""Recursion behind every invariant set, in well-scaled coordinates."""

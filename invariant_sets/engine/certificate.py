@@ -1,4 +1,4 @@
-"""Independent checks of a set: is it invariant, inside X, bounded as said, and is anything missing?
+"""Independent checks of an invariant set.
 
 They share nothing with the recursion but the linear programs: the set is taken as the rows and vertices that the user
 gets, in the units of the user.
@@ -38,7 +38,7 @@ Rows = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class Check:
-    """Largest relative violation found [-] and the number of vertices or facets looked at."""
+    """Largest relative violation [-] and number of points checked."""
 
     violation: float
     points: int
@@ -46,7 +46,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Feedback:
-    """The input u = centre + gain (x − equilibrium)."""
+    """Input u = centre + gain (x − equilibrium)."""
 
     gain: Array
     equilibrium: Array
@@ -55,7 +55,7 @@ class Feedback:
 
 def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
                       deadline: Deadline = NO_DEADLINE) -> Check:
-    """Return the violation of `target` (C itself) by C's worst vertex under its best input.
+    """Violation of `target` by C's worst vertex under its best input.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
 
 
 def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline) -> float:
-    """Return the largest over k of min over v of max (slope v − room_k), from the minimisers found."""
+    """Largest over k of min over v of max (slope v − room_k)."""
     H, h = inputs
     nu = H.shape[1]
     if nu > 1:  # nearly parallel inputs: their difference becomes an input of its own
@@ -138,7 +138,7 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
 
 
 def _middle_inputs(slope: Array, room: Array, inputs: Rows) -> Array:
-    """Return the middle (k, 1) of the interval of single inputs v with slope v <= room_k, within the inputs."""
+    """Middle (k, 1) of the interval of admissible single inputs."""
     rows = np.concatenate([slope, inputs[0][:, 0]])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ends = np.hstack([room, np.broadcast_to(inputs[1], (len(room), len(inputs[1])))]) / rows
@@ -149,7 +149,7 @@ def _middle_inputs(slope: Array, room: Array, inputs: Rows) -> Array:
 
 
 def _checked_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
-    """Return a minimiser of the linear program by the solvers of the package."""
+    """Minimiser of the linear program by the package's solvers, or None."""
     try:
         return minimise(cost, rows, right)[1]
     except NumericalError:
@@ -157,7 +157,7 @@ def _checked_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
 
 
 def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
-    """Return a minimiser by the simplex method of HiGHS at its tightest tolerances."""
+    """Minimiser by HiGHS at its tightest tolerances, or None."""
     from scipy.optimize import linprog
 
     answer = linprog(cost, A_ub=rows, b_ub=right, bounds=(None, None), method="highs-ds", options={
@@ -166,7 +166,7 @@ def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
 
 
 def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
-    """Return the violation of each witness (k, nu), moved into U towards its centre 0. Inf if it is far outside."""
+    """Violation of each witness (k, nu) within U; inf if far outside."""
     with np.errstate(invalid="ignore"):
         excess = (v @ inputs[0].T / inputs[1]).max(axis=1, initial=0.0)
         inside = v / np.maximum(excess, 1.0)[:, None]
@@ -175,7 +175,7 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
 
 def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,
                        deadline: Deadline = NO_DEADLINE) -> Check:
-    """Return the violation of C, or of U, by C under a feedback. One linear program is solved a row."""
+    """Violation of C or U by C under a feedback."""
     closed = system.A + system.B @ law.gain
     shift = system.B @ (law.centre - law.gain @ law.equilibrium)
     F, g = tightened_rows(C, system.disturbances)
@@ -190,7 +190,7 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feed
 
 
 def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
-    """Return the violation of X by C, relative to each row's range over C's bounding box.
+    """Violation of X by C, relative to C's bounding box.
 
     Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
     """
@@ -209,7 +209,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 
 
 def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE) -> float:
-    """Return the enlargement of C by another backward step, relative to each row's range.
+    """Enlargement of C by a backward step, relative to row ranges.
 
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
@@ -250,7 +250,7 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
 
 
 def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
-    """Return max −costᵀz over the rows for every cost, or a value above it: that of the multipliers DAQP stops at."""
+    """Upper bounds of max −costᵀz over the rows, for every cost."""
     dual = np.zeros((len(costs), len(right)))
     solved = np.zeros(len(costs), bool)
     for i, cost in enumerate(costs):
@@ -266,13 +266,13 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
 
 
 def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
-    """Return the relative rows of C ⊖ E W."""
+    """Relative rows of C ⊖ E W."""
     F, g = C._relative_rows
     return F, g if disturbances is None or not len(g) else g - (F @ disturbances.T).max(axis=1)
 
 
 def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows, deadline: Deadline) -> Check:
-    """Return the violation of the target rows' predecessor set by C. One linear program is solved a facet."""
+    """Violation of the target's predecessor rows by C."""
     body = U._body
     assert body is not None
     F, g = target

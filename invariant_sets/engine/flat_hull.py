@@ -1,4 +1,4 @@
-"""The inputs that keep the state on a flat affine hull: what a set without thickness asks of the input.
+"""Inputs that keep the state on a flat affine hull.
 
 References
 ----------
@@ -19,20 +19,20 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class InputMap:
-    """u = offset + states y + inputs v, the way back from local coordinates to the input."""
+    """Input map u = offset + states y + inputs v."""
 
     offset: Array
     states: Array
     inputs: Array
 
     def about(self, y: Array, v: Array) -> InputMap:
-        """Return the map with y and v counted from this point."""
+        """Map with y and v counted from this point."""
         return InputMap(self.offset + self.states @ y + self.inputs @ v, self.states, self.inputs)
 
 
 @dataclass(frozen=True)
 class Motion:
-    """x⁺ − centre = states y + inputs v + drift, with joint rows `state_rows` y + `input_rows` v <= right."""
+    """Motion x⁺ − centre = states y + inputs v + drift, with joint rows."""
 
     # where the state goes, in the units of x
     states: Array  # (n, k)
@@ -47,7 +47,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class OnHull:
-    """Conditions for staying on the hull: the inputs that do (`motion`), or further equalities on y, or neither."""
+    """Motion that stays on the hull, or equalities on y, or neither."""
 
     motion: Motion | None = None  # the motion under the inputs that keep the state on the hull
     # equalities rows y = values that y has to meet before any input can
@@ -56,7 +56,7 @@ class OnHull:
 
 
 def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array) -> OnHull:
-    """Return the conditions for successors to stay on the hull that `basis` spans.
+    """Conditions for successors to stay on the hull of `basis`.
 
     `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each
     coordinate of x. A disturbance that leaves the hull leaves nothing.

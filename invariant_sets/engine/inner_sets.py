@@ -1,4 +1,4 @@
-"""Invariant sets inside the outer one, the best first: shrunk, contracted, or grown from that of a linear feedback.
+"""Invariant sets inside the outer one, the best first.
 
 References
 ----------
@@ -44,13 +44,13 @@ class Limits:
     deadline: Deadline
 
     def caps(self, stop: float, iterations: int | None = None) -> Caps:
-        """Return the caps of one recursion."""
+        """Caps of one recursion."""
         return Caps(stop, self.iterations if iterations is None else iterations, self.facets, self.deadline)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A region that should be invariant, its steps, and the local feedback that keeps it so where known."""
+    """Inner region, its steps, and its local feedback where known."""
 
     region: Region
     steps: int = 0
@@ -58,12 +58,12 @@ class Candidate:
 
 
 def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadline | None = None) -> Predecessor:
-    """Return the map from rows to the rows of the predecessor set of factor · {F y <= g}, tightened by disturbances."""
+    """Map from target rows to the predecessor rows of factor · target."""
     dynamics = problem.dynamics
     limit = Deadline() if deadline is None else deadline
 
     def rows(target: Rows, fresh: Array | None = None) -> Rows:
-        """Return the predecessor rows of the target, or of its fresh rows where they are named."""
+        """Predecessor rows of the target, or of its fresh rows."""
         F, g = target
         g = factor * g
         if dynamics.drift.any():
@@ -76,7 +76,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
 
 
 def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield inner regions, the best first. Those that would exceed a limit are left out."""
+    """Yield inner regions within the limits, the best first."""
     scales = problem.dynamics.disturbances is None and problem.at_equilibrium
     if outcome.converged:
         if scales:
@@ -98,13 +98,13 @@ def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: 
 
 
 def shrunk(region: Region, part: float) -> Region:
-    """Return the region times 1 − part."""
+    """Region times 1 − part."""
     V = None if region.V is None else (1 - part) * region.V
     return Region(region.F, (1 - part) * region.g, V, minimal=region.minimal)
 
 
 def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[Candidate]:
-    """Yield the largest set that contracts by 1 − delta per step, where the recursion ends."""
+    """Yield the largest set that contracts by 1 − delta per step."""
     again = iterate(region, predecessor_of(problem, 1 - delta, limits.deadline),
                     limits.caps(1 / (1 - delta) - 1, max(limits.iterations // 4, 20)))
     if again.converged and again.region.shape is Shape.SOLID:
@@ -112,7 +112,7 @@ def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Lim
 
 
 def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield the set of a feedback grown by predecessor sets, all of them invariant; then that set itself, or others."""
+    """Yield sets of feedbacks, the first grown where possible."""
     seeds = feedback_sets(problem, region, limits)
     first = next(seeds, None)
     if first is None:
@@ -126,7 +126,7 @@ def _grown(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Ca
 
 
 def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -> tuple[Region, int]:
-    """Return the seed after as many predecessor steps as the limits allow, and their number."""
+    """Seed after predecessor steps within the limits, and their number."""
     grown = seed
     steps = 0
     half = limits.deadline.part(0.5)
@@ -149,7 +149,7 @@ def _grow(problem: LocalProblem, region: Region, seed: Region, limits: Limits) -
 
 
 def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iterator[Candidate]:
-    """Yield the positively invariant sets in the region of several linear-quadratic feedbacks."""
+    """Yield invariant sets of several linear-quadratic feedbacks in the region."""
     for weight in (1.0, 1e-2, 1e2, 1e4):
         K = _feedback(problem, weight)
         if K is None:
@@ -163,7 +163,7 @@ def feedback_sets(problem: LocalProblem, region: Region, limits: Limits) -> Iter
 
 
 def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Limits) -> Candidate | None:
-    """Return the largest set in the region that v = K y keeps. None if the recursion does not end."""
+    """Largest set in the region that v = K y keeps, or None."""
     k = len(problem.dynamics.A)
     closed = problem.dynamics.A + problem.dynamics.B @ K
     noise = problem.dynamics.disturbances
@@ -176,7 +176,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
         return None
 
     def backwards(target: Rows, fresh: Array | None) -> Rows:
-        """Return the rows of the states that the feedback takes into the target."""
+        """Rows of the states that the feedback takes into the target."""
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
         return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach
@@ -188,7 +188,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
 
 
 def _feedback(problem: LocalProblem, weight: float) -> Array | None:
-    """Return a stabilising feedback K (q, k) of the local problem. None if none was found."""
+    """Stabilising feedback K (q, k) of the local problem, or None."""
     from scipy.linalg import solve_discrete_are
 
     A = problem.dynamics.A
@@ -207,7 +207,7 @@ def _feedback(problem: LocalProblem, weight: float) -> Array | None:
 
 
 def gap(outer: Region, inner: Region) -> float:
-    """Return the least gap with outer ⊆ (1 + gap) inner."""
+    """Least gap with outer ⊆ (1 + gap) inner."""
     if not len(inner.g):
         return 0.0
     excess = outer.reach(inner.F) - inner.g
@@ -219,7 +219,7 @@ def gap(outer: Region, inner: Region) -> float:
 
 def predecessor_rows(target: Rows, A: Array, B: Array, joint: Rows, *, fresh: Array | None = None,
                      deadline: Deadline = NO_DEADLINE) -> Rows:
-    """Return unit rows (R, r) of {x : some u with H [x; u] <= h has F (A x + B u) <= g}.
+    """Unit rows (R, r) of the predecessor set with inputs eliminated.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The engine behind every maximal invariant set.
+"""Engine behind every maximal invariant set.
 
 1. `local_problem`: coordinates are shifted to an equilibrium inside X and U and scaled by the extents of X. A bounded X
    without an equilibrium holds no invariant set. Flat sets are solved on their affine hull.
@@ -46,7 +46,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Task:
-    """Task of finding the largest set in X that inputs can keep the state in, within limits."""
+    """Task of finding the largest invariant set in X within limits."""
 
     system: LinearSystem
     X: Polytope
@@ -55,7 +55,7 @@ class Task:
 
 
 def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResult:
-    """Return the largest set in X (and in a full-dimensional `guess`) that some u in U can keep the state in.
+    """Largest set in X, and in `guess`, that inputs in U keep.
 
     The input does not know w. The set is rescaled when it has become small, and solved on its affine hull when
     it has become flat.
@@ -76,13 +76,13 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
 
 
 def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
-    """Return the system and state set of the task in coordinates z = Q x."""
+    """System and state set in coordinates z = Q x."""
     system, X = quotient(task.system, task.X, Q)
     return {"system": system, "X": X}
 
 
 def _extended(result: SetResult, Q: Array) -> SetResult:
-    """Return the result with its sets as cylinders {x : Q x in the set}."""
+    """Result with its sets as cylinders {x : Q x in the set}."""
     if result.outer.is_empty:
         return no_set(Q.shape[1], result.iterations, status=result.status)
     C = no_set(Q.shape[1], 0).set if result.set.is_empty else cylinder(result.set, Q)
@@ -90,7 +90,7 @@ def _extended(result: SetResult, Q: Array) -> SetResult:
 
 
 def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
-    """Return the largest invariant set, by local problems until one is solved."""
+    """Largest invariant set, by local problems until one is solved."""
     system, X, U = without_loose_bounds(task.system, task.X, task.U)
     task = replace(task, system=system, X=X, U=U)
     limits = task.limits
@@ -135,14 +135,14 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
 
 
 def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
-    """Return the outcome of the recursion from `start`; at once, where that is flat, empty or has to be rescaled."""
+    """Outcome of the recursion from `start`, run only if well-shaped."""
     if start.shape is not Shape.SOLID or start.is_small:
         return Outcome(start, 0)
     return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
 
 
 def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
-    """Return the outcome of a recursion with more time, if time stopped it; `caps` are those of the whole."""
+    """Outcome continued where time stopped it; `caps` are the whole's."""
     left = caps.iterations - outcome.iterations
     if outcome.limit is not Status.TIME_LIMIT or left == 0:
         return outcome
@@ -152,20 +152,20 @@ def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
 
 
 def _unfinished(limits: Limits, bounded: bool) -> Status:
-    """Return the status of a recursion that has not ended."""
+    """Status of an unfinished recursion."""
     if limits.deadline.passed:
         return Status.TIME_LIMIT
     return Status.ITERATION_LIMIT if bounded else Status.OUTER_ONLY
 
 
 def _extent(X: Polytope) -> Array:
-    """Return the half width (nx,) of X in every coordinate, zero if empty."""
+    """Half width (nx,) of X in every coordinate, zero if empty."""
     body = X._body
     return np.zeros(X.dim) if body is None else row_norms(body.basis)
 
 
 def _flattened(X: Polytope, widest: Array) -> Polytope:
-    """Return X with coordinates fixed in which the first set has almost nothing left."""
+    """X with its almost vanished coordinates fixed."""
     lower, upper = X.bounding_box()
     gone = upper - lower <= FLAT * widest
     if not gone.any():
@@ -175,7 +175,7 @@ def _flattened(X: Polytope, widest: Array) -> Polytope:
 
 
 def _start(problem: LocalProblem, X: Polytope) -> Region:
-    """Return the state set as a region, with its vertices where it is bounded."""
+    """State set as a region, with vertices where bounded."""
     F, g = problem.states
     if not problem.bounded:
         return Region(F, g, None)
@@ -183,12 +183,12 @@ def _start(problem: LocalProblem, X: Polytope) -> Region:
 
 
 def _guessed(problem: LocalProblem, region: Region, guess: Polytope) -> Region:
-    """Return the region cut by the rows of a guess."""
+    """Region cut by the rows of a guess."""
     return region.cut(*problem.frame.rows_of(guess))
 
 
 def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
-    """Return the region cut by the bounds on the unstable modes."""
+    """Region cut by the bounds on the unstable modes."""
     if problem.input_moves is None or not problem.at_equilibrium:
         return region
     D, d, group = unstable_bounds(problem.dynamics.A, problem.input_moves, problem.dynamics.disturbances)
@@ -205,14 +205,14 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
 
 @dataclass(frozen=True)
 class _Reserve:
-    """Set of a linear feedback, None if none was found, in reserve for a time limit; the recursion's last deadline."""
+    """Feedback set in reserve or None, and the recursion's last deadline."""
 
     inner: _Inner | None
     deadline: Deadline
 
 
 def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
-    """Return the set of a linear feedback, if part of the time left suffices for it."""
+    """Feedback set, if part of the time left suffices."""
     inner = None
     if problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID:
         inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(0.7))
@@ -220,7 +220,7 @@ def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
 
 
 def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: Deadline) -> _Inner | None:
-    """Return the first linear feedback's set in `start` that passes the certificate in time."""
+    """First certified feedback set in `start`, or None."""
     for candidate in feedback_sets(problem, start, replace(task.limits, deadline=deadline)):
         inner = _certified(task, problem, start, candidate, deadline)
         if inner is not None:
@@ -229,7 +229,7 @@ def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: De
 
 
 def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Status, steps: int) -> SetResult:
-    """Return the reserve where it helps, with its gap to the outer set. No set otherwise."""
+    """Reserve with its gap where it helps, otherwise no set."""
     inner = None if reserve is None else reserve.inner
     if inner is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
@@ -240,7 +240,7 @@ def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Sta
 
 
 def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reserve | None) -> SetResult:
-    """Return the result: an inner set that passes the certificate, beside the outer one."""
+    """Result with an inner set that passes the certificate."""
     region = outcome.region
     limits = task.limits
     outer = problem.frame.polytope(region.F, region.g, region.V)
@@ -262,7 +262,7 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reser
 
 @dataclass(frozen=True)
 class _Inner:
-    """An inner set certified as invariant, its gap, and the equilibrium in it."""
+    """Certified inner set, its gap and equilibrium."""
 
     C: Polytope
     check: certificate.Check
@@ -273,7 +273,7 @@ class _Inner:
 
 def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
                deadline: Deadline) -> _Inner | None:
-    """Return the candidate as a set if it is invariant, inside X, and checked in time. None otherwise."""
+    """Candidate as a set if certified in time, otherwise None."""
     found = candidate.region
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:
@@ -290,13 +290,13 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
 
 
 def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
-    """Return the feedback v = gain y in the units of x and u."""
+    """Feedback v = gain y in the units of x and u."""
     law = problem.input_map
     return certificate.Feedback((law.states + law.inputs @ gain) @ problem.frame.back, problem.frame.centre, law.offset)
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
-    """Return the result with the status that its gap and missing states deserve."""
+    """Result with the status that its gap and missing states deserve."""
     small = inner.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
     absent = np.inf
     if small:
@@ -313,7 +313,7 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
 
 
 def _nothing(task: Task, iterations: int) -> SetResult:
-    """Return the empty result, after a second look. An equilibrium would be an invariant set by itself."""
+    """Empty result, uncertified where an equilibrium exists."""
     nx = task.X.dim
     nu = task.U.dim
     if task.system.disturbances is None and not task.X.is_empty and not task.U.is_empty:
@@ -325,7 +325,7 @@ def _nothing(task: Task, iterations: int) -> SetResult:
 
 
 def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> SetResult:
-    """Return X itself, a single point, if some input keeps the state there."""
+    """Single point X, if some input keeps the state there."""
     H, h = unit_rows(*problem.joint)
     feasible = H is not None and (not len(h) or inscribed_ball(H, h, cap=1.0)[0] >= -FLAT)
     if not feasible or not problem.at_equilibrium:

@@ -1,4 +1,4 @@
-"""The problem in coordinates that suit the arithmetic: an equilibrium at 0, sets of order one, nothing flat.
+"""Local problem in well-scaled coordinates about an equilibrium.
 
 A flat state set is kept only by inputs that keep the state on its affine hull (`flat_hull`), so that the recursion
 sees a full-dimensional problem with constraints on state and input together.
@@ -26,7 +26,7 @@ Rows = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """x⁺ = A x + B u + w with w in the hull of the rows of `disturbances` (None: no disturbance)."""
+    """System x⁺ = A x + B u + w; `disturbances` are vertices, or None."""
 
     A: Array
     B: Array
@@ -34,7 +34,7 @@ class LinearSystem:
 
 
 def left_inverse(basis: Array) -> Array:
-    """Return L (k, n) with L basis = 1, whatever the units of columns and coordinates."""
+    """Left inverse L (k, n) with L basis = 1, in any units."""
     if basis.shape[0] == basis.shape[1]:
         return np.linalg.inv(basis)
     rows = np.abs(basis).max(axis=1, initial=0.0)
@@ -45,18 +45,18 @@ def left_inverse(basis: Array) -> Array:
 
 @dataclass(frozen=True)
 class Frame:
-    """x = centre + basis y, with y (k,) and the columns of the basis spanning the hull of the state set."""
+    """Coordinates x = centre + basis y, with y (k,) and basis (n, k)."""
 
     centre: Array
     basis: Array
 
     @cached_property
     def back(self) -> Array:
-        """The matrix (k, n) that takes x − centre to y."""
+        """Matrix (k, n) that takes x − centre to y."""
         return left_inverse(self.basis)
 
     def rows_of(self, P: Polytope) -> Rows:
-        """Return the inequalities of P as unit rows on y. Those that do not depend on y are left out."""
+        """Inequalities of P as unit rows on y, silent ones dropped."""
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
         norms = row_norms(F)
@@ -64,7 +64,7 @@ class Frame:
         return unit(F[used], g[used])
 
     def polytope(self, F: Array, g: Array, V: Array | None = None) -> Polytope:
-        """Return {x : F y <= g} on the hull, with its vertices filled in if V holds those of y."""
+        """Polytope {x : F y <= g} on the hull; V are its vertices."""
         n, k = self.basis.shape
         rows = F @ self.back
         normal = normals(self.basis) if k < n else np.zeros((0, n))
@@ -75,7 +75,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Dynamics:
-    """y⁺ = A y + B v + drift + w, with w in the hull of the rows of `disturbances`. Drift is 0 at an equilibrium."""
+    """Motion y⁺ = A y + B v + drift + w; drift 0 at equilibria."""
 
     A: Array
     B: Array
@@ -100,14 +100,14 @@ class LocalProblem:
 
 @dataclass(frozen=True)
 class Localised:
-    """The problem in local coordinates, or a flatter X to try instead; with neither no state can stay in X."""
+    """Local problem, or a flatter X to try, or neither."""
 
     problem: LocalProblem | None = None
     flatter: Polytope | None = None
 
 
 def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Localised:
-    """Return the problem in local coordinates. The extent of the first state set is `units` (nx,)."""
+    """Problem in local coordinates; `units` (nx,) is the first extent."""
     state = X._body
     inputs = U._body
     if state is None or inputs is None:
@@ -139,13 +139,13 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
 
 
 def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | None) -> Polytope:
-    """Return the part of X where rows y = values."""
+    """Part of X where rows y = values."""
     back = rows @ frame.back
     return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), back, values + back @ frame.centre))
 
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
-    """Return coordinates in which X has extents of one, and its rows in them. X may be a slanted needle."""
+    """Coordinates with unit extents of X, and its rows in them."""
     frame = Frame(state.centre, state.basis)
     rows = (state.F, state.g)
     k = state.basis.shape[1]
@@ -161,14 +161,14 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
 
 
 def _input_corners(U: Polytope, inputs: Body) -> Array | None:
-    """Return the vertices (m, q) of the local input set. None if it is unbounded."""
+    """Vertices (m, q) of the local input set; None if unbounded."""
     if inputs.basis.shape[1] == 0:
         return np.zeros((1, 0))
     return (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:
-    """Return corners (m, q) of a box with every input that some state allows. None if there is none."""
+    """Corners (m, q) of a box around all allowed inputs, or None."""
     k = problem.frame.basis.shape[1]
     q = problem.joint[0].shape[1] - k
     if q == 0:
@@ -185,7 +185,7 @@ def _joint_input_corners(problem: LocalProblem) -> Array | None:
 
 
 def _lifted(problem: LocalProblem) -> Rows:
-    """Return all rows on (y, v), of unit norm. Those that say nothing are left out."""
+    """Unit rows on (y, v), silent ones dropped."""
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
@@ -194,7 +194,7 @@ def _lifted(problem: LocalProblem) -> Rows:
 
 
 def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: LinearSystem) -> LocalProblem | None:
-    """Return the problem about an equilibrium inside both sets. None if a bounded one has none.
+    """Problem about an equilibrium; None if a bounded one has none.
 
     A nonempty compact convex control invariant set holds an equilibrium (Kakutani's theorem on x ↦ successors).
     """
@@ -218,7 +218,7 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
 
 
 def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
-    """Return x = 0, u = 0 in local coordinates. None unless it is an equilibrium well inside both sets."""
+    """Origin in local coordinates, if an inner equilibrium."""
     if system.disturbances is not None and np.abs(system.disturbances.mean(axis=0)).max() > 0:
         return None
     y = -np.linalg.solve(problem.frame.basis, problem.frame.centre)
@@ -236,7 +236,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
 
 
 def _inner_equilibrium(problem: LocalProblem) -> Array | None:
-    """Return an equilibrium (y, v) deep inside all rows. None if there is none."""
+    """Equilibrium (y, v) deep inside all rows, or None."""
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
     size = row_norms(matrix.T)

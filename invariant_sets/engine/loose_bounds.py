@@ -1,4 +1,4 @@
-"""Bounds that say almost nothing, as 1e20 for "no limit": what no trajectory comes near plays no part.
+"""Removal of bounds that play no part, such as 1e20.
 
 A bound is loose where it lets one step move a coordinate by far more than the states are wide there. In units of such
 bounds nothing else could be seen. Those on the states go, and the problem is that without them; those on the inputs
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
                          target: Polytope | None = None) -> tuple[LinearSystem, Polytope, Polytope]:
-    """Return the problem without rows of X and inputs that play no part in reaching a target in one step.
+    """Problem without rows and inputs that cannot matter in one step to `target`.
 
     Without a target, in staying in X for ever. Where U has to be cut, inputs that move the state alike become one.
     """
@@ -37,7 +37,7 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
 
 def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
                   target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
-    """Return the problem with what is felt in one step to a target, or else in nx steps in X."""
+    """Problem with what is felt in one step, or in nx."""
     states = X._body
     inputs = U._body
     goal = states if target is None else target._body
@@ -67,7 +67,7 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
 
 
 def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Polytope:
-    """Return X cut to where bounded inputs can hold the unstable modes, along those that it lets go much further.
+    """X cut to where bounded inputs can hold the unstable modes.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Po
 
 
 def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
-    """Return M and c of the states M (x, u₀, …) + c after 0, 1, … steps under the mean disturbance."""
+    """Matrices M and c of the states M (x, u₀, …) + c."""
     n, nu = system.B.shape
     mean = np.zeros(n) if system.disturbances is None else system.disturbances.mean(axis=0)
     moves = [np.hstack([np.eye(n), np.zeros((n, steps * nu))])]
@@ -109,7 +109,7 @@ def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
 
 
 def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polytope, target: Polytope) -> Polytope:
-    """Return all (x, u₀, …) with every state in X and the last one in the target."""
+    """Set of (x, u₀, …) with states in X and the last in `target`."""
     steps = len(moves) - 1
     lifted = reduce(Polytope.cartesian_product, [U] * steps, X)
     for M, c, after in zip(moves[1:], drift[1:], [X] * (steps - 1) + [target]):
@@ -118,7 +118,7 @@ def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polyto
 
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
-    """Return X without the rows that no trajectory comes near. Without them there are no others, X is convex.
+    """X without the rows that no trajectory comes near.
 
     Of a coordinate in which the trajectories have no width nothing is left that could be far away.
     """
@@ -133,7 +133,7 @@ def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array])
 
 
 def _independent_inputs(system: LinearSystem, U: Polytope, width: Array) -> tuple[LinearSystem, Polytope]:
-    """Return the system with as many inputs as B has independent columns, in units of `width` (n,), and their set."""
+    """System with independent inputs in units of `width` (n,), and their set."""
     left, values, vt = np.linalg.svd(system.B / width[:, None], full_matrices=False)
     rank = int((values > FLAT * values.max(initial=0.0)).sum())
     if rank in (0, U.dim):
@@ -143,7 +143,7 @@ def _independent_inputs(system: LinearSystem, U: Polytope, width: Array) -> tupl
 
 
 def _cut(P: Polytope, box: Polytope) -> Polytope:
-    """Return P cut by a box, by the rows that are felt."""
+    """P cut by a box, by the rows that are felt."""
     cut = P.intersection(box)
     body = cut._body
     return cut if body is None else Polytope._of(body.rows, body=body)

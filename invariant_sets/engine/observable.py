@@ -1,4 +1,4 @@
-"""Directions that the constraints never see: the invariant set is unbounded along them, and is solved without them.
+"""Quotient by the directions that the constraints never see.
 
 With bounded inputs the lineality space of the maximal invariant set in X is the unobservable subspace of (F, A), where
 F are the rows of X. In the quotient by that subspace the problem has the same form, and no such direction is left.
@@ -21,7 +21,7 @@ Array = np.ndarray
 
 
 def observed_directions(A: Array, X: Polytope) -> Array | None:
-    """Return rows Q (k, n) such that X and the motion depend on Q x alone. None if nothing can be left out."""
+    """Rows Q (k, n) of the observed directions; None if all are."""
     F = np.vstack([X.A, X.A_eq])
     if not len(F) or not np.abs(F).max() > 0.0:
         return None
@@ -46,13 +46,13 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
 
 
 def _row_space(rows: Array, size: float) -> Array:
-    """Return orthonormal rows that span the given ones, up to what is rounding beside `size`."""
+    """Orthonormal rows that span the given ones, up to rounding."""
     _, values, vt = np.linalg.svd(rows, full_matrices=False)
     return vt[values > UNSEEN * size]
 
 
 def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem, Polytope]:
-    """Return the motion of z = Q x and X as a set of z."""
+    """Motion of z = Q x, and X as a set of z."""
     back = _right_inverse(Q)
     noise = None if system.disturbances is None else system.disturbances @ Q.T
     seen = Polytope(_product(X.A, back), X.b, _product(X.A_eq, back), X.b_eq)
@@ -60,19 +60,19 @@ def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem,
 
 
 def cylinder(P: Polytope, Q: Array) -> Polytope:
-    """Return {x : Q x in P}."""
+    """Cylinder {x : Q x in P}."""
     return Polytope(_product(P.A, Q), P.b, _product(P.A_eq, Q), P.b_eq)
 
 
 def _product(F: Array, back: Array) -> Array:
-    """Return F back with zeros where the terms of a sum have cancelled."""
+    """Product F back with zeros where terms have cancelled."""
     rows = F @ back
     rows[np.abs(rows) <= CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
     return rows
 
 
 def _right_inverse(Q: Array) -> Array:
-    """Return R (n, k) with Q R = 1, whatever the units of the columns."""
+    """Right inverse R (n, k) with Q R = 1, in any units."""
     columns = np.abs(Q).max(axis=0)
     columns[columns == 0.0] = 1.0
     return np.linalg.pinv(Q / columns) / columns[:, None]

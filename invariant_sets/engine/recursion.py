@@ -1,4 +1,4 @@
-"""The recursion Ω ← Pre(Ω) ∩ Ω on arrays: how it cuts, how it stops, how it notices that a set is flat or empty."""
+"""Recursion Ω ← Pre(Ω) ∩ Ω on arrays."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Predecessor = Callable[[Rows, Array | None], Rows]
 
 
 class Shape(Enum):
-    """Shape of what a recursion has left of a set."""
+    """Shape of a set in a recursion."""
 
     SOLID = "full-dimensional"
     FLAT = "of lower dimension"
@@ -33,7 +33,7 @@ class Shape(Enum):
 
 @dataclass(frozen=True)
 class Region:
-    """{F y <= g}, with its vertices V where bounded and few enough."""
+    """Set {F y <= g}, with vertices V where bounded and few enough."""
 
     # rows of unit norm
     F: Array  # (m, n)
@@ -43,7 +43,7 @@ class Region:
     minimal: bool = False  # whether the rows are known to be irredundant
 
     def reach(self, rows: Array, deadline: Deadline = NO_DEADLINE) -> Array:
-        """Return the support of the region along each row, (k,)."""
+        """Support (k,) of the region along each row."""
         if not len(rows):
             return np.zeros(0)
         if self.V is not None:
@@ -58,7 +58,7 @@ class Region:
         return np.concatenate(parts)
 
     def cut(self, R: Array, r: Array, deadline: Deadline = NO_DEADLINE) -> Region:
-        """Return the region intersected with {R y <= r} (unit rows). Raise `LimitReached` if that takes too long."""
+        """Region cut by unit rows R y <= r; may raise `LimitReached`."""
         F = np.vstack([self.F, R])
         g = np.append(self.g, r)
         middle = np.zeros(F.shape[1])
@@ -80,11 +80,11 @@ class Region:
 
     @property
     def is_small(self) -> bool:
-        """Whether the region should be rescaled: in some coordinate it is much smaller than one."""
+        """Whether the region should be rescaled, being much smaller than one."""
         return self.V is not None and bool((self.V.max(axis=0) - self.V.min(axis=0) < SMALL).any())
 
     def tidy(self, deadline: Deadline = NO_DEADLINE) -> Region:
-        """Return the region without redundant rows and repeated vertices."""
+        """Region without redundant rows and repeated vertices."""
         if self.shape is not Shape.SOLID:
             return self
         region = self if self.minimal or not len(self.g) else self.cut(self.F[:0], self.g[:0], deadline)
@@ -92,13 +92,13 @@ class Region:
 
 
 def _irredundant(F: Array, g: Array, deadline: Deadline) -> Array:
-    """Return the indices of the rows that the set needs, weakly redundant ones left out."""
+    """Indices of the irredundant rows."""
     return hulls.irredundant_rows(F, g) if F.shape[1] <= CHEAP_HULL_DIM else needed_rows(F, g, deadline)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a recursion: converged, at a cap, or stopped because the set is flat, empty or small."""
+    """Outcome of a recursion: converged, capped, or no longer solid."""
 
     region: Region  # the last set
     iterations: int  # steps taken
@@ -120,7 +120,7 @@ class Caps:
 
 
 def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array | None = None) -> Outcome:
-    """Return the end of Ω ← predecessor(Ω) ∩ Ω from `region`.
+    """Outcome of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array |
 
 def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
               deadline: Deadline) -> tuple[Region, float]:
-    """Return predecessor(region) ∩ region, and the largest relative cut; the same region where nothing was cut."""
+    """Intersection predecessor(region) ∩ region and the largest relative cut."""
     R, r = unit_rows(*predecessor((region.F, region.g), fresh))
     if R is None:
         return Region(region.F, region.g, None, Shape.EMPTY), 0.0
@@ -172,13 +172,13 @@ def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
 
 
 def _new_rows(region: Region, previous: Region) -> Array:
-    """Return which rows of a region the one before did not have."""
+    """Whether each row of a region is new."""
     known = {row.tobytes() for row in np.column_stack([previous.F, previous.g])}
     return np.array([row.tobytes() not in known for row in np.column_stack([region.F, region.g])], dtype=bool)
 
 
 def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: Deadline) -> Region:
-    """Return the region cut by all rows, the deepest first. They make most of the others redundant."""
+    """Region cut by all rows, the deepest first."""
     while len(r) and region.shape is Shape.SOLID:
         first = np.argsort(-depth)[:200]
         region = region.cut(R[first], r[first], deadline)
@@ -194,7 +194,7 @@ def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: D
 
 
 def _worth_testing(region: Region, R: Array, r: Array, deadline: Deadline) -> Rows:
-    """Drop new rows that others make redundant, before one linear program is spent on each."""
+    """New rows without those that others make redundant."""
     F = np.vstack([region.F, R])
     g = np.append(region.g, r)
     radius, middle = inscribed_ball(F, g, cap=1.0)

@@ -1,4 +1,4 @@
-"""One step back and one step ahead of a set, each with its own check: nothing too many, nothing missing.
+"""One step back and one ahead of a set, each checked.
 
 References
 ----------
@@ -28,7 +28,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Step:
-    """A set after one step, and what was checked of it.
+    """Set after one step, and what was checked of it.
 
     Attributes
     ----------
@@ -47,13 +47,13 @@ class Step:
 
     @property
     def holds(self) -> bool:
-        """Whether the set is right to the tolerance of every certificate."""
+        """Whether the set is right to the certificates' tolerance."""
         return max(self.violation, self.missing) <= INVARIANT
 
 
 def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
                   deadline: Deadline = NO_DEADLINE) -> Step:
-    """Return {x in X : some u in U has A x + B u + w in S for all w}.
+    """States in X that inputs in U steer into S for all w.
 
     It is found in one of two ways that share no arithmetic, by elimination of the inputs from the lifted set or by
     the sum of S and the moves of the inputs; the second is tried where the first does not pass its check.
@@ -91,7 +91,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
 
 def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
                       deadline: Deadline) -> Step | None:
-    """Return the step without the ends so far away that a set with a width seems flat. None if it is flat.
+    """Step without ends so far away that a width seems flat, or None.
 
     In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
     away doubles do not tell where the rows are.
@@ -124,13 +124,13 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
 
 
 def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
-    """Return P without inequalities that a box about a point of it, of these half widths (n,), does not meet."""
+    """P without inequalities that a box about `point` does not meet."""
     near = P.b - P.A @ point <= np.abs(P.A) @ reach
     return Polytope(P.A[near], P.b[near], P.A_eq, P.b_eq)
 
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
-    """Return the lifted set's projection on x, by Fourier–Motzkin in coordinates of extent one."""
+    """Projection of the lifted set on x, by Fourier–Motzkin elimination."""
     body = lifted._body
     assert body is not None
     if body.basis.shape[1] < lifted.dim:
@@ -143,7 +143,7 @@ def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
 
 def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
             deadline: Deadline) -> Polytope | None:
-    """Return {x : A x in S ⊕ (−B U)} ∩ X through the hull of sums of vertices. None where a set is unbounded."""
+    """Set {x : A x in S ⊕ (−B U)} ∩ X by vertices; None if unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
     slack = USEFUL_INPUTS * np.maximum(upper - lower, 0.0)[n:]
@@ -155,7 +155,7 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
 
 
 def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
-    """Return the largest reach of the lifted set beyond a facet of P, relative to the range of the facet over P."""
+    """Largest relative reach of the lifted set beyond facets of P."""
     body = lifted._body
     assert body is not None
     F, g = P._relative_rows
@@ -175,7 +175,7 @@ def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> flo
 
 
 def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: Deadline = NO_DEADLINE) -> Step:
-    """Return A R ⊕ moves."""
+    """Step ahead A R ⊕ moves."""
     n = len(system.A)
     if R.is_bounded and moves.is_bounded:
         deadline.check_hull(len(R.vertices) * len(moves.vertices), n)
@@ -192,7 +192,7 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
 
 
 def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
-    """Return the distance of the worst vertex of the image from A R ⊕ moves, relative to the extent of the image."""
+    """Largest relative distance of the image's vertices from A R ⊕ moves."""
     start = R._body
     move = moves._body
     assert start is not None

@@ -1,4 +1,4 @@
-"""Points of a controllable or reachable set found one by one, from whole trajectories: inner sets for a time limit."""
+"""Inner sets from points found one by one on whole trajectories."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Trajectories:
-    """All x₀, …, x_N of x⁺ = A x + B u with sets on the states at each time and on the inputs.
+    """All x₀, …, x_N of x⁺ = A x + B u within state and input sets.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class Trajectories:
 
     @property
     def entries(self) -> int:
-        """Size of the matrix of a linear program over all steps."""
+        """Matrix size of a linear program over all steps."""
         rows = self.steps * (len(self.U.b) + len(self.between.b) + 2 * len(self.between.b_eq))
         return rows * (self.first.dim + self.steps * self.U.dim)
 
 
 def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
-    """Return the hull of extreme states at time `at` (0 or N), as many as the deadline allows. None if there is none.
+    """Hull of extreme states at time `at` (0 or N), or None.
 
     None, too, where the linear program over all steps would be too large.
 
@@ -88,7 +88,7 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
 
 
 def _extreme_points(M: Array, c: Array, rows: tuple[Array, Array], deadline: Deadline) -> list[Array]:
-    """Return extreme states M z + c over the rows, along the axes and then along random directions."""
+    """Extreme states M z + c, along axes and random directions."""
     n = len(c)
     rng = np.random.default_rng(0)
     directions = np.vstack([np.eye(n), -np.eye(n), rng.standard_normal((200, n))])

@@ -1,4 +1,4 @@
-"""Bounds on the unstable modes: where the state must be if a bounded input is to keep it bounded for ever."""
+"""Bounds on the unstable modes that a bounded input can hold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = np.ndarray
 
 
 def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array, Array]:
-    """Return directions D (k, n), values h (k,) and groups (k,) with D x <= h wherever x can stay bounded for ever.
+    """Bounds D x <= h on states that can stay bounded, and their groups.
 
     With z = L x, L A = Λ L on the left invariant subspace of |λ| > 1, a bounded trajectory satisfies
     −z₀ = Σ_{j≥1} Λ^{-j} L (B u_{j-1} + E w_{j-1}). Against every w this needs
@@ -70,7 +70,7 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
 
 
 def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | None) -> tuple[float, float]:
-    """Return the largest vᵀx and −vᵀx for one real eigenvalue, in closed form."""
+    """Largest vᵀx and −vᵀx for one real eigenvalue, in closed form."""
     u = inputs @ v
     w = np.zeros(1) if disturbances is None else disturbances @ v
     gain = np.array([-u.min() - w.max(), u.max() + w.min()])  # one step back along +v and −v for λ > 0
@@ -86,11 +86,11 @@ def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | Non
 
 def _subspace_bounds(A: Array, inputs: Array,
                      disturbances: Array | None) -> Iterator[tuple[Array, tuple[float, float]]]:
-    """Yield rows and their two bounds on the whole left unstable subspace, by summing the series."""
+    """Yield rows and their two bounds on the left unstable subspace."""
     from scipy.linalg import schur
 
     def outside(real: float, imaginary: float = 0.0) -> bool:
-        """Return whether an eigenvalue is unstable."""
+        """Whether an eigenvalue is unstable."""
         return bool(np.hypot(real, imaginary) > 1.0 + UNSTABLE)
 
     T, Z, k = schur(A.T, output="real", sort=outside)
@@ -111,7 +111,7 @@ def _subspace_bounds(A: Array, inputs: Array,
 
 
 def _powers(inverse: Array) -> tuple[Array, Array]:
-    """Return the powers Λ⁻¹, Λ⁻², … (j, k, k) until they are negligible, and the first one left out."""
+    """Powers Λ⁻¹, Λ⁻², … (j, k, k) until negligible, and the next."""
     powers = [inverse]
     power = inverse @ inverse
     while len(powers) < 20_000 and np.linalg.norm(power) > SERIES_END:
@@ -121,7 +121,7 @@ def _powers(inverse: Array) -> tuple[Array, Array]:
 
 
 def _edge_normals(moves: Array) -> Array:
-    """Return the facet normals (j, 2) of ⊕ Λ^{-j} L B U in the plane: across every edge that is not negligible."""
+    """Facet normals (j, 2) of ⊕ Λ^{-j} L B U in the plane."""
     first, second = np.triu_indices(moves.shape[2], k=1)
     edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
     length = np.linalg.norm(edges, axis=1)
@@ -130,7 +130,7 @@ def _edge_normals(moves: Array) -> Array:
 
 
 def _tail(block: Array, inverse: Array, reach: float) -> float:
-    """Return an upper bound of the dropped terms Σ ‖Λ^{-j}‖ · reach, from a power whose norm is below one half."""
+    """Upper bound of the dropped terms Σ ‖Λ^{-j}‖ · reach."""
     step = 1
     power = inverse
     while np.linalg.norm(power) > 0.5 and step < 2**40:

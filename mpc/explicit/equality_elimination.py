@@ -1,4 +1,4 @@
-"""Inequalities that hold with equality everywhere, and their elimination: an exploration needs an interior."""
+"""Detection and elimination of inequalities that always hold with equality."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _NO_PARAMETERS = np.broadcast_to(0.0, (0, 0))
 
 
 class FlatParameters(InputError):
-    """The equalities can be met at a flat set of parameters only."""
+    """Equalities that hold on a flat parameter set only."""
 
 
 class ImpliedEqualities(NamedTuple):
-    """Rows of M that hold with equality at every feasible point, and whether a row of the parameter set does.
+    """Rows of M that hold with equality at every feasible point.
 
     parameters : (k, nt) that are feasible, the last as far as can be from what the other rows forbid; status : COMPLETE
-    where this is settled, INFEASIBLE where there is no feasible point, TIME_LIMIT and INACCURATE where it is not;
-    exact : whether the little slack of the rows moves the optimum by rounding only.
+    where settled, INFEASIBLE where no point is feasible, else TIME_LIMIT or INACCURATE; of_parameters : whether a row
+    of the parameter set does, too; exact : whether the little slack of the rows moves the optimum by rounding only.
     """
 
     status: MPQPStatus
@@ -43,7 +43,7 @@ class ImpliedEqualities(NamedTuple):
 
 
 def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
-    """Pairs of opposite rows of M with opposite bounds, decided by the two bounds alone."""
+    """Pairs of opposite rows of M with opposite bounds."""
     first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
     if not len(first):
         return []
@@ -57,7 +57,7 @@ def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
 
 
 def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualities:
-    """Rows that hold with equality at every feasible point with variables of up to `qp.reach`.
+    """Rows that hold with equality everywhere, for variables within `qp.reach`.
 
     A linear program finds a point where the sum of the slacks, each counted up to a tenth, is largest. A row without
     slack there may have given it up for the others, so the sum of these rows alone is asked for, until none has any.
@@ -102,19 +102,19 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
 
 
 def _unsettled(deadline: float) -> ImpliedEqualities:
-    """Outcome of a program that did not end: the time limit, or nothing that can be said."""
+    """Outcome of an unfinished program: TIME_LIMIT or INACCURATE."""
     late = time.perf_counter() > deadline
     return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
 
 
 def _leave_freedom(rows: Array, slack: float) -> bool:
-    """Whether so little slack in these rows, maybe nearly dependent, lets v move by more than rounding does."""
+    """Whether this slack lets v move by more than rounding."""
     sizes = np.linalg.svd(rows, compute_uv=False) if len(rows) else np.ones(1)
     return slack > LAW_ERROR * float(sizes[sizes > ZERO_ROW * sizes[0]].min())
 
 
 def _most_slack(J: Array, h: Array, counted: Ints, sizes: Limits, deadline: float) -> Any:
-    """The point (t, v) of {x : J x <= h} where the counted rows have the most slack together, each up to a tenth."""
+    """Program of most slack in the counted rows, each up to 0.1."""
     rows, columns = J.shape
     slack = np.zeros((rows, len(counted)))
     slack[counted, np.arange(len(counted))] = 1.0
@@ -124,7 +124,7 @@ def _most_slack(J: Array, h: Array, counted: Ints, sizes: Limits, deadline: floa
 
 
 def _deepest(J: Array, h: Array, tight: Ints, sizes: Limits, deadline: float) -> list[Array]:
-    """The point (t, v) in {x : J x <= h} with the largest least slack, up to one, in the rows not tight; or none."""
+    """Point (t, v) of largest least slack in loose rows, or none."""
     loose = np.ones((len(J), 1))
     loose[tight] = 0.0
     cost = np.append(np.zeros(J.shape[1]), -1.0)
@@ -134,7 +134,7 @@ def _deepest(J: Array, h: Array, tight: Ints, sizes: Limits, deadline: float) ->
 
 
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:
-    """The problem in the directions y that the equalities leave free: v = P y + (least-norm solution) [t; 1].
+    """Problem in y, v = P y + (least-norm solution) [t; 1].
 
     The least-norm solution is orthogonal to P, so that the cost stays ½|y|² up to a constant.
 

@@ -1,4 +1,4 @@
-"""An MPC law as a piecewise affine function: no solver in the loop."""
+"""MPC laws as piecewise affine functions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """One critical region: where it is, u = gain θ + offset on it, and the active rows of the QP."""
+    """Critical region with the law u = gain θ + offset."""
 
     polytope: Polytope
     gain: Array
@@ -39,7 +39,7 @@ class Region:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExplicitMPC:
-    """Piecewise affine control law u(θ), a controller like any other; see `LinearMPC.explicit`.
+    """Piecewise affine control law u(θ); see `LinearMPC.explicit`.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class ExplicitMPC:
         object.__setattr__(self, "input_rows", (_read_only(H), _read_only(h)))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Fields alone; what is computed from them is computed anew."""
+        """Fields without the cached regions."""
         return {name: value for name, value in self.__dict__.items() if name != "regions"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -153,14 +153,14 @@ class ExplicitMPC:
         )
 
     def locate(self, theta: ArrayLike, *, method: str = "tree") -> Ints:
-        """Number of the region of each parameter (n, nt) -> (n,), or (nt,) -> (); -1 outside the partition."""
+        """Region of each parameter (n, nt) -> (n,) or (nt,) -> (); -1 outside."""
         points, single = self._points(theta)
         found = find(self.tree, self.partition, points, scan=_is_scan(method))
         region = np.where(found.outside, -1, found.region)
         return region[0] if single else region
 
     def evaluate(self, theta: ArrayLike, *, method: str = "tree") -> tuple[Array, Flags]:
-        """First input and whether the parameter lies outside the partition.
+        """First input, and whether the parameter lies outside.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ class ExplicitMPC:
         return (u[0], outside[0]) if single else (u, outside)
 
     def __call__(self, theta: ArrayLike) -> Array:
-        """First input: (nt,) -> (nu,) or (n, nt) -> (n, nu), see `evaluate`."""
+        """First input: (nt,) -> (nu,) or (n, nt) -> (n, nu)."""
         return self.evaluate(theta)[0]
 
     def value(self, theta: ArrayLike) -> Array:
@@ -210,32 +210,32 @@ class ExplicitMPC:
         return cost[0] if single else cost
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
-        """Write `path`.npz (arrays) and `path`.json (everything else); see `load`."""
+        """Write `path`.npz (arrays) and `path`.json (the rest)."""
         from mpc.explicit.storage import save_explicit
 
         return save_explicit(self, as_path("path", path))
 
     @classmethod
     def load(cls, path: str | Path) -> ExplicitMPC:
-        """Read what `save` wrote. Nothing is executed, and damaged or mixed files are refused."""
+        """Read what `save` wrote, executing nothing; damaged or mixed files are refused."""
         from mpc.explicit.storage import load_parts
 
         return cls(*load_parts(as_path("path", path)))
 
     def to_c(self, folder: str | Path, **options: Any) -> CodeReport:
-        """Write the law as self-contained C99, see `codegen.write_c`."""
+        """Write the law as self-contained C99; see `codegen.write_c`."""
         from mpc.explicit.codegen.codegen import write_c
 
         return write_c(self, as_path("folder", folder), **options)
 
     def plot(self, what: str = "regions", **style: Any) -> Any:
-        """Draw "regions", "law" or "value" of a law of two parameters, see `plotting.plot_explicit`."""
+        """Draw "regions", "law" or "value" over two parameters; see `plotting.plot_explicit`."""
         from mpc.explicit.plotting import plot_explicit
 
         return plot_explicit(self, what, **style)
 
     def _points(self, theta: ArrayLike) -> tuple[Array, bool]:
-        """Parameters as rows of a new array, and whether a single one was given."""
+        """Parameters as new rows, and whether a single one was given."""
         points = as_floats("theta", theta)
         single = points.ndim == 1
         points = points[None] if single else points
@@ -255,7 +255,7 @@ def _is_scan(method: str) -> bool:
 
 
 def as_path(name: str, value: Any) -> Path:
-    """A path on disk."""
+    """Path on disk."""
     try:
         path = Path(value)
     except TypeError:
@@ -266,7 +266,7 @@ def as_path(name: str, value: Any) -> Path:
 
 
 def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
-    """Parameters of interest where none are named: of X, or of X × U when the last input is one, all that are feasible.
+    """Feasible parameters of X, or X × U with the last input.
 
     A box around the feasible ones is intersected, so that a bound that means "no limit" has no part in their sizes.
     """
@@ -301,21 +301,21 @@ def _as_rows(rows: Any, nu: int) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class _Halfspaces:
-    """Anything with `.A` and `.b` is a set."""
+    """Set with `.A` and `.b`."""
 
     A: Any
     b: Any
 
 
 def _read_only(array: Any) -> Any:
-    """A read-only copy."""
+    """Read-only copy."""
     array = np.array(array, order="C")
     array.flags.writeable = False
     return array
 
 
 def _law_numbers(law: Array, partition: Partition, centres: Array) -> Ints:
-    """Equal numbers for equal laws. The laws of each input are compared in units of the values this input takes."""
+    """Equal numbers for equal laws, in units of the inputs' values."""
     scaled = law.copy()
     scaled[:, :, :-1] *= partition.half
     scaled[:, :, -1] += law[:, :, :-1] @ partition.centre

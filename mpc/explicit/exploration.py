@@ -1,4 +1,4 @@
-"""The compiled exploration from facet to facet, in portions between which limits are checked and memory grows."""
+"""Compiled exploration from facet to facet, in portions."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
 
 
 class Limits(NamedTuple):
-    """Limits of an exploration: number of regions, and `time.perf_counter()` [s]."""
+    """Limits of an exploration: regions, and `time.perf_counter()` [s]."""
 
     max_regions: int
     deadline: float
 
 
 def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:
-    """Regions of all optimal active sets, from facet to facet; at a limit those found so far.
+    """Regions of all optimal active sets, or those found by a limit.
 
     feasible : (k, nt) parameters from which to start where random ones find nothing.
     """
@@ -49,7 +49,7 @@ def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None
 
 
 class Search:
-    """The exploration of one problem as far as it has come."""
+    """Exploration of one problem as far as it has come."""
 
     def __init__(self, qp: ScaledQP, known: Array | None = None) -> None:
         self.known = known  # feasible parameters
@@ -71,7 +71,7 @@ class Search:
         return self.regions.queued
 
     def begin(self, deadline: float = np.inf) -> None:
-        """Queue the regions of a few parameters; more only where each of them lies on the border of regions.
+        """Queue regions at random parameters, more where none is found.
 
         Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
         """
@@ -86,7 +86,7 @@ class Search:
             self.holes.ask_at(np.vstack(feasible), deadline)
 
     def _seeded(self, targets: Array, deadline: float) -> Array:
-        """Feasible parameters near the targets, their active sets queued; one after the other where rows are many."""
+        """Feasible parameters near the targets, their active sets queued."""
         found = [np.empty((0, self.regions.parameters))]
         for few in self.holes.portions(targets, 2_000):
             found.append(self.regions.seed(few))
@@ -95,13 +95,13 @@ class Search:
         return np.vstack(found)
 
     def nothing_found(self, deadline: float) -> MPQPStatus:
-        """Status of an exploration that found no region to begin with."""
+        """Status of an exploration without a first region."""
         if self.holes.uncovered:
             return MPQPStatus.INACCURATE
         return MPQPStatus.TIME_LIMIT if time.perf_counter() > deadline else MPQPStatus.INFEASIBLE
 
     def advance(self, most: int) -> None:
-        """Find the facets of some more regions, and their neighbours, until the next look at the clock."""
+        """Find facets and neighbours of some more regions."""
         before = self.done
         start = time.perf_counter()
         # not where the clock says: the regions keep their order
@@ -113,12 +113,12 @@ class Search:
 
     @property
     def should_be_thinned(self) -> bool:
-        """Whether rows that others imply are in the way. They cost time, or several active sets are optimal."""
+        """Whether redundant rows cost time or make several active sets optimal."""
         pays = self.done >= REGIONS_TO_THIN and not self.thinned_for_speed
         return not self.thinned and (pays or (self.done == self.queued and self.regions.tied))
 
     def thinned_out(self, deadline: float) -> Search:
-        """The search without rows that the others imply. It is a new one where such a row is active.
+        """Search without redundant rows, new where these are active.
 
         For speed alone a share of the time left is spent on it: what is found by then is left out.
         """
@@ -136,7 +136,7 @@ class Search:
         return self
 
     def _started_again(self, kept: Ints, deadline: float) -> Search:
-        """A search with these rows only, which knows of the holes found; this one where that finds no region."""
+        """Search with these rows only; this one where that finds nothing."""
         other = Search(self.regions.qp.rows(kept), self.known)
         other.thinned = self.thinned
         other.thinned_for_speed = True
@@ -145,19 +145,19 @@ class Search:
         return other if other.queued else self
 
     def found(self, status: MPQPStatus) -> Found:
-        """The regions done."""
+        """Regions done."""
         return self.regions.found(status, self.holes.uncovered)
 
 
 class NeededRows(NamedTuple):
-    """Rows of M that others are not known to imply, and whether all were looked at."""
+    """Rows of M kept, and whether all were checked."""
 
     rows: Ints
     finished: bool
 
 
 def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> NeededRows:
-    """Rows of M without those that the others imply, also where they touch the set.
+    """Irredundant rows of M, without those that only touch.
 
     A row is kept in doubt, and when it was not looked at before the deadline, `time.perf_counter()` [s].
     """
@@ -174,7 +174,7 @@ def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> NeededRows:
 
 
 def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
-    """Whether multipliers y >= 0 prove row x <= bound for all Jx <= h: row = y'J and y'h <= bound, to rounding."""
+    """Whether multipliers y >= 0 prove row x <= bound for all Jx <= h."""
     # the point that lies farthest across the row, within one unit of it
     normals = np.ascontiguousarray(np.vstack([J, row]))
     bounds = np.append(h, bound + 1.0)
@@ -189,7 +189,7 @@ def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
 
 
 def _refined(y: Array, row: Array, J: Array) -> Array:
-    """Multipliers of the same rows that combine them to `row` as exactly as these can."""
+    """Multipliers that combine the same rows to `row` best."""
     active = np.flatnonzero(y)
     refined = np.zeros(len(y))
     refined[active] = np.maximum(np.linalg.lstsq(J[active].T, row, rcond=None)[0], 0.0)
@@ -197,6 +197,6 @@ def _refined(y: Array, row: Array, J: Array) -> Array:
 
 
 def _proves(y: Array, row: Array, bound: float, J: Array, h: Array, point: Array) -> bool:
-    """Whether y'J is the row, over points of the size of this one, and y'h its bound."""
+    """Whether y'J is `row` and y'h within `bound`, at the size of `point`."""
     missed = np.abs(row - y @ J) @ (1.0 + np.abs(point))
     return bool(y @ h + missed <= bound + REDUNDANT)

@@ -1,4 +1,4 @@
-"""The search for holes: points beyond, behind and between facets that lie in no region, and the QP solved there."""
+"""Search for holes between regions, and the QP solved there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mpc.tolerances import (
 
 
 class Holes:
-    """Search for parameters that are feasible and in no region. What it finds joins the graph of regions.
+    """Search for feasible parameters in no region.
 
     feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
     pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
@@ -40,15 +40,15 @@ class Holes:
 
     @property
     def uncovered(self) -> int:
-        """Number of feasible parameters met that lie in no region, nor in a thin gap between two."""
+        """Number of feasible parameters found in no region."""
         return int((~self.regions.covered(self.feasible, THIN)).sum()) if len(self.feasible) else 0
 
     def lead_on(self, deadline: float) -> bool:
-        """Look beyond what is explored; True when that leads to regions, or the deadline is past."""
+        """Look beyond explored regions; True for new ones or past deadline."""
         return self.look_across(deadline) or self.look_around(deadline)
 
     def look_across(self, deadline: float) -> bool:
-        """Solve the QP beyond facets that led nowhere; True when that leads to regions, or the deadline is past.
+        """Solve the QP beyond open facets; True as for `lead_on`.
 
         Of very many facets some are drawn: a hole of any size has many.
         """
@@ -65,7 +65,7 @@ class Holes:
         return regions.queued > regions.done
 
     def look_around(self, deadline: float) -> bool:
-        """Look for a hole anywhere, near the border, between facets, and behind those that led to a region.
+        """Look for holes anywhere, near the border, between and behind facets.
 
         Where rounding decides, the region that a facet led to may lie elsewhere. True when that leads to regions, or
         the deadline is past.
@@ -97,7 +97,7 @@ class Holes:
         return points
 
     def behind_facets(self, most: int) -> Array:
-        """Random points behind facets that led to a region, `most` of them: half just behind, the others farther."""
+        """Random points behind crossed facets, `most` of them; half just behind."""
         from mpc.explicit.kernels.places import behind_facets
 
         regions = self.regions
@@ -114,13 +114,13 @@ class Holes:
         return np.searchsorted(offsets, facets, side="right") - 1
 
     def _some(self, numbers: Ints, most: int) -> Ints:
-        """A number `most` of the numbers, at random and in order, or all of them."""
+        """Random choice of at most `most` numbers, in order."""
         return numbers if len(numbers) <= most else np.sort(self.rng.choice(numbers, most, replace=False))
 
     def _look_at(self, points: Array, feasible: bool, deadline: float) -> bool:
-        """Queue the active sets at points in no region. The feasible ones are pending. False when time is up.
+        """Queue active sets at uncovered points; False when time is up.
 
-        feasible : whether they are known to be, whatever the compiled solver says.
+        feasible : whether they are known to be, whatever the compiled solver says. The feasible points are pending.
         """
         parts = 1 + len(points) * self.regions.done // 20_000_000  # pairs of a point and a region
         for part in np.array_split(points, parts):
@@ -134,12 +134,12 @@ class Holes:
         return True
 
     def portions(self, points: Array, rows: int = 20_000) -> Iterator[Array]:
-        """The points, few at a time where there are many rows. A QP with thousands takes hundredths of a second."""
+        """Points in portions, smaller with more rows."""
         size = max(1, rows // max(1, len(self.regions.qp.M)))
         return (points[first : first + size] for first in range(0, len(points), size))
 
     def _ask(self, deadline: float) -> bool:
-        """Solve the QP at pending points; True when that leads to regions, or the deadline is past.
+        """Solve the QP at pending points; True as for `lead_on`.
 
         Some are enough once one of them has shown that there is a hole.
         """
@@ -154,7 +154,7 @@ class Holes:
         return regions.queued > regions.done
 
     def ask_at(self, points: Array, deadline: float) -> None:
-        """Solve the QP at points in no region, as far as time allows. Queue its active sets, note the feasible ones."""
+        """Solve the QP at points in no region, as time allows."""
         if self.online is None or self.online.qp is not self.regions.qp:
             self.online = OnlineQP(self.regions.qp)
         for point in points[~self.regions.covered(points)]:

@@ -1,4 +1,4 @@
-"""Minimiser laws of active sets, checks that they hold where they are used, and the law that they make together."""
+"""Minimiser laws of active sets, and checks that they hold."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ ActiveSets = list[tuple[int, ...]]
 
 
 class ScaledLaws(NamedTuple):
-    """Laws v = law[r] [t; 1], (n, nv, nt + 1), and which of them hold, (n,)."""
+    """Laws v = law[r] [t; 1], (n, nv, nt + 1), and validity (n,)."""
 
     law: Array
     holds: np.ndarray
 
 
 def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> ScaledLaws:
-    """The law of each active set, checked in its own rows everywhere and in all others at the region's centre.
+    """Law of each active set, checked at the region's centre.
 
     A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `LAW_ERROR`
     in units of the bounds and of the variables.
@@ -46,7 +46,7 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> Scale
 
 
 def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]:
-    """Rows of M and of D of each active set, and their Gram matrix; zero rows, of unit size, up to the largest set."""
+    """Padded rows of M and D and Gram matrices of active sets."""
     width = max(len(act) for act in active_sets)
     act = np.array([act + (-1,) * (width - len(act)) for act in active_sets])
     rows = qp.M[act]
@@ -62,7 +62,7 @@ def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]
 
 
 def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
-    """The v of least norm with rows v = right [t; 1], its largest relative error, and the weights of the rows in it."""
+    """Least-norm solution v of rows v = right [t; 1], error and weights."""
     inverse = np.linalg.inv(gram)
     across = rows.transpose(0, 2, 1)
     pull = inverse @ right
@@ -76,7 +76,7 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
 
 
 def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
-    """Law of one active set by orthogonal directions. A Gram matrix squares what nearly equal rows lose."""
+    """Law of one active set by a QR factorisation."""
     real = rows.any(axis=1)
     Q, R = np.linalg.qr(rows[real].T)
     along = solve_triangular(R, right[real], trans="T")
@@ -86,7 +86,7 @@ def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
 
 
 def _violation(qp: ScaledQP, law: Array, where: Array) -> Array:
-    """Largest relative violation of any row by each law at its point [t; 1]."""
+    """Largest relative violation of each law at its point."""
     parts = [np.zeros(0)]
     for first in range(0, len(law) if len(qp.M) else 0, LAWS_AT_ONCE):
         part = where[first : first + LAWS_AT_ONCE]
@@ -98,7 +98,7 @@ def _violation(qp: ScaledQP, law: Array, where: Array) -> Array:
 
 
 def in_units(qp: ScaledQP, law: Array) -> Array:
-    """Laws of v in scaled parameters as laws z = law [θ; 1] in the units of the problem."""
+    """Laws of v in scaled parameters as z = law [θ; 1] in units."""
     law = qp.free + qp.back @ law
     law[:, :, :-1] /= qp.half
     law[:, :, -1] -= law[:, :, :-1] @ qp.centre
@@ -106,7 +106,7 @@ def in_units(qp: ScaledQP, law: Array) -> Array:
 
 
 class LawParts(NamedTuple):
-    """The parts of an explicit law, see `ExplicitMPC`."""
+    """Parts of an explicit law, see `ExplicitMPC`."""
 
     partition: Partition
     tree: SearchTree
@@ -116,7 +116,7 @@ class LawParts(NamedTuple):
 
 
 class PiecewiseLaw(Protocol):
-    """An explicit law, see `ExplicitMPC`."""
+    """Explicit law, see `ExplicitMPC`."""
 
     @property
     def partition(self) -> Partition:
@@ -124,7 +124,7 @@ class PiecewiseLaw(Protocol):
 
     @property
     def tree(self) -> SearchTree:
-        """Finds the region of a parameter."""
+        """Search tree of the regions."""
 
     @property
     def law(self) -> Array:

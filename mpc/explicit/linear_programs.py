@@ -1,4 +1,4 @@
-"""Linear programs of the exploration, with the least tolerances that HiGHS allows, and proofs of infeasibility."""
+"""Linear programs at tight tolerances, and proofs of infeasibility."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SOLVED, INFEASIBLE, UNBOUNDED = 0, 2, 3  # what `status` says
 
 
 def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline: float = np.inf) -> Any:
-    """Minimise cost'x subject to rows x <= right and limits on x, as `scipy.optimize.linprog` says it.
+    """Minimise cost'x subject to rows x <= right, as in `scipy.optimize.linprog`.
 
     HiGHS accepts 1e-7 by its default, in the rows and in the optimality: more than the room that is asked for here.
     Where it does not end with the least tolerance it may with its own.
@@ -32,7 +32,7 @@ def solve_exactly(cost: Array, rows: Array, right: Array, limits: Any, deadline:
 
 
 def proves_infeasible(y: Array, rows: Array, right: Array, reach: float) -> bool:
-    """Whether multipliers prove that no x of entries up to `reach` holds rows x <= right (Farkas).
+    """Whether multipliers prove infeasibility for |x| <= `reach` (Farkas).
 
     What a solver leaves of y' rows is taken out by least squares where it is in the way.
     """

@@ -1,4 +1,4 @@
-"""Solves a parametric QP for every parameter at once: a partition into polytopes with an affine law on each."""
+"""Multiparametric quadratic programming."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
 def solve_mpqp(
     problem: ParametricQP, theta_set: Any, *, max_regions: int = 100_000, time_limit: float | None = None
 ) -> Partition:  # fmt: skip
-    """Partition of `theta_set` into critical regions of the QP, each with its affine minimiser.
+    """Partition of `theta_set` into critical regions with affine minimisers.
 
     Explores the graph whose nodes are optimal active sets and whose edges change one constraint, from facet to facet;
     where the rows of a neighbour are dependent one constraint is exchanged, where hyperplanes coincide every
@@ -85,7 +85,7 @@ def solve_mpqp(
 def partitioned(
     explore: Callable[..., Found], problem: ParametricQP, theta_set: Any, max_regions: int, time_limit: float | None
 ) -> Partition:
-    """The partition that an exploration of active sets finds, with the laws that hold."""
+    """Partition by an exploration of active sets."""
     start = time.perf_counter()
     limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
     domain = scale_parameters(theta_set, problem.nt)
@@ -126,7 +126,7 @@ def partitioned(
 
 
 def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
-    """Whether every law keeps the rows left out on the whole box of parameters. Then it is optimal with them too."""
+    """Whether every law keeps the omitted rows on the parameter box."""
     left = np.isinf(answer.problem.w)
     gain = problem.S[left] - problem.G[left] @ answer.law[:, :, :-1]
     room = problem.w[left] - answer.law[:, :, -1] @ problem.G[left].T
@@ -134,7 +134,7 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
 
 
 def _thinnest(qp: ScaledQP) -> float:
-    """Least of the largest distances of opposite bounds along the parameters. Laws may be too thin to be seen."""
+    """Least parameter distance between opposite bounds; inf without any."""
     first, second = np.nonzero(qp.gram < DUPLICATE - 1)
     slope = np.linalg.norm(qp.D[first, :-1], axis=1)
     apart = qp.D[first] + qp.D[second]
@@ -143,7 +143,7 @@ def _thinnest(qp: ScaledQP) -> float:
 
 
 def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
-    """The regions whose law holds, their active sets as rows of `qp`, and the laws; INACCURATE where one does not.
+    """Regions whose law holds, and their laws; INACCURATE where one fails.
 
     A region thinner than the distance at which facets are looked across leaves no hole that would be found.
     """
@@ -165,13 +165,13 @@ def _without_wrong_laws(qp: ScaledQP, found: Found) -> tuple[Found, Array]:
 
 
 def _is_thin(found: Found, r: int) -> bool:
-    """Whether the ball in a region is smaller than THIN. A centre that lies outside says nothing."""
+    """Whether a region is thinner than THIN; False for outside centres."""
     rows = found.rows[found.offsets[r] : found.offsets[r + 1]]
     return bool(0.0 <= (rows[:, -1] - rows[:, :-1] @ found.centres[r]).min() < THIN)
 
 
 def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) -> ScaledQP | None:
-    """The problem with these equalities eliminated. None where they are met nowhere, or at a flat set of parameters."""
+    """Problem with these equalities eliminated; None where that is impossible."""
     if implied.status is not MPQPStatus.COMPLETE or implied.of_parameters:
         return None
     if not len(implied.rows):
@@ -184,7 +184,7 @@ def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) ->
 
 @cache
 def compile_exploration() -> None:
-    """Explore min ½ z'z − θ'z over the square |z| ≤ 1, whose nine regions take every kernel through its work.
+    """Compile every kernel by exploring a problem with nine regions.
 
     numba keeps what it has compiled on disk; a later process reads it in a second.
     """

@@ -1,4 +1,4 @@
-"""Parameters in no region: points beyond facets that led nowhere, and what the QP finds at a point."""
+"""Points beyond facets that led nowhere, and the QP there."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Candidates = list[tuple[int, ...]]
 
 
 class Opening(NamedTuple):
-    """Result of the QP at a parameter: active sets with independent rows, and whether it is feasible with room."""
+    """Independent active sets, and whether the parameter has room."""
 
     candidates: Candidates
     feasible: bool
 
 
 def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
-    """Points of the parameter set just beyond a region's facet [a, b], and a share of its size beyond it.
+    """Points of the parameter set just beyond a region's facet [a, b].
 
     They lie above a point in the middle of the facet; none where the facet is too small for one.
     """
@@ -51,7 +51,7 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
 
 
 class OnlineQP:
-    """The scaled QP at one parameter, by the checked online solver."""
+    """Scaled QP at one parameter, by the checked online solver."""
 
     def __init__(self, qp: ScaledQP) -> None:
         self.qp = qp
@@ -59,7 +59,7 @@ class OnlineQP:
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
     def at(self, t: Array, deadline: float = np.inf) -> Opening:
-        """Opening at the parameter t. Past the deadline a feasible one may be taken for one without room."""
+        """Opening at t; past the deadline room may be missed."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers
@@ -71,7 +71,7 @@ class OnlineQP:
         return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline))
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
-        """Rows active at v that carry it, as few as can. Their multipliers are positive, so they are independent."""
+        """Fewest rows active at v that carry it, linearly independent."""
         near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
         if not len(near):
             return ()
@@ -79,13 +79,13 @@ class OnlineQP:
         return tuple(int(i) for i in near[share > 0])
 
     def _has_room(self, bounds: Array, deadline: float) -> bool:
-        """Whether a point holds every row, found with bounds a little tighter. No tolerance makes it feasible."""
+        """Whether a point holds every row without a tolerance."""
         room = TIE * (1.0 + np.abs(bounds))
         found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
         return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
 
     def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
-        """Whether HiGHS finds room, for v not too large. Of nearly opposite rows a QP solver finds no point.
+        """Whether a linear program finds room, for v within reach.
 
         Where HiGHS does not end, nobody can tell, and the parameter counts.
         """

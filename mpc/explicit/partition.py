@@ -1,4 +1,4 @@
-"""The solution of a multiparametric QP: a partition into polytopes with an affine law on each, and its status."""
+"""Solution of a multiparametric QP, and its status."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class MPQPStatus(Outcome):
 
 
 class Laws(NamedTuple):
-    """Law [gain, offset] of every region, its number, and limits [low, high] of the inputs outside."""
+    """Laws [gain, offset], their numbers, and input limits [low, high]."""
 
     law: Array
     number: Ints
@@ -90,7 +90,7 @@ class Partition:
         return rows
 
     def __getstate__(self) -> dict[str, Any]:
-        """Fields alone; what is computed from them is computed anew."""
+        """Fields without the cached `scaled_rows`."""
         return {name: value for name, value in self.__dict__.items() if name != "scaled_rows"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -106,9 +106,9 @@ class Partition:
         return f"Partition({len(self)} regions, {self.status.name}{holes}, {1e3 * self.solve_time:.1f} ms)"
 
     def multipliers(self, region: int) -> Array:
-        """Multiplier law (m, nt + 1) of one region: λ = law [θ; 1], zero for inactive rows.
+        """Multiplier law (m, nt + 1) of one region, zero for inactive rows.
 
-        Of two rows that make an equality the first carries the multiplier, of either sign.
+        Of two rows that make an equality the first carries the multiplier, of either sign. λ = law [θ; 1].
         """
         problem = self.problem
         active = list(self.active_sets[region])

@@ -1,4 +1,4 @@
-"""Plots of explicit laws; the only file that imports matplotlib."""
+"""Plots of explicit laws."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def plot_explicit(
     law: PiecewiseLaw, what: str = "regions", *, axes: tuple[int, int] = (0, 1), at: ArrayLike | None = None,
     component: int = 0, points: int = 201, ax: Any = None,
 ) -> Any:  # fmt: skip
-    """Draw the regions, the law or the value function over two of the parameters.
+    """Draw regions, law or value function over two parameters.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def _is_index(value: Any, count: int) -> bool:
 
 
 def _polygons(law: PiecewiseLaw, axes: tuple[int, int], base: Array, ax: Any) -> list[Any]:
-    """Regions as polygons. Those that the section misses, or only touches, are left out."""
+    """Regions that the section cuts, as polygons."""
     import matplotlib.pyplot as plt
 
     from invariant_sets import Polytope

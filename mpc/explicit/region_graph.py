@@ -1,4 +1,4 @@
-"""The active sets and regions known so far, in arrays that grow; the compiled kernels write into them."""
+"""Known active sets and regions, in growing arrays for the kernels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Bools = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class Found(NamedTuple):
-    """Outcome of an exploration: facets [a, b] of region r in rows[offsets[r] : offsets[r + 1]], scaled.
+    """Scaled facets [a, b] of region r: rows[offsets[r] : offsets[r + 1]].
 
     qp : the problem explored, perhaps without rows that the others imply; active sets are numbers of its rows.
     centres : a point in each region; uncovered : feasible parameters met that lie in no region.
@@ -35,7 +35,7 @@ class Found(NamedTuple):
 
 
 class RegionGraph:
-    """The graph of optimal active sets of one problem as far as it is known."""
+    """Graph of the optimal active sets known so far."""
 
     def __init__(self, qp: ScaledQP) -> None:
         self._take(qp)
@@ -68,14 +68,14 @@ class RegionGraph:
         return self.facets.state[: self.graph.counts[ROWS]]
 
     def explore(self, regions: int) -> None:
-        """Find the facets of so many more regions, and their neighbours. Fewer where memory has to grow first."""
+        """Find facets and neighbours of at most so many more regions."""
         from mpc.explicit.kernels.exploration import GROW, explore
 
         if explore(self.data, self.graph, self.facets, regions) == GROW:
             self._grow()
 
     def consider(self, act: tuple[int, ...]) -> None:
-        """Queue an active set if it has a region and was not met before."""
+        """Queue an active set that has a region and is new."""
         from mpc.explicit.kernels.active_sets import consider
 
         self.make_room(1)
@@ -84,7 +84,7 @@ class RegionGraph:
         consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
 
     def seed(self, targets: Array) -> Array:
-        """Queue the active sets at feasible parameters near the targets. Returns those parameters."""
+        """Queue active sets near `targets`; return their feasible parameters."""
         from mpc.explicit.kernels.places import seed
 
         self.make_room(4 * len(targets))
@@ -92,25 +92,25 @@ class RegionGraph:
         return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
 
     def look_at(self, points: Array) -> Bools:
-        """Queue the active sets at points. Return which points lie in the parameter set and are feasible."""
+        """Queue active sets at points; return which are feasible parameters."""
         from mpc.explicit.kernels.places import look_at
 
         self.make_room(4 * len(points))
         return np.asarray(look_at(self.data, self.graph, points))
 
     def covered(self, points: Array, distance: float = INSIDE) -> Bools:
-        """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
+        """Whether points lie in a done region, or near one."""
         from mpc.explicit.kernels.places import covered
 
         return np.asarray(covered(self.facets, self.graph.counts, points, distance))
 
     def active_bits(self, regions: int) -> Bits:
-        """Members of the active sets of the first regions, (regions, m)."""
+        """Members (regions, m) of the active sets of the first regions."""
         masks = np.ascontiguousarray(self.graph.masks[self.graph.queue[:regions]]).view(np.uint8)
         return np.unpackbits(masks, axis=1, bitorder="little")[:, : len(self.qp.M)]
 
     def keep_rows(self, kept: Ints) -> None:
-        """Keep these rows of the problem, among them all active ones. Forget the sets without region."""
+        """Keep these rows, all active ones among them."""
         members = self.active_bits(self.queued)[:, kept]
         count = len(members)
         old = self.graph
@@ -131,7 +131,7 @@ class RegionGraph:
             self._grow_sets()
 
     def _grow(self) -> None:
-        """Double the room for facets if that is scarce, else for active sets."""
+        """Double the scarcer room: facets or active sets."""
         facets = self.facets
         if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
             longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
@@ -155,7 +155,7 @@ class RegionGraph:
         rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
 
     def found(self, status: MPQPStatus, uncovered: int) -> Found:
-        """The regions done."""
+        """Regions done."""
         bits = self.active_bits(self.done)
         members = np.nonzero(bits)[1].tolist()
         ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()
@@ -166,7 +166,7 @@ class RegionGraph:
 
 
 def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
-    """An empty graph of active sets among m rows, and facets in n parameters."""
+    """Empty graph for m rows, and facets in n parameters."""
     graph = Graph(
         masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
         table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
@@ -179,7 +179,7 @@ def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
 
 
 def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """A copy with room for twice as many entries, which have no value yet."""
+    """Copy with room for twice as many entries."""
     longer = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
     longer[: len(array)] = array
     return longer

@@ -1,4 +1,4 @@
-"""The parametric QP as a least-distance problem in scaled coordinates, on which the exploration works."""
+"""Parametric QP as a least-distance problem in scaled coordinates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class ParameterSet(NamedTuple):
-    """Parameters θ = centre + half * t of interest: {t : normals t <= bounds} in [-1, 1], unit rows."""
+    """Parameters θ = centre + half * t with unit rows normals t <= bounds."""
 
     normals: Array
     bounds: Array
@@ -39,7 +39,7 @@ class ParameterSet(NamedTuple):
 
 
 def scale_parameters(theta_set: Any, n: int) -> ParameterSet:
-    """The parameter set in coordinates in which its bounding box is [-1, 1].
+    """Parameter set scaled to the bounding box [-1, 1].
 
     Raises
     ------
@@ -60,7 +60,7 @@ def scale_parameters(theta_set: Any, n: int) -> ParameterSet:
 
 @dataclass(frozen=True, eq=False)
 class ScaledQP:
-    """Minimise ½|v|² subject to Mv <= D [t; 1] for t in {TA t <= Tb}, in which everything is about one."""
+    """Minimise ½|v|² subject to Mv <= D [t; 1], TA t <= Tb."""
 
     # constraints, rows of M of unit length; rows that repeat another are left out
     M: Array  # (k, nz)
@@ -87,13 +87,13 @@ class ScaledQP:
 
     @cached_property
     def reach(self) -> float:
-        """Size of the variables up to which feasibility is asked for: EXCLUDED times the largest bound."""
+        """Largest variables for which feasibility is asked."""
         largest = float(np.abs(self.D).sum(axis=1).max(initial=1.0))
         return EXCLUDED * min(largest, EXCLUDED)
 
     @cached_property
     def joint(self) -> tuple[Array, Array]:
-        """Unit rows (J, h) of the constraints on parameter and variable together, J [t; v] <= h."""
+        """Unit rows (J, h) of all constraints J [t; v] <= h."""
         zeros = np.zeros((len(self.TA), self.M.shape[1]))
         rows = np.vstack([np.hstack([-self.D[:, :-1], self.M]), np.hstack([self.TA, zeros])])
         right = np.concatenate([self.D[:, -1], self.Tb])
@@ -101,7 +101,7 @@ class ScaledQP:
         return np.ascontiguousarray(rows / length[:, None]), right / length
 
     def rows(self, kept: Ints) -> ScaledQP:
-        """The problem with some of its constraints only."""
+        """Problem with some of its constraints only."""
         return ScaledQP(
             np.ascontiguousarray(self.M[kept]), np.ascontiguousarray(self.D[kept]), self.tie[kept],
             np.ascontiguousarray(self.gram[np.ix_(kept, kept)]), self.TA, self.Tb, self.origin[kept],
@@ -115,7 +115,7 @@ class ScaledQP:
 
 
 def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
-    """The problem with a unit Hessian, unit rows and parameters in [-1, 1].
+    """Problem with unit Hessian, unit rows and parameters in [-1, 1].
 
     Rows without a bound (w = inf) are left out.
 
@@ -161,7 +161,7 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
 
 
 def without_far_bounds(problem: ParametricQP, domain: ParameterSet) -> ParametricQP:
-    """The problem without the bounds that are far beyond the nearest one, as 1e20 for "no limit".
+    """Problem without bounds far beyond the nearest, such as 1e20.
 
     Beside them the others would have no size. The same object is returned where there are none.
     """
@@ -182,7 +182,7 @@ def without_far_bounds(problem: ParametricQP, domain: ParameterSet) -> Parametri
 
 
 def _bounded_rows(problem: ParametricQP) -> Ints:
-    """Rows with a bound, of data that are finite but for it."""
+    """Rows with a bound; other data must be finite."""
     for name in ("H", "F", "f", "G", "S", "w"):
         values = getattr(problem, name)
         strange = ~np.isfinite(values) & ~((name == "w") & (values == np.inf))
@@ -193,7 +193,7 @@ def _bounded_rows(problem: ParametricQP) -> Ints:
 
 
 def widths(gram: Array, sizes: Array) -> Array:
-    """Size of each bound, or of an opposite larger one. The wider side says how wide a slab is."""
+    """Size of each bound, or of a larger opposite one."""
     wide = sizes.copy()
     first, second = np.nonzero(gram < DUPLICATE - 1)
     np.maximum.at(wide, first, sizes[second])
@@ -201,12 +201,12 @@ def widths(gram: Array, sizes: Array) -> Array:
 
 
 def _waves(n: int) -> Array:
-    """Frequencies that make the tie-breaking shift of a row depend on every entry of it."""
+    """Frequencies for the tie-breaking shift of each row."""
     return np.sqrt(2.0 + np.arange(n))
 
 
 def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
-    """Sizes of the variables that give the Hessian a unit diagonal, and the Cholesky factor of the result."""
+    """Variable sizes for a unit Hessian diagonal, and its Cholesky factor."""
     diagonal = np.diag(problem.H)
     size = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     H = problem.H * np.outer(size, size)
@@ -220,7 +220,7 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
 
 
 def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Rows (bool) that restrict the parameter only. Moving v by its own size changes them by rounding."""
+    """Whether each row restricts the parameter only, up to rounding."""
     moved = length > 0
     reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)
@@ -229,7 +229,7 @@ def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.
 
 
 def with_parameter_rows(TA: Array, Tb: Array, right: Array, nothing: float = 0.0) -> tuple[Array, Array]:
-    """The parameter set {t : TA t <= Tb} with rows 0 <= right [t; 1] added, as unit rows.
+    """Parameter set with unit rows of 0 <= right [t; 1] added.
 
     nothing : size of what is rounding of a bound.
     """
@@ -244,7 +244,7 @@ def with_parameter_rows(TA: Array, Tb: Array, right: Array, nothing: float = 0.0
 
 
 def _unit_of(D: Array) -> float:
-    """Size of the bounds: what parameters change in most rows, or the nearest row where that is more.
+    """Size of the bounds, from parameter changes or the nearest row.
 
     Rows far away have large constants, so the constants say nothing. Where parameters change less than half of the
     rows, it is the size of the lower quarter of those that are not zero: one row may be as near as it likes.
@@ -260,19 +260,19 @@ def _unit_of(D: Array) -> float:
 
 
 def _typical(D: Array) -> float:
-    """The middle one of the sizes of bounds that are not zero."""
+    """Median size of the bounds that are not zero."""
     sizes = _beyond_rounding(D)
     return float(np.median(sizes)) if len(sizes) else 1.0
 
 
 def _beyond_rounding(D: Array) -> Array:
-    """Sizes of the bounds that are not zero, nor rounding of what the parameters change."""
+    """Sizes of the bounds beyond zero and rounding."""
     sizes = np.abs(D).sum(axis=1)
     return sizes[sizes > ROUNDED * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)]
 
 
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
-    """Rows that remain when of equal normals in v and t only the tightest is kept, by their own bounds D."""
+    """Rows without duplicates, each kept with its tightest bound."""
     first, second = np.nonzero(gram > 1 - DUPLICATE)
     once = first < second
     if not once.any():
@@ -290,7 +290,7 @@ def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
 
 
 def _bounding_box(H: Array, h: Array) -> tuple[Array, Array]:
-    """Box around {θ : Hθ <= h}: read off where every side is a row, by the set's own methods otherwise."""
+    """Bounding box of {θ : Hθ <= h}, of full dimension."""
     single = np.count_nonzero(H, axis=1) == 1
     box = box_of(H[single], h[single])
     if box is None or not np.isfinite(box).all() or (h[~H.any(axis=1)] < 0).any():

@@ -1,4 +1,4 @@
-"""Point location: a binary tree of hyperplanes that ends in the few regions a parameter can lie in."""
+"""Point location by a binary tree of hyperplanes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):
-    """Outcome of the growth of a search tree. The value is the advice."""
+    """Outcome of growing a search tree; the value is the advice."""
 
     COMPLETE = "Complete: every leaf holds regions of one law, or few."
     TIME_LIMIT = "Stopped at `tree_time_limit`: some leaves hold many regions and are scanned. The law is the same."
@@ -30,7 +30,7 @@ class TreeStatus(Outcome):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SearchTree:
-    """Binary search tree over a partition, in scaled parameters t; its arrays are read-only.
+    """Binary search tree over a partition in scaled parameters; read-only.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Located(NamedTuple):
 
 
 class RegionPoints(NamedTuple):
-    """Points of region r: points[starts[r] : starts[r + 1]], first its centre, then one on each facet."""
+    """Points points[starts[r] : starts[r + 1]] of region r: centre, then facets."""
 
     points: Array
     starts: Ints
@@ -92,7 +92,7 @@ class RegionPoints(NamedTuple):
 def build_tree(
     partition: Partition, laws: Ints, points: RegionPoints, *, method: str = "tree", time_limit: float | None = None
 ) -> SearchTree:
-    """Search tree whose leaves hold regions of one law, or few regions.
+    """Search tree whose leaves hold regions of one law, or few.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def build_tree(
 
 
 def find(tree: SearchTree, partition: Partition, theta: Array, *, scan: bool = False) -> Located:
-    """Region of every parameter (n, nt), by the tree or by a scan of all regions.
+    """Region of every parameter (n, nt), by tree or scan.
 
     A parameter outside a complete partition gets the region where the straight line to the centre enters it; one
     outside an incomplete partition the region from which it is least far, in scaled parameters.
@@ -140,7 +140,7 @@ def find(tree: SearchTree, partition: Partition, theta: Array, *, scan: bool = F
 def evaluate(
     tree: SearchTree, partition: Partition, theta: Array, laws: Laws, *, scan: bool = False
 ) -> tuple[Array, Flags]:
-    """Input law[region] [θ; 1] of every parameter (n, nt), and whether it lies outside. Regions as `find` gives them.
+    """Inputs law[region] [θ; 1] of parameters (n, nt), and whether each lies outside.
 
     Outside a complete partition the law is taken at the border; outside any, it is kept within the rows of limits.
     """
@@ -149,14 +149,14 @@ def evaluate(
 
 
 def scan_regions(partition: Partition, theta: Array) -> Ints:
-    """Region of every parameter (n, nt) by a scan of all regions, -1 outside. No tree is needed."""
+    """Region of every parameter (n, nt) by a scan; -1 outside."""
     n = theta.shape[1]
     region, outside = _located(_locator(partition, _no_leaf(n), np.zeros((0, n + 1)), np.zeros(n)), theta)
     return np.where(outside, -1, region)
 
 
 def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
-    """Rows up to sign, each once; the number of each row's hyperplane, and whether its sign is the other one."""
+    """Distinct hyperplanes up to sign, row numbers, and flips."""
     leading = np.argmax(np.abs(rows[:, :-1]) > 0.5 / np.sqrt(rows.shape[1]), axis=1)
     flipped = rows[np.arange(len(rows)), leading] < 0
     signed = np.where(flipped[:, None], -rows, rows)
@@ -173,12 +173,12 @@ def _one_leaf(partition: Partition) -> tuple[Array, Ints, Ints]:
 
 
 def _no_leaf(n: int) -> tuple[Array, Ints, Ints]:
-    """Planes, nodes and leaf regions of a tree that holds nothing: all regions are looked at."""
+    """Planes, nodes and leaf regions of an empty tree."""
     return np.zeros((0, n + 1)), np.array([[-1, 0, 0]], dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
 def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array, inner: Array) -> Any:
-    """Locator for the compiled search: planes, nodes and leaf regions, the facets of the regions, and the border."""
+    """Locator for the compiled search."""
     from mpc.explicit.kernels.search import Locator
 
     regions = (partition.scaled_rows, partition.offsets)
@@ -186,20 +186,20 @@ def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array
 
 
 def _searched(tree: SearchTree, partition: Partition, scan: bool) -> Any:
-    """Locator of a search tree, or of a scan of all regions within its border."""
+    """Locator of a search tree, or of a scan."""
     parts = _no_leaf(len(partition.centre)) if scan else (tree.planes, tree.nodes, tree.leaf_regions)
     return _locator(partition, parts, tree.border, tree.centre)
 
 
 def _located(where: Any, theta: Array) -> Located:
-    """Region of every parameter, and whether it lies outside."""
+    """Region of every parameter, and whether it is outside."""
     count = len(where.offsets) - 1
     no_inputs = Laws(np.zeros((count, 0, theta.shape[1] + 1)), np.arange(count), np.zeros((2, 0)))
     return Located(*_search(where, theta, no_inputs)[:2])
 
 
 def _search(where: Any, theta: Array, laws: Laws) -> Any:
-    """Region of every parameter, whether it lies outside, and its input."""
+    """Region, outside flag and input of every parameter."""
     from mpc.explicit.kernels import search as compiled
 
     count = len(theta)
@@ -210,14 +210,14 @@ def _search(where: Any, theta: Array, laws: Laws) -> Any:
 
 
 def _view(array: Any) -> Any:
-    """A read-only view: the compiled search exists for one kind of array."""
+    """Read-only view, the array type of the compiled search."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def region_points(partition: Partition) -> RegionPoints:
-    """Centre of every region and one point on each facet, scaled."""
+    """Centre of every region and points on its facets, scaled."""
     from mpc.explicit.kernels.growth import points_of
 
     sizes = np.minimum(np.diff(partition.offsets) + 1, POINTS_OF_REGION)
@@ -230,7 +230,7 @@ def region_points(partition: Partition) -> RegionPoints:
 def _grow(
     partition: Partition, laws: Ints, points: RegionPoints, deadline: float
 ) -> tuple[Array, Ints, Ints, TreeStatus]:
-    """Planes, nodes and leaf regions of a tree grown until the end or a limit, and which."""
+    """Planes, nodes, leaf regions and status of a grown tree."""
     from mpc.explicit.kernels.growth import FINISHED, GROW, LEAF, NEXT, NODES, POOL, Growth, Regions, grow
 
     count = len(partition)
@@ -273,7 +273,7 @@ def _grow(
 
 
 def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
-    """Regions of the leaves, in each leaf the large ones first: they hold most parameters."""
+    """Leaf regions, the large ones first in each leaf."""
     counts = np.diff(points.starts)
     centres = np.repeat(points.points[points.starts[:-1]], counts, axis=0)
     radius = np.add.reduceat(np.linalg.norm(points.points - centres, axis=1), points.starts[:-1]) / counts
@@ -284,7 +284,7 @@ def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
 
 
 def _roomier(growth: Any) -> Any:
-    """The growth with more room. Regions of nodes already looked at are let go."""
+    """Growth with more room, without regions of finished nodes."""
     from mpc.explicit.kernels.growth import NEXT, POOL
 
     node = growth.counts[NEXT]
@@ -303,7 +303,7 @@ def _roomier(growth: Any) -> Any:
 
 
 def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: RegionPoints) -> Array:
-    """Facets with every region on one side and none just across. A complete partition is convex, so these bound it."""
+    """Facets with every region on one side and none across."""
     from mpc.explicit.kernels.search import supporting
 
     rows = partition.scaled_rows
@@ -325,7 +325,7 @@ def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: Region
 
 
 def _centre_of(border: Array) -> Array:
-    """A point well within the border; the origin where there is none."""
+    """Point well within the border; the origin without one."""
     n = border.shape[1] - 1
     centre = np.zeros(n)
     if len(border):

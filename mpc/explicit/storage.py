@@ -1,4 +1,4 @@
-"""Explicit laws on disk: arrays in `.npz`, the rest in JSON, no pickle; both are checked when they are read."""
+"""Explicit laws on disk: checked `.npz` and JSON files, no pickle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _together = threading.Lock()  # two threads that save to one path do not mix the
 
 
 class _Inconsistent(ValueError):
-    """Something in the files contradicts something else; the message says what."""
+    """Contradiction within the files, named by the message."""
 
 
 def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
@@ -63,7 +63,7 @@ def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
 
 
 def _replace(file: Path, write: Callable[[Any], Any]) -> None:
-    """Write a file beside its place, under a name of its own, and move it there when it is complete."""
+    """Write a file completely beside its place, then move it there."""
     half_written = file.with_name(f"{file.name}.{uuid.uuid4().hex}.part")
     try:
         with half_written.open("wb") as stream:
@@ -107,13 +107,13 @@ def load_parts(path: Path) -> LawParts:
 
 
 def _files(path: Path) -> tuple[Path, Path]:
-    """The two files of a law; of a path that already ends in .npz or .json the ending is replaced."""
+    """Paths of the `.npz` and `.json` files of a law."""
     stem = path.with_suffix("") if path.suffix in (".npz", ".json") else path
     return stem.with_name(stem.name + ".npz"), stem.with_name(stem.name + ".json")
 
 
 def _fingerprint(data: Arrays, text: dict[str, Any]) -> str:
-    """SHA-256 of the manifest, and of names, types, shapes and contents of the arrays."""
+    """SHA-256 of the manifest and of the arrays."""
     digest = hashlib.sha256(json.dumps(text, sort_keys=True).encode())
     for name in sorted(data):
         array = np.ascontiguousarray(data[name])
@@ -123,7 +123,7 @@ def _fingerprint(data: Arrays, text: dict[str, Any]) -> str:
 
 
 def _check_arrays(data: Arrays, text: dict[str, Any]) -> None:
-    """Raise where a shape, a type or an index does not fit: compiled code trusts them."""
+    """Raise where a shape, type or index does not fit."""
     regions = int(text["regions"])
     nu = int(text["nu"])
     m, nz = data["qp_G"].shape
@@ -193,7 +193,7 @@ def _within(indices: np.ndarray[Any, Any], count: int) -> bool:
 
 
 def _assemble(text: dict[str, Any], data: Arrays) -> LawParts:
-    """The parts of the law from checked arrays."""
+    """Parts of the law from checked arrays."""
     problem = ParametricQP(
         **{name: data[f"qp_{name}"] for name in _QP}, c=float(text["constant_cost"]), nu=int(text["nu"]),
         parameters=tuple((str(name), int(size)) for name, size in text["parameters"]),

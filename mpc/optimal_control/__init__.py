@@ -1,4 +1,4 @@
-"""Optimal control with CasADi: state a problem once, transcribe it, solve it, and check what was found."""
+"""Optimal control with CasADi."""
 
 from ccdtools_ground.front_door import front_door
 

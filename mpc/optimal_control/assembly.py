@@ -1,4 +1,4 @@
-"""The parts of a program in the making: unknowns, constraints and pieces, one after the other."""
+"""Collection of the parts of a nonlinear program."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Assembly:
 
     def rows(self, name: str, phase: int, entries: Sequence[str], points: int, low: Any, high: Any, scale: Any,
              fractions: Any) -> slice:  # fmt: skip
-        """Append constraints, those called `entries` at so many points; return their places."""
+        """Append constraints `entries` at so many points; return their places."""
         count = len(entries) * points
         first, last = self.height, self.height + count
         low, high, scale, places = (
@@ -70,7 +70,7 @@ class Assembly:
 
     def program(self, problem: OptimalControlProblem, parts: tuple[PhasePart, ...], parameters: slice,
                 costs: slice) -> NonlinearProgram:  # fmt: skip
-        """The program of what was collected, sized by what it is at the guess."""
+        """Program collected, sized at the guess."""
         none = [np.zeros(0)]
         low, high, scale = (np.concatenate([sides[i] for sides in self.bounds] + none) for i in range(3))
         derivatives = Derivatives(self.pieces, self.width, self.height)

@@ -16,7 +16,7 @@ RISING = "rising fractions of the duration, from 0 to 1"
 
 
 def as_bounds(name: str, value: Any, size: int) -> tuple[Array, Array]:
-    """Bounds (lower, upper), each (size,); infinite or None where there is none."""
+    """Bounds (lower, upper), each (size,), infinite where None."""
     if value is None:
         return np.full(size, -INF), np.full(size, INF)
     value = _as_pair(name, value)
@@ -40,14 +40,14 @@ def as_bounds(name: str, value: Any, size: int) -> tuple[Array, Array]:
 
 
 def as_parameter_bounds(value: Any) -> tuple[Array, Array]:
-    """Bounds of the parameters, whose number they tell."""
+    """Bounds of the parameters, which tell their number."""
     value = _as_pair("p_bounds", value)
     size = max(np.size(side) for side in value)
     return as_bounds("p_bounds", value, size)
 
 
 def _as_pair(name: str, value: Any) -> Any:
-    """The two sides of bounds."""
+    """Two sides of bounds."""
     given = tuple(value) if isinstance(value, np.ndarray) else value
     if not isinstance(given, list | tuple) or len(given) != 2:
         cure = "Each is a number or has one for every entry: pairs of every entry are ([lower, …], [upper, …])."
@@ -101,7 +101,7 @@ def as_duration(value: Any, discrete: bool) -> tuple[float, float]:
 
 
 def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
-    """Names, `size` of them; `usual` and a number each where none are given."""
+    """Names, `size` of them; by default `usual` and a number."""
     if isinstance(value, str) or not isinstance(value, list | tuple):
         raise InputError(name, brief(repr(value)), f"a list of {size} names")
     names = tuple(value) or tuple(f"{usual}{i + 1}" for i in range(size))

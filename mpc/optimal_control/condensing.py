@@ -1,4 +1,4 @@
-"""States of a linearised plan eliminated, compiled: moves are counted from a feedback that keeps them bounded.
+"""Compiled elimination of the states of a linearised plan.
 
 Save this file after a change in `tolerances.py`: numba's cache on disk does not notice it.
 """
@@ -15,7 +15,7 @@ from mpc.tolerances import GAIN_REGULARISATION
 
 @cache
 def compile_kernels() -> None:
-    """Compile the kernels before a clock runs: seconds after an installation, once. Numba keeps them on disk."""
+    """Compile the kernels before a clock runs."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains, _ = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))
@@ -24,7 +24,7 @@ def compile_kernels() -> None:
 
 @njit(cache=True)
 def gains_along(A, B, Q, R, S, P):
-    """Gains (N, nu, nx) of the regulator of dx⁺ = A dx + B du, by the Riccati recursion backwards from P.
+    """Gains (N, nu, nx) and prices of the regulator of dx⁺ = A dx + B du.
 
     A (N, nx, nx) and B (N, nx, nu); weights as of a quadratic cost x'Qx + 2 x'Su + u'Ru. With them what a deviation v
     from the regulator, du = v - K dx, costs at every step whatever the others: v'Mv, the M (N, nu, nu).
@@ -50,7 +50,7 @@ def gains_along(A, B, Q, R, S, P):
 
 @njit(cache=True)
 def responses(A, B, gains, gaps, first):
-    """Responses of states (N + 1, nx, N nu) and inputs (N, nu, N nu) to v of du = v - K dx, and where v = 0 leads.
+    """Responses (N + 1, nx, N nu), (N, nu, N nu) to v, du = v - K dx, and v = 0.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def responses(A, B, gains, gaps, first):
 
 @njit(cache=True)
 def costates_along(A, B, gains, by_state, by_input):
-    """Costates (N + 1, nx) from slopes of the Lagrangian by states (N + 1, nx) and by inputs (N, nu).
+    """Costates (N + 1, nx) from slopes by states (N + 1, nx) and inputs (N, nu).
 
     Backwards along the closed loop: what the inputs' slopes leave, zero at an optimum, keeps the digits.
     """
@@ -122,7 +122,7 @@ def _product(M, L):
 
 @njit(cache=True)
 def _divided(M, right):
-    """Product M⁻¹ right for a symmetric M ⪰ 0 (nu, nu), scaled to a unit diagonal, by Cholesky."""
+    """Product M⁻¹ right for M ⪰ 0 (nu, nu), by scaled Cholesky."""
     n = len(M)
     scale = np.zeros(n)
     for i in range(n):

@@ -1,4 +1,4 @@
-"""Values and derivatives of a nonlinear program, put together from those of its pieces."""
+"""Values and derivatives of a nonlinear program from its pieces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mpc.optimal_control.pieces import Numbers, Piece, listed
 
 
 class Derivatives:
-    """Functions of the unknowns v (n,) of a program, whose graphs are as large as a piece and not as the mesh.
+    """Functions of the unknowns v (n,), assembled from pieces.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Derivatives:
         return cost, constraints
 
     def _gathered(self, v: Any, of_cost: bool) -> Any:
-        """Expression of f or g, from the values that are added to it."""
+        """Expression of f or g as the sum of its values."""
         values, rows, factors = [ca.MX(0, 1)], [], []
         for piece in self.pieces:
             chosen = piece.of_cost == of_cost
@@ -59,7 +59,7 @@ class Derivatives:
 
     @cached_property
     def stationarity(self) -> ca.Function:
-        """Function v, λ → g, ∇(f + λ'g), ∇f by CasADi's own reverse mode, which the solver does not use."""
+        """Function v, λ → g, ∇(f + λ'g), ∇f by reverse mode."""
         v, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("multipliers", self.m)
         f, g = self.expressions(v)
         slope = ca.gradient(f + ca.dot(multipliers, g), v)
@@ -90,7 +90,7 @@ class Derivatives:
 
     @cached_property
     def hessian(self) -> ca.Function:
-        """Function v, σ, λ → upper triangle of the Hessian of σ f + λ'g."""
+        """Function v, σ, λ → upper triangle of the Hessian."""
         v, of_cost, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("of_cost"), ca.MX.sym("multipliers", self.m)
         all_of_them = ca.vertcat(of_cost, multipliers)
         parts, places = [ca.MX(0, 1)], []
@@ -113,7 +113,7 @@ class Derivatives:
 
     @staticmethod
     def _assembled(parts: list[Any], places: list[Any], shape: tuple[int, int], first: int) -> Any:
-        """Sparse matrix of nonzeros and their places, those of one place added. Rows are counted from `first`."""
+        """Sparse matrix of nonzeros added at their places, rows from `first`."""
         rows, columns = (_joined([place[i] for place in places]) for i in range(2))
         order = columns * shape[0] + rows - first  # by columns, as CasADi keeps them
         cells, where = np.unique(order, return_inverse=True)
@@ -123,7 +123,7 @@ class Derivatives:
 
     @cached_property
     def scaled(self) -> tuple[Any, dict[str, ca.Function]]:
-        """The program in unknowns z = v / s, with cost and rows divided by c and r, for `casadi.nlpsol`.
+        """Program in z = v / s, cost / c and rows / r, for `casadi.nlpsol`.
 
         Its parameters are (s, c, r): sizes change without building anew.
         """
@@ -151,7 +151,7 @@ class Derivatives:
 
 
 def _compact(name: str, symbols: list[Any], matrix: Any) -> ca.Function:
-    """The nonzeros of a matrix as a function, common expressions once."""
+    """Nonzeros of a matrix as a function."""
     dense = ca.densify(matrix.nz[:]) if matrix.nnz() else type(matrix)(0, 1)
     return ca.Function(name, symbols, [dense], {"cse": True})
 
@@ -176,7 +176,7 @@ def _dm(matrix: Any) -> ca.DM:
 
 
 def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
-    """Pieces with those of one function and the same factors as one.
+    """Pieces with those of one function and equal factors as one.
 
     Then those of scalar instructions that differ in constants and factors alone: these become data. Constants that are
     the same everywhere, such as 0 and 1, stay, and with them what is known of derivatives that vanish.
@@ -190,7 +190,7 @@ def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
 
 
 def _grouped(pieces: Sequence[Piece], key: Callable[[Piece], Any]) -> list[list[Piece]]:
-    """The pieces of each key."""
+    """Pieces of each key."""
     groups: dict[Any, list[Piece]] = {}
     for piece in pieces:
         groups.setdefault(key(piece), []).append(piece)
@@ -198,7 +198,7 @@ def _grouped(pieces: Sequence[Piece], key: Callable[[Piece], Any]) -> list[list[
 
 
 def _as_one(group: list[Piece]) -> Piece:
-    """One piece at the places of all."""
+    """One piece at all places."""
     if len(group) == 1:
         return group[0]
     unknowns, data, rows = (np.hstack([getattr(one, name) for one in group]) for name in ("unknowns", "data", "rows"))
@@ -206,7 +206,7 @@ def _as_one(group: list[Piece]) -> Piece:
 
 
 def _written(function: ca.Function) -> Any:
-    """Key that two functions share if they are the same."""
+    """Key shared by equal functions."""
     try:
         return function.serialize()
     except RuntimeError:  # of a function that is no expression
@@ -214,7 +214,7 @@ def _written(function: ca.Function) -> Any:
 
 
 def _kind(piece: Piece) -> Any:
-    """Key that pieces share which may differ in constants alone."""
+    """Key shared by pieces that may differ in constants alone."""
     function = piece.function
     if not function.is_a("SXFunction"):
         return id(piece)
@@ -222,14 +222,14 @@ def _kind(piece: Piece) -> Any:
 
 
 def _structure(piece: Piece) -> Any:
-    """The instructions of a function, without the values of constants."""
+    """Instructions of a function without the values of constants."""
     f = piece.function
     steps = range(f.n_instructions())
     return tuple((f.instruction_id(i), *f.instruction_input(i), *f.instruction_output(i)) for i in steps)
 
 
 def _lifted(group: list[Piece]) -> Piece:
-    """One piece of functions that differ in constants and factors, which become data."""
+    """One piece whose differing constants and factors are data."""
     if len(group) == 1:
         return group[0]
     first = group[0]
@@ -249,7 +249,7 @@ def _lifted(group: list[Piece]) -> Piece:
 
 
 def _replayed(piece: Piece, constants: list[int], factors: list[int]) -> ca.Function:
-    """The function of a piece, with the constants of some instructions and the factors of some values as data."""
+    """Function of a piece with some constants and factors as data."""
     function, start = piece.function, len(piece.data)
     z, data = ca.SX.sym("z", len(piece.unknowns)), ca.SX.sym("data", start + len(constants) + len(factors))
     place = {i: start + k for k, i in enumerate(constants)}

@@ -1,4 +1,4 @@
-"""Names of a program's constraints and unknowns, and of those that are violated or stand in the way."""
+"""Names of a program's constraints and unknowns."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from mpc.tolerances import IN_THE_WAY, NAMED_ROWS, SAME_BOUND
 
 
 def rows_of(program: NonlinearProgram, row: int) -> Rows:
-    """The constraints of one kind that a row belongs to."""
+    """Constraints of one kind that a row belongs to."""
     return next(rows for rows in program.rows if rows.first <= row < rows.last)
 
 
 def of_phase(program: NonlinearProgram, phase: int) -> str:
-    """Words such as " of phase 2", where there are several phases."""
+    """Text such as " of phase 2", where there are several."""
     return f" of phase {phase + 1}" if len(program.parts) > 1 and phase >= 0 else ""
 
 
 def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
-    """Words such as " of phase 2" where phases follow one another. Scenarios side by side share their limits."""
+    """Text such as " of phase 2", where phases follow one another."""
     return of_phase(program, phase) if program.problem.linked else ""
 
 
 def limit_of_row(program: NonlinearProgram, row: int) -> str:
-    """Name of the limit that a constraint belongs to, at any time and in any scenario: "path 2"."""
+    """Name of the limit of a row: "path 2"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_linked_phase(program, rows.phase)}"
 
 
 def name_of_row(program: NonlinearProgram, row: int) -> str:
-    """Name of a constraint, at any time: "path 2 of phase 3"."""
+    """Name of a constraint: "path 2 of phase 3"."""
     rows = rows_of(program, row)
     return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_phase(program, rows.phase)}"
 
@@ -65,7 +65,7 @@ def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
 
 
 def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:
-    """Constraints that are violated (m,), in sizes, by more than what passes for feasible. The worst first.
+    """Violated constraints in words, the worst first.
 
     Each is named once for all times and scenarios, where it is violated most, with the amount in its own unit.
     """
@@ -84,7 +84,7 @@ def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: f
 
 def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds: Array, violations: Array,
                   feasible: float) -> tuple[str, ...]:  # fmt: skip
-    """Names of what cannot hold together, from the unknowns with least violations and the multipliers there.
+    """Names of what cannot hold together, at the least violations.
 
     First the constraints that are violated, then those and the bounds whose multipliers hold against them.
     """
@@ -104,7 +104,7 @@ def contradiction(program: NonlinearProgram, v: Array, on_rows: Array, on_bounds
 
 
 def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[str, Numbers]:
-    """Rows of every limit, at all times and in all scenarios, by its name."""
+    """Rows of every limit by its name."""
     found: dict[str, list[Numbers]] = {}
     for rows in program.rows:
         if rows.name in without:
@@ -116,7 +116,7 @@ def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[st
 
 
 def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) -> tuple[str, ...]:
-    """Bounds that a violation would fall with, in words, each limit of each entry once, by decades of their weight."""
+    """Bounds with large multipliers, in words, the heaviest first."""
     weights = on_bounds[: len(v)] * program.scale
     groups: dict[str, float] = {}
     for i, text in _texts(program, v, weights):
@@ -128,7 +128,7 @@ def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) ->
 
 
 def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
-    """Names, and how many there are besides."""
+    """Names, and how many more there are."""
     more = count - len(named)
     return (*named, f"and {more} more {what}{'s' * (more > 1)}") if more else tuple(named)
 
@@ -156,7 +156,7 @@ def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tupl
 
 
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
-    """Side and value of the bound of an unknown that a multiplier belongs to. Where one is held besides, its value."""
+    """Side and value of the bound that a multiplier belongs to."""
     low, high = program.lower[i], program.upper[i]
     if high - low <= SAME_BOUND * program.scale[i]:
         return f"= {high:.6g}"

@@ -1,4 +1,4 @@
-"""A discrete model along a whole plan: next states and derivatives of all steps in one call."""
+"""Discrete model along a whole plan in one call."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mpc.optimal_control.functions import symbols_of
 
 
 class Buffered:
-    """A CasADi function of arrays, each with one row for every column of the function's. Every thread has buffers.
+    """CasADi function of arrays, one row per column, with buffers per thread.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Buffered:
         return tuple(value.copy() for value in own["results"])
 
     def _buffers(self) -> dict[str, Any]:
-        """Buffers of arguments and results: CasADi stores columns one after the other, as NumPy rows."""
+        """Buffers of arguments and results, in CasADi's column order."""
         f = self.function
         arguments = [np.zeros((f.size2_in(i), f.size1_in(i))) for i in range(f.n_in())]
         results = [np.zeros((f.size2_out(i), f.size1_out(i))) for i in range(f.n_out())]
@@ -91,7 +91,7 @@ class DiscreteModel:
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
 
     def linearised(self, states: Array, inputs: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Next states (N, nx), A (N, nx, nx) and B (N, nx, nu) at states (N, nx), inputs (N, nu), signals (N, nw)."""
+        """Next states (N, nx), A (N, nx, nx) and B (N, nx, nu) along a plan."""
         N, nx = states.shape
         f, A, B = self._linearised(states, inputs, w, p)
         A, B = A.reshape(N, nx, nx), B.reshape(N, -1, nx)
@@ -107,13 +107,13 @@ class DiscreteModel:
         return self._by_disturbance(x, u, w, p)[0].T
 
     def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
-        """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u), for costates (N, nx) of the next states."""
+        """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u)."""
         n = states.shape[1] + inputs.shape[1]
         return self._curvature(states, inputs, w, p, costates)[0].reshape(len(inputs), n, n)
 
     @cached_property
     def _curvature(self) -> Buffered:
-        """Function of second derivatives, built when first asked for: few plans need it."""
+        """Function of second derivatives, built on demand."""
         columns = list(symbols_of(self.step).values())
         kind = type(columns[0])
         costate = kind.sym("costate", self.step.numel_out(0))
@@ -125,7 +125,7 @@ class DiscreteModel:
         return Buffered(function.map("curvature_along", "serial", self.horizon, [3], []))
 
     def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
-        """Next states (N, nx) at states (N, nx), inputs (N, nu), signals (N, nw)."""
+        """Next states (N, nx) along states, inputs and signals."""
         return self._along(states, inputs, w, p)[0]
 
     def next(self, x: Array, u: Array, w: Array, p: Array) -> Array:
@@ -136,7 +136,7 @@ class DiscreteModel:
         self, x: Array, last: Array, states: Array, inputs: Array, gains: Array, limits: tuple[Array, Array, Array],
         w: Array, p: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """States (N + 1, nx) and inputs (N, nu) from x (nx,) under u = v - K(x - s), held within limits.
+        """States (N + 1, nx) and inputs (N, nu) under limited u = v - K(x - s).
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class DiscreteModel:
 
 
 def _following(step: ca.Function) -> ca.Function:
-    """One step of (x, u) → (x⁺, u⁺) with u⁺ = v - K(x - s), held within bounds and changes."""
+    """Function of one step under u⁺ = v - K(x - s) within limits."""
     nx, nu = step.numel_in(0), step.numel_in(1)
     own = symbols_of(step)
     w, p = own["w"], own["p"]
@@ -172,7 +172,7 @@ def _following(step: ca.Function) -> ca.Function:
 
 
 class ModelDerivatives:
-    """Derivatives of a model by x, u and p, of all steps of a plan in one call.
+    """Derivatives of a model by x, u and p along a plan.
 
     Parameters
     ----------
@@ -196,20 +196,20 @@ class ModelDerivatives:
         self._at_rest = ca.Function("at_rest", [x, u, w, p], mixed)
 
     def at_rest(self, p: Array) -> tuple[Array, Array]:
-        """∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) of the linearisation at rest."""
+        """Derivatives ∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) at rest."""
         nx, nu, nw, count = self.sizes
         found = self._at_rest(np.zeros(nx), np.zeros(nu), np.zeros(nw), p)
         dA, dB = (np.asarray(value, dtype=float) for value in found)
         return dA.reshape((nx, nx, count), order="F"), dB.reshape((nx, nu, count), order="F")
 
     def under(self, w: Array, p: Array) -> AlongSignals:
-        """The model under signals (N, nw) with parameters (np,)."""
+        """Model under signals (N, nw) with parameters (np,)."""
         return AlongSignals(self, w, p)
 
 
 @dataclass(frozen=True, eq=False)
 class AlongSignals:
-    """A model under signals w (N, nw) with parameters p (np,)."""
+    """Model under signals w (N, nw) with parameters p (np,)."""
 
     derivatives: ModelDerivatives
     w: Array
@@ -222,13 +222,13 @@ class AlongSignals:
         return value[:, :, 0], A, B, F
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Second derivatives of Σ λ_i f_i by (x, u), and by (x, u) and p, (N, nx + nu, ·)."""
+        """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
         p = np.tile(self.p[:, None], (1, len(inputs)))
         curvature, mixed = self.derivatives.second(states.T, inputs.T, self.w.T, p, costates.T)
         return _stacked(curvature, len(inputs)), _stacked(mixed, len(inputs))
 
 
 def _stacked(value: Any, count: int) -> Array:
-    """Matrices (count, m, n), of such side by side (m, count · n)."""
+    """Matrices (count, m, n) from one matrix (m, count · n)."""
     array = np.asarray(value, dtype=float)
     return array.reshape(len(array), count, -1).transpose(1, 0, 2)

@@ -1,4 +1,4 @@
-"""Functions that a user states in CasADi: what they need is read from the names of their arguments."""
+"""CasADi functions from a user's, read by argument names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Statement = Callable[..., Any]
 
 
 def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None = None) -> ca.Function:
-    """A function of columns, from a Python function or a `casadi.Function` of some of them.
+    """Function of columns from a Python function or a `casadi.Function`.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None 
 
 def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, int], rows: int | None,
             kind: Any) -> ca.Function:  # fmt: skip
-    """`compiled`, with expressions of one kind: `casadi.SX` or `casadi.MX`."""
+    """Function as `compiled` returns it, in `casadi.SX` or `casadi.MX`."""
     columns = {name: kind.sym(name, size) for name, size in sizes.items()}
     told = ", ".join(f"{name} ({size} rows)" if size > 1 else name for name, size in sizes.items() if size)
     expected = f"a function of {told} (any of them) that returns a CasADi expression"
@@ -87,13 +87,13 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
 
 
 def symbols_of(function: ca.Function) -> dict[str, Any]:
-    """Symbols for the arguments of a function by their names, scalar (SX) where its instructions are."""
+    """Symbols by name for the arguments of a function, SX or MX."""
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     return {name: kind.sym(name, function.numel_in(i)) for i, name in enumerate(function.name_in())}
 
 
 class _Named:
-    """Placeholder of a column that the problem does not have. Any use of it names what is missing."""
+    """Placeholder of a missing column; any use raises with its name."""
 
     def __init__(self, column: Any, name: str) -> None:
         self.column = column
@@ -107,7 +107,7 @@ class _Named:
 
 
 def wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The columns that a function asks for, in its own order."""
+    """Columns that a function asks for, in its order."""
     expected = f"a function whose arguments are named after what it needs of {', '.join(names)}"
     if isinstance(given, ca.Function):
         if given.n_out() != 1:
@@ -127,7 +127,7 @@ def wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _as_column(argument: str, value: Any, kind: Any, expected: str) -> Any:
-    """A value as a column of expressions."""
+    """Value as a column of expressions."""
     try:
         parts = list(value) if isinstance(value, list | tuple) else [value]
         return ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts))
@@ -136,14 +136,14 @@ def _as_column(argument: str, value: Any, kind: Any, expected: str) -> Any:
 
 
 def _is_of(symbol: Any, columns: dict[str, Any]) -> bool:
-    """Whether a symbol is one of these columns'."""
+    """Whether a symbol belongs to one of the columns."""
     if isinstance(symbol, ca.MX):
         return any(ca.is_equal(symbol, column) for column in columns.values())
     return any(ca.depends_on(column, symbol) for column in columns.values() if not column.is_empty())
 
 
 def _has_nan(function: ca.Function) -> bool:
-    """Whether a function of scalar instructions contains a constant that is no number."""
+    """Whether a scalar function contains a NaN constant."""
     if not function.is_a("SXFunction"):
         return False
     constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)

@@ -1,4 +1,4 @@
-"""The unknowns of a phase, and the equations of one interval of its mesh, which are mapped over all of them."""
+"""Unknowns of a phase and equations of one mesh interval."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Trajectory = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Layout:
-    """Unknowns of an interval: those of its first node, then its own."""
+    """Unknowns of an interval: its first node's, then its own."""
 
     nx: int
     nu: int
@@ -46,7 +46,7 @@ class Layout:
 
 
 def layout_of(phase: Phase, nw: int, scheme: Scheme) -> Layout:
-    """The unknowns of an interval of a phase under a scheme."""
+    """Unknowns of an interval of a phase under a scheme."""
     sizes = (phase.states, phase.inputs, nw)
     if phase.discrete:
         return Layout(*sizes, 0, (), (0.0,), (0.0,), (0.0,))
@@ -86,7 +86,7 @@ def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, l
 
 
 def _step(functions: PhaseFunctions, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
-    """The equations of one step of discrete dynamics."""
+    """Equations of one step of discrete dynamics."""
     at = (s["x"], s["own"], w, s["p"], s["t"])
     cost = functions.stage_cost(*at) if functions.stage_cost else 0
     path = functions.path(*at) if functions.path else type(w)(0, 1)
@@ -94,7 +94,7 @@ def _step(functions: PhaseFunctions, s: dict[str, Any], w: Any) -> tuple[Any, An
 
 
 def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
-    """The equations of one interval of shooting. The state and its cost are integrated with the input held."""
+    """Equations of one shooting interval, with the input held."""
     u, p, t, h = s["own"], s["p"], s["t"], s["h"]
 
     def rate(z: Any, time: Any, signal: Any) -> Any:
@@ -113,7 +113,7 @@ def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any
 
 
 def runge_kutta(rate: Any, z: Any, t: Any, h: Any, w: Sequence[Any]) -> Any:
-    """One step of the classical method of order 4, of rate(z, t, w) with the signal at its begin, middle and end."""
+    """Classical Runge–Kutta step; w at begin, middle and end."""
     k1 = rate(z, t, w[0])
     k2 = rate(z + h / 2 * k1, t + h / 2, w[1])
     k3 = rate(z + h / 2 * k2, t + h / 2, w[1])
@@ -122,7 +122,7 @@ def runge_kutta(rate: Any, z: Any, t: Any, h: Any, w: Sequence[Any]) -> Any:
 
 
 def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> Any:
-    """State and cost after one interval, by CVODES over the time scaled to one."""
+    """State and cost after one interval by CVODES."""
     sizes = {name: s[name].numel() for name in ("x", "own", "p")} | {"w": w.numel(), "t": 1, "h": 1}
     c = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
     tau = ca.MX.sym("tau")
@@ -141,7 +141,7 @@ def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str,
 
 def _collocate(functions: PhaseFunctions, scheme: Collocation, layout: Layout, s: dict[str, Any],
                w: Any) -> tuple[Any, Any, Any]:  # fmt: skip
-    """The equations of one interval of collocation."""
+    """Equations of one collocation interval."""
     states, inputs = at_points(layout, s["x"], s["v"], s["own"], s["x_next"], s["v_next"])
     rates, costs, path = [], [], []
     for i, c in enumerate(layout.points):
@@ -158,7 +158,7 @@ def _collocate(functions: PhaseFunctions, scheme: Collocation, layout: Layout, s
 
 
 def at_points(layout: Layout, x: Any, v: Any, own: Any, x_next: Any, v_next: Any) -> tuple[list[Any], list[Any]]:
-    """States and inputs at every point of an interval, from its unknowns: columns, CasADi's or arrays (rows, N)."""
+    """States and inputs at every point of an interval."""
     states, inputs, used = [], [], 0
     for c in layout.points:
         if c in layout.inner:
@@ -175,12 +175,12 @@ def at_points(layout: Layout, x: Any, v: Any, own: Any, x_next: Any, v_next: Any
 
 
 def times_of(points: Sequence[float], mesh: Array) -> Array:
-    """Fractions (N, points) of a phase, of the points of every interval of a mesh (N + 1,)."""
+    """Fractions (N, points) of a phase for a mesh (N + 1,)."""
     return mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(points)
 
 
 def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
-    """Unknowns (n,) of a phase, of a trajectory: fractions (k,) → states (k, nx) and inputs (k, nu)."""
+    """Unknowns (n,) from a trajectory: fractions (k,) → (k, nx) and (k, nu)."""
     x, u = trajectory(mesh)
     nodes = np.hstack([x, u[:, : layout.node_inputs]])
     own = [np.zeros((len(mesh) - 1, 0))]
@@ -191,7 +191,7 @@ def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
 
 
 def coordinates(layout: Layout, mesh: Array) -> tuple[Array, Array]:
-    """Coordinates of a phase's unknowns (n,), states 0 … nx − 1 and then inputs, and their fractions."""
+    """Coordinates (n,) of a phase's unknowns, states before inputs, and fractions."""
     width = layout.nx + layout.nu
 
     def numbers(at: Array) -> tuple[Array, Array]:
@@ -206,7 +206,7 @@ def coordinates(layout: Layout, mesh: Array) -> tuple[Array, Array]:
 
 
 def size_of(lower: Array, upper: Array, guess: Array) -> Array:
-    """Sizes of unknowns: of their bounds, else of the guess, else 1."""
+    """Sizes of unknowns by bounds, else guess, else 1."""
     bounded = np.isfinite(lower) & np.isfinite(upper)
     of_bounds = np.where(bounded, np.maximum(np.abs(lower), np.abs(upper)), 0.0)
     of_guess = np.abs(guess) if np.ndim(guess) <= 1 else np.abs(guess).max(axis=0)
@@ -215,7 +215,7 @@ def size_of(lower: Array, upper: Array, guess: Array) -> Array:
 
 
 def first_duration(phase: Phase) -> float:
-    """The duration to begin with."""
+    """First guess of the duration."""
     low, high = phase.duration
     if phase.duration_guess is not None:
         return float(np.clip(phase.duration_guess, low, high))
@@ -223,7 +223,7 @@ def first_duration(phase: Phase) -> float:
 
 
 def first_guess(phase: Phase) -> Trajectory:
-    """First guess of a phase: the user's, else straight from the start to the end, with inputs near zero."""
+    """First guess of a phase: the user's, else a straight line."""
     if phase.guess is not None:
         return between(*phase.guess)
     first, last = (_known(*side) for side in (phase.start, phase.end))
@@ -234,7 +234,7 @@ def first_guess(phase: Phase) -> Trajectory:
 
 
 def _known(low: Array, high: Array) -> Array:
-    """The middle of bounds (nx,); NaN where there are not two."""
+    """Middle of bounds (nx,); NaN without two."""
     both = np.isfinite(low) & np.isfinite(high)
     return np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.nan)
 

@@ -1,4 +1,4 @@
-"""One call of Ipopt, and a check of its answer by the program's own derivatives."""
+"""One call of Ipopt, checked by the program's own derivatives."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Found:
-    """Result of one call of the solver, in the units of the problem."""
+    """Result of one call, in the units of the problem."""
 
     v: Array
     multipliers: dict[str, Array]
@@ -61,7 +61,7 @@ class Found:
 
 def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, lower: Array, upper: Array,
          settings: Settings) -> Found:  # fmt: skip
-    """Solve with the sizes that the program has now."""
+    """Solve with the program's present sizes."""
     size, of_cost = program.scale, program.cost_scale
     given: dict[str, Any] = {"x0": guess / size, "lbx": lower / size, "ubx": upper / size,
              "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale,
@@ -90,7 +90,7 @@ def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] 
 
 
 def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
-    """Ipopt on scaled unknowns and rows. Made once for each choice of options, whatever the sizes."""
+    """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
         limits["max_wall_time"] = settings.seconds
@@ -118,7 +118,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
 
 
 class BestIterate(ca.Callback):  # type: ignore[misc]
-    """Callback that keeps the cheapest of the feasible iterates. The least infeasible where none is."""
+    """Callback that keeps the cheapest feasible iterate, else the least infeasible."""
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
@@ -158,12 +158,12 @@ class BestIterate(ca.Callback):  # type: ignore[misc]
         return [0]
 
     def better_than(self, violations: Array, f: float) -> bool:
-        """Whether something better was kept than an iterate with these violations and this cost."""
+        """Whether a better iterate was kept than this one."""
         return bool(len(self.z)) and self.rank < _rank(float(violations.max(initial=0.0)), f)
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:
-    """The violation that counts, then the cost. Whatever is not finite comes last."""
+    """Rank by violation, then cost; infinite where not finite."""
     if not (np.isfinite(violation) and np.isfinite(f)):
         return np.inf, np.inf
     return (0.0, f) if violation <= FEASIBLE else (violation, f)
@@ -171,7 +171,7 @@ def _rank(violation: float, f: float) -> tuple[float, float]:
 
 def _checked(program: NonlinearProgram, z: Array, on_rows: Array, on_bounds: Array,
              given: dict[str, Any]) -> tuple[Residuals, Array]:  # fmt: skip
-    """Residuals of the optimality conditions, and violations of the rows (m,), in scaled unknowns and rows."""
+    """Scaled residuals of the optimality conditions, and row violations (m,)."""
     values = program.derivatives.stationarity(z * program.scale, on_rows / program.row_scale * program.cost_scale)
     rows, gradient, of_cost = (np.asarray(value, dtype=float).ravel() for value in values)
     rows = rows / program.row_scale
@@ -190,7 +190,7 @@ def _checked(program: NonlinearProgram, z: Array, on_rows: Array, on_bounds: Arr
 
 
 def _complementarity(value: Array, multiplier: Array, low: Array, high: Array) -> float:
-    """The largest product of a multiplier and the distance from the bound of its sign, which counts as 1 at most."""
+    """Largest product of multiplier and distance, at most 1."""
     room = np.where(multiplier > 0, high - value, value - low)
     free = low < high
     product = np.abs(multiplier) * np.minimum(np.maximum(room, 0.0), 1.0)

@@ -1,4 +1,4 @@
-"""The linear law at rest: it stands in where a nonlinear plan is missing, and has a terminal set."""
+"""Linear law at rest, its gain and terminal set."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INVARIANT = "invariant"
 
 
 def gain_at_rest(law: LinearMPC) -> Array:
-    """Gain (nu, nx) of the regulator of the linearisation; where there is none, of its first step of the horizon.
+    """Gain (nu, nx) of the regulator, else of the horizon's first step.
 
     Vehicles that cannot move sideways are such: at rest their linearisation cannot be stabilised.
     """
@@ -29,7 +29,7 @@ def gain_at_rest(law: LinearMPC) -> Array:
 
 
 def invariant_set(law: LinearMPC) -> Polytope:
-    """Largest set of states in which u = -Kx keeps X and U for ever, on the linearisation.
+    """Largest set in which the linearisation keeps X and U under u = -Kx.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Errors of a solution in the dynamics, the cost and the limits between the points of its mesh."""
+"""Errors of a solution between its mesh points."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mpc.tolerances import CLOSER_LOOKS, DIFFERENCE, LEAST_LIMIT_SIZE, LIMIT_CHE
 
 
 class Missed(NamedTuple):
-    """Errors over each interval, (N,) each: of the dynamics, relative, and of the cost, about."""
+    """Relative errors of the dynamics and of the cost, (N,) each."""
 
     dynamics: Array
     cost: Array
 
 
 def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
-    """Errors of a phase's dynamics over each interval, relative to the extent of each state, and of its cost.
+    """Errors of a phase's dynamics and cost over each interval.
 
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
@@ -49,7 +49,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
 
 
 def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
-    """Integrals ∫ |dx/dt − f| over every interval, (N, nx), and errors of the cost."""
+    """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
     tau, weights = 0.5 * (tau + 1), 0.5 * weights
@@ -70,7 +70,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
 
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:
-    """Difference (N, nx) by half the steps, or a tighter tolerance, at the end of every interval."""
+    """Differences (N, nx) by finer integration, and cost errors."""
     finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
     (ends, fine), (_, coarse) = (_shot(phase, one, p) for one in (finer, scheme))
     of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + np.einsum("kji,ki->k", phase.stages.costates, ends)
@@ -78,7 +78,7 @@ def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) ->
 
 
 def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Array, Array]:
-    """Errors of the ends (N, nx) of intervals by a scheme, and their costs (N, 1)."""
+    """Errors of the interval ends (N, nx), and costs (N, 1)."""
     part, N = phase.part, phase.part.intervals
     layout = layout_of(part.phase, part.layout.nw, scheme)
     interval = interval_function(part.phase, part.functions, scheme, layout, len(p))
@@ -94,7 +94,7 @@ def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Arr
 
 
 def evaluated(function: Any, phase: PhaseSolution, x: Array, u: Array, t: Array, p: Array) -> Array:
-    """Values (n, m) of a function of a phase at states (n, nx), inputs (n, nu) and times (n,)."""
+    """Values (n, m) at states (n, nx), inputs (n, nu) and times (n,)."""
     n = len(t)
     w = signal_at(phase.part.phase, t)
     values = np.asarray(function.map(n)(x.T, u.T, w.T, np.tile(p[:, None], (1, n)), t[None]), dtype=float)
@@ -102,7 +102,7 @@ def evaluated(function: Any, phase: PhaseSolution, x: Array, u: Array, t: Array,
 
 
 class Excess(NamedTuple):
-    """Largest violation of each limit of a phase between the points: of its path, then of its bounded states.
+    """Largest violation of each limit between points: path, then bounded states.
 
     What passes a limit by the polynomial of an input alone, as where an input jumps, counts by the part of the time
     that it lasts at most: what inputs do is felt by its integral.
@@ -126,7 +126,7 @@ class Excess(NamedTuple):
 
 
 def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...], p: Array) -> tuple[Excess, ...]:
-    """Violations of limits between the points of the mesh, and their times, at the unknowns (n,) of a program.
+    """Violations of limits between the mesh points of every phase.
 
     Zero where they never are; of discrete dynamics there is nothing between.
     """
@@ -134,7 +134,7 @@ def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution
 
 
 def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
-    """Violations in a phase whose limits have sizes (m, N)."""
+    """Violations in a phase with limit sizes (m, N)."""
     m, N = sizes.shape
     bounded = _bounded(phase)
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
@@ -158,7 +158,7 @@ def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
 
 
 def _peaks(beyond: Array, floor: Array) -> tuple[Any, Any]:
-    """Limits and places of local maxima of violations (m, n) that may exceed `floor` (m, n) between their neighbours.
+    """Limits and places of local violation maxima that may exceed `floor` (m, n).
 
     Of a cone and of a parabola the maximum lies above its sample by no more than the larger drop to a neighbour.
     """
@@ -171,7 +171,7 @@ def _peaks(beyond: Array, floor: Array) -> tuple[Any, Any]:
 
 
 def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Array, Array, Array]:
-    """Largest violation of limits `rows` (k,) about places (k,), where it is, and the size of the limit there.
+    """Largest violation of `rows` (k,), its place and size.
 
     The size is the largest change of the limit over the extents of states and inputs by its slope, where it is passed;
     infinite for bounds of states, and where it is not.
@@ -193,7 +193,7 @@ def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Ar
 
 
 def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
-    """Change (n,) of path limits `rows` over the extents of states and inputs; zero of bounded states."""
+    """Change (n,) of limits `rows` over the extents; zero for bounded states."""
     path = phase.part.functions.path
     if path is None or not len(places):
         return np.zeros(len(places))
@@ -213,7 +213,7 @@ def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
 
 
 def _along(phase: PhaseSolution, places: Array) -> tuple[Array, Array, Array]:
-    """States, inputs within their bounds, and times at places (n,), counted in intervals from the start."""
+    """States, bounded inputs and times at places (n,), counted in intervals."""
     k = np.minimum(places.astype(int), phase.part.intervals - 1)
     tau = places - k
     return phase.states_within(k, tau), np.clip(phase.inputs_within(k, tau), *phase.part.phase.u_bounds), _time(
@@ -226,13 +226,13 @@ def _time(phase: PhaseSolution, places: Array) -> Array:
 
 
 def _bounded(phase: PhaseSolution) -> Any:
-    """The states that have bounds."""
+    """States that have bounds."""
     low, high = phase.part.phase.x_bounds
     return np.flatnonzero(np.isfinite(low) | np.isfinite(high))
 
 
 def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
-    """Violation (m, n) of each limit at places (n,), counted in intervals from the start."""
+    """Violation (m, n) of each limit at places (n,), counted in intervals."""
     part, scheme = phase.part, phase.part.scheme
     x, u, times = _along(phase, places)
     own = _bounded(phase)
@@ -259,7 +259,7 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
 
 
 def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
-    """Sizes (m, N) of the limits of every phase, by how they change with the extents of states and inputs."""
+    """Sizes (m, N) of the limits of every phase."""
     extents = np.zeros(len(v))
     found, paths = [], []
     for part, phase in zip(program.parts, phases):

@@ -1,4 +1,4 @@
-"""Meshes as a user states them, and cut where dynamics or limits are missed, or an input jumps."""
+"""Meshes as stated, and refined."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mpc.tolerances import JUMP_PLACE, JUMP_SHARE, LEAST_INTERVAL, MESH_SAFETY, 
 
 
 def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
-    """A mesh whose intervals are cut into as many parts as errors ask for, and violations of limits, and at jumps.
+    """Mesh cut where errors, violations or jumps ask for it.
 
     Of an excess (N,) that counts from 1 on; where an input jumps, too.
     """
@@ -36,7 +36,7 @@ def finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: fl
 
 
 def _jumps(phase: PhaseSolution) -> Array:
-    """Intervals (N,) within which an input crosses most of its range. The jump's own place is known no better.
+    """Intervals (N,) within which an input jumps.
 
     Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
     """
@@ -50,7 +50,7 @@ def _jumps(phase: PhaseSolution) -> Array:
 
 
 def as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list[Array]:
-    """Fractions of every phase."""
+    """Mesh fractions of every phase."""
     count = len(problem.phases)
     if meshes is None:
         each = [intervals] * count if np.ndim(intervals) == 0 else list(intervals)

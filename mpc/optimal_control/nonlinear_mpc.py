@@ -1,4 +1,4 @@
-"""Nonlinear model predictive control: sequential quadratic programming along the plan of the sample before."""
+"""Nonlinear model predictive control by sequential quadratic programming."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from mpc.tolerances import AT_REST
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NonlinearMPC:
-    """Model predictive controller of x⁺ = f(x, u, w, p), a callable u = controller(x).
+    """Model predictive controller u = controller(x) of x⁺ = f(x, u, w, p).
 
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to the model, x_k in X (k = 1 … N), u_k in U
     (k = 0 … N-1) and x_N in the terminal set. Limits, soft limits, rates, references and previews are stated as for
@@ -120,7 +120,7 @@ class NonlinearMPC:
 
     @cached_property
     def linear(self) -> LinearMPC:
-        """Linear MPC of the linearisation at rest, with the same weights and limits."""
+        """Linear MPC of the linearisation at rest."""
         x, u, w = np.zeros(self.states), np.zeros(self.inputs), np.zeros(self.disturbances)
         f, A, B = self.model.linearised_at(x, u, w, self.p)
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
@@ -148,7 +148,7 @@ class NonlinearMPC:
 
     @property
     def _invariant(self) -> bool:
-        """Whether the terminal set is that of the linearisation."""
+        """Whether the terminal set is the linearisation's."""
         return isinstance(self.terminal_set, str) and self.terminal_set == INVARIANT
 
     @cached_property
@@ -163,16 +163,16 @@ class NonlinearMPC:
 
     @property
     def needs(self) -> frozenset[str]:
-        """Names of the signals that a closed loop hands over besides the state, see `LinearMPC.needs`."""
+        """Signals a closed loop hands over; see `LinearMPC.needs`."""
         return self.linear.needs
 
     @property
     def last_plans(self) -> tuple[Plan, ...]:
-        """The plans of the last call, one for each row. Their statuses say which of them stand in for an optimum."""
+        """Plans of the last call, one for each row."""
         return tuple(self._last)
 
     def with_parameters(self, p: ArrayLike) -> NonlinearMPC:
-        """Controller for other parameters p (np,), without building the model anew."""
+        """Controller for other parameters p (np,), with the same model."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
         for name in ("linear", "_planner", "steady_states"):
@@ -182,11 +182,11 @@ class NonlinearMPC:
         return other
 
     def reset(self, n: int | None = None) -> None:
-        """Forget the plans of the last sample: what comes next are other runs, `n` of them."""
+        """Forget the plans of the last sample, before `n` other runs."""
         self._last.clear()
 
     def __copy__(self) -> NonlinearMPC:
-        """Copy without plans of a last sample: copies control runs of their own."""
+        """Copy without plans of a last sample."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
         other.__dict__["_last"] = []
@@ -196,7 +196,7 @@ class NonlinearMPC:
         return copy.copy(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The model is stored as CasADi has it: a Python function within another could not be."""
+        """State with the model as CasADi stores it."""
         kept = {name: value for name, value in self.__dict__.items() if name != "steady_states"}
         return kept | {"step": self.model.step}
 
@@ -222,7 +222,7 @@ class NonlinearMPC:
         dU: ArrayLike | None = None, d_terminal_set: ArrayLike | None = None, d_rate_limit: ArrayLike | None = None,
         **signals: ArrayLike,
     ) -> PlanSensitivity:  # fmt: skip
-        """The optimum from x with its exact derivatives by x and the parameters p: ∂u_0/∂x, ∂u_0/∂p, ∂J*/∂p and more.
+        """Optimum from x with its exact derivatives by x and p.
 
         Second derivatives are those of the Lagrangian, of the model's curvature too. The optimum is iterated to its
         end, also where `iterations` says otherwise.
@@ -262,11 +262,11 @@ class NonlinearMPC:
 
     @cached_property
     def steady_states(self) -> SteadyStates:
-        """The steady states of the model in X and U."""
+        """Steady states of the model in X and U."""
         return SteadyStates(self.linear, self.model)
 
     def _check_start(self, start: Any) -> None:
-        """Raise an `InputError` unless it is None or a plan of this controller."""
+        """Raise unless it is None or a plan of this controller."""
         if start is not None and not isinstance(start, Plan):
             raise InputError("start", type(start).__name__, "a Plan of this controller")
         if start is not None and (start.states.shape, start.inputs.shape) != (
@@ -276,7 +276,7 @@ class NonlinearMPC:
             raise InputError("start", got, f"{self.horizon} steps, {self.states} states, {self.inputs} inputs")
 
     def __call__(self, x: ArrayLike, **signals: ArrayLike) -> Array:
-        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu), each row from its own plan of the sample before."""
+        """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu), row by row."""
         value = as_floats("x", x)
         rows = as_array("x", np.atleast_2d(value), (None, self.states))
         each = for_each_state(self.linear, dict(signals), len(rows))
@@ -291,7 +291,7 @@ class NonlinearMPC:
         return first if value.ndim == 2 else first[0]
 
     def to_c(self, folder: str | Path) -> Path:
-        """Write a real-time iteration as C: `nonlinear_mpc.c` and its header, which need no library.
+        """Write a real-time iteration as C: `nonlinear_mpc.c` and header.
 
         It contains `iteration` (model, derivatives, quadratic program and the active-set solver qrqp of CasADi),
         `step` and `derivatives`. Left to the caller: the first plan (call `iteration` some times at the first state),

@@ -1,4 +1,4 @@
-"""Notes on what a problem's statement may have to do with how a solve ended."""
+"""Notes on how a problem's statement may explain a solve's end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
 
 
 def check_at_guess(program: NonlinearProgram) -> None:
-    """Raise an `InputError` unless cost and constraints are finite at the guess. It says which, when and where."""
+    """Raise unless cost and constraints are finite at the guess."""
     expected = "finite values where the solution starts from"
     try:
         f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(program.guess))
@@ -43,7 +43,7 @@ def check_at_guess(program: NonlinearProgram) -> None:
 
 
 def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
-    """Functions that are not finite at unknowns (n,), each with the first time, and states, inputs and so on there."""
+    """Functions that are not finite at unknowns (n,), and where first."""
     p = v[program.parameters]
     for k, (part, clock) in enumerate(zip(program.parts, program.times(v))):
         named = {
@@ -65,7 +65,7 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
 
 
 def _along(program: NonlinearProgram, part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str, Array]:
-    """Columns at all points of the intervals of a phase."""
+    """Columns at all points of a phase's intervals."""
     *_, states, inputs = part.unknowns(v)
     at = times_of(part.layout.points, part.mesh).T.ravel()
     w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at).T
@@ -80,7 +80,7 @@ def _at_ends(part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str,
 
 
 def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[str, Array], phase: str) -> str:
-    """The first time at which a function is not finite, in words. Nothing where it is."""
+    """First time of a non-finite function, in words, or ""."""
     if function is None:
         return ""
     n = max((value.shape[1] for value in columns.values() if value.ndim == 2), default=1)
@@ -101,7 +101,7 @@ def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[s
 
 
 def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> tuple[str, ...]:
-    """Durations that came down to their least; functions that may jump; and, if not solved, kinks and coarse meshes."""
+    """Notes on shortest durations, jumps, kinks and coarse meshes."""
     return (*_shortest(program, v), *_rough(program, not solved), *(() if solved else _too_coarse(program)))
 
 
@@ -146,7 +146,7 @@ def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
 
 
 def operations(function: ca.Function | None) -> set[int]:
-    """Operations of a function made of scalar instructions, or of calls of such functions."""
+    """Operations of a function of scalar instructions, or nothing."""
     if function is None:
         return set()
     if not function.is_a("SXFunction"):
@@ -158,7 +158,7 @@ def operations(function: ca.Function | None) -> set[int]:
 
 
 def undefined(program: NonlinearProgram, v: Array) -> tuple[str, ...]:
-    """Constraints whose values or derivatives are not finite at unknowns (n,), or at the guess."""
+    """Constraints that are not finite at unknowns (n,) or the guess."""
     for at in (v, program.guess):
         named = tuple(functions_not_finite(program, at))
         if named:

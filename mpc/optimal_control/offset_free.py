@@ -1,4 +1,4 @@
-"""Nonlinear MPC whose outputs settle on their reference although its model is wrong."""
+"""Nonlinear MPC that tracks without offset."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mpc.tracking import OffsetFreeMPC, Target, nearest_target, sizes_of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OffsetFreeNonlinearMPC(OffsetFreeMPC):
-    """A nonlinear MPC whose tracked outputs y = Cx settle on their reference in spite of what its model misses.
+    """Nonlinear MPC whose tracked outputs y = Cx settle on their reference.
 
     The whole state must be measured: there is no observer of states. The disturbance that explains the last transitions
     is estimated, the steady state of the nonlinear model under it whose outputs come nearest to the reference is found,
@@ -54,7 +54,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     mpc: Any
 
     def _disturbed(self) -> NonlinearMPC:
-        """The regulator, checked, of a model with disturbances."""
+        """Regulator, checked, of a model with disturbances."""
         if not isinstance(self.mpc, NonlinearMPC):
             raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
         return self.mpc if self.mpc.disturbances else _with_additive(self.mpc)
@@ -65,11 +65,11 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         return self.mpc.linear
 
     def _alone(self) -> OffsetFreeNonlinearMPC:
-        """The controller of one run among others, with a memory of its own."""
+        """Controller of one run among others, with its own memory."""
         return replace(self, mpc=copy.deepcopy(self.mpc))
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeNonlinearMPC:
-        """The controller after seeing one transition."""
+        """Controller after one observed transition."""
         problem, model, p = self._problem, self.mpc.model, self.mpc.p
         x = as_array("x", x, (problem.nx,))
         u = as_array("u", u, (problem.nu,))
@@ -82,7 +82,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         return replace(self, disturbance=self.disturbance + self.gain * seen)
 
     def nearest_target(self, reference: ArrayLike) -> Target:
-        """Steady state (x, u) in X and U that brings Cx nearest to the reference (ny,).
+        """Steady state (x, u) with Cx nearest to `reference` (ny,).
 
         By Newton's method, and by Ipopt where that leads nowhere, as beyond the top of a curve of steady states. Where
         neither finds one, what drifts least under the last linearisation; its drift is that of the model.
@@ -98,7 +98,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= TARGET_STEADY))
 
     def _by_newton(self, r: Array) -> tuple[Array, bool]:
-        """State and input (nx + nu,) that linearised targets lead to, and whether they settle on a steady one."""
+        """Target (nx + nu,) by Newton's method, and whether it settles."""
         problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
         size = sizes_of(problem)
         at = np.zeros(len(size))
@@ -117,7 +117,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
 
 def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
-    """Controller of the model with a disturbance added to every next state."""
+    """Controller with a disturbance added to every next state."""
     step = mpc.model.step
     x, u, none, p = symbols_of(step).values()
     w = type(x).sym("w", mpc.states)

@@ -1,4 +1,4 @@
-"""One phase of an optimal control problem, as it is stated and as functions."""
+"""One phase of an optimal control problem."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Phase:
         self._try_functions()
 
     def _try_functions(self) -> None:
-        """Raise an `InputError` for functions that cannot be meant, as far as arguments are known."""
+        """Raise for functions that cannot be meant."""
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
         for name, (sizes, rows) in _columns(self, width, 0).items():
             given = getattr(self, name)
@@ -139,7 +139,7 @@ class Phase:
                 _with_limits(self, name, compiled(name, given, sizes, rows))
 
     def _check_nothing_limits(self, name: str) -> None:
-        """Raise an `InputError` for bounds or names of the values of a missing function."""
+        """Raise for bounds or names of a missing function's values."""
         if name not in LIMITED:
             return
         usual = repr(type(self).__dataclass_fields__[f"{name}_bounds"].default)
@@ -150,12 +150,12 @@ class Phase:
 
     @property
     def free_duration(self) -> bool:
-        """Whether the duration is to be found."""
+        """Whether the duration is unknown."""
         return self.duration[0] < self.duration[1]
 
 
 class PhaseFunctions:
-    """The functions of a phase as `casadi.Function`, all with the same arguments.
+    """Functions of a phase as `casadi.Function` with common arguments.
 
     Attributes
     ----------
@@ -180,7 +180,7 @@ class PhaseFunctions:
 
 
 def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
-    """Columns that each function of a phase depends on, with lengths, and the length of its value, where set."""
+    """Columns and lengths of each function's arguments, and its value's length."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
     at_end = {"x": phase.states, "p": parameters, "t": 1}
     ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
@@ -191,7 +191,7 @@ def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[
 
 
 def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple[tuple[Array, Array], tuple[str, ...]]:
-    """Bounds and names of the values of a function, none for none; of functions without limits nothing."""
+    """Bounds and names of a function's values, empty without limits."""
     size = 0 if function is None or name not in LIMITED else function.numel_out(0)
     if not size:
         return (np.zeros(0), np.zeros(0)), ()
@@ -200,7 +200,7 @@ def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple
 
 
 def _width(phase: Phase) -> int:
-    """Number of entries of the given signal."""
+    """Width of the given signal."""
     if phase.signal is None:
         return 0
     if not callable(phase.signal):
@@ -209,7 +209,7 @@ def _width(phase: Phase) -> int:
 
 
 def signal_at(phase: Phase, times: Array) -> Array:
-    """Values (n, nw) of the given signal of a phase at times (n,)."""
+    """Values (n, nw) of a phase's given signal at times (n,)."""
     if phase.signal is None:
         return np.zeros((len(times), 0))
     if callable(phase.signal):

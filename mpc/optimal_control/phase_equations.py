@@ -1,4 +1,4 @@
-"""The equations of one phase: its intervals, what is kept along it, and its ends."""
+"""Equations of one phase: intervals, path and ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mpc.optimal_control.schemes import MultipleShooting, Scheme
 
 @dataclass(frozen=True, eq=False)
 class PhaseToCome:
-    """A phase whose unknowns have their places, and whose equations are to be appended."""
+    """Phase whose equations are to be appended."""
 
     number: int
     phase: Phase
@@ -36,12 +36,12 @@ class PhaseToCome:
 
     @property
     def shared(self) -> Numbers:
-        """Places of the parameters and free durations that all intervals depend on."""
+        """Places of the parameters and free durations of all intervals."""
         return np.concatenate([self.p, self.clock.free])
 
     @property
     def held(self) -> bool:
-        """Whether inputs are held over intervals, so that limits are kept at their begins."""
+        """Whether inputs are held and limits kept at interval begins."""
         return isinstance(self.scheme, MultipleShooting) or self.phase.discrete
 
 
@@ -89,7 +89,7 @@ def phase_equations(into: Assembly, own: PhaseToCome) -> PhasePart:
 
 
 def _path_at_an_end(into: Assembly, own: PhaseToCome, w: Array) -> None:
-    """Append what is kept along a phase at the end that its intervals leave out."""
+    """Append path limits at the end that the intervals leave out."""
     functions, layout, first, fraction = own.functions, own.layout, own.first, 1.0 if own.held else 0.0
     assert functions.path is not None
     low, high = functions.path_bounds
@@ -116,7 +116,7 @@ def _path_at_an_end(into: Assembly, own: PhaseToCome, w: Array) -> None:
 
 
 def _ends(into: Assembly, own: PhaseToCome, last: int) -> None:
-    """Append terminal cost and boundary conditions of a phase, whose unknowns end before `last`."""
+    """Append a phase's terminal cost and boundary conditions."""
     functions, layout = own.functions, own.layout
     targets, factors = [], []
     if functions.terminal_cost is not None:
@@ -134,7 +134,7 @@ def _ends(into: Assembly, own: PhaseToCome, last: int) -> None:
 
 
 def _depends_on_input(path: ca.Function) -> Array:
-    """Values (bool) of a path function that depend on the input. Points that leave out 0 have none at the start."""
+    """Whether each path value depends on the input."""
     pattern = path.jac_sparsity(0, 1)
     depends = np.zeros(path.numel_out(0), dtype=bool)
     depends[list(pattern.row())] = True

@@ -1,4 +1,4 @@
-"""One phase of a solution: states and inputs as functions of time, and costates."""
+"""One phase of a solution."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class PhaseSolution:
         return self.stages.times.ravel()
 
     def x(self, t: ArrayLike) -> Array:
-        """States (..., nx) at times (...), by the polynomials of the scheme. Held beyond both ends."""
+        """States (..., nx) at times (...), held beyond both ends."""
         k, tau, shape = self._located(t)
         return self.states_within(k, tau).reshape(*shape, -1)
 
@@ -108,7 +108,7 @@ class PhaseSolution:
         return np.stack([np.interp(t, self.times, column) for column in self.costates.T], axis=-1)
 
     def _located(self, t: ArrayLike) -> tuple[Any, Array, tuple[int, ...]]:
-        """Intervals of times, fractions of them, and the shape of the times."""
+        """Interval and fraction of each time, and the shape of the times."""
         given = as_floats("t", t)
         inside = np.clip(given.ravel(), self.times[0], self.times[-1])
         k = np.clip(np.searchsorted(self.times, inside, side="right") - 1, 0, len(self.times) - 2)
@@ -117,7 +117,7 @@ class PhaseSolution:
 
 def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, float], multipliers: Array,
                    weight: float) -> PhaseSolution:  # fmt: skip
-    """A phase of the unknowns (n,) of a program; `weight` is that of its cost."""
+    """Phase solution from the unknowns (n,) of a program."""
     layout, N = part.layout, part.intervals
     start, length = clock
     nodes, own, states, inputs = part.unknowns(v)
@@ -145,7 +145,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
 
 def _rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array,
            nodes: tuple[Array, Array]) -> Array:  # fmt: skip
-    """dx/dt (N, d, nx) at the points of every interval; of shooting at both its ends, the times and states of nodes."""
+    """Rates dx/dt (N, d, nx) at the points; for shooting at both ends."""
     N, d, nx = states.shape
     if isinstance(part.scheme, Collocation) or part.phase.discrete:
         x, u, t, signal = states, inputs, times, w.reshape(N, d, -1)
@@ -160,7 +160,7 @@ def _rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, ti
 
 
 def _stage_costates(part: PhasePart, multipliers: Array) -> Array:
-    """Costates (N, d, nx) at the points of every interval, of the multipliers of all rows."""
+    """Costates (N, d, nx) at the points of every interval."""
     of_defects = multipliers[part.defects].reshape(part.intervals, -1, part.layout.nx)
     if not isinstance(part.scheme, Collocation) or part.phase.discrete:
         return of_defects
@@ -171,7 +171,7 @@ def _stage_costates(part: PhasePart, multipliers: Array) -> Array:
 
 def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,
               weight: float) -> Array:  # fmt: skip
-    """Derivatives of cost, equations and limits of each interval by the state that it begins with, and at the end."""
+    """Lagrangian derivatives by the interval ends."""
     layout, N = part.layout, part.intervals
     interval = part.interval
     arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],
@@ -187,6 +187,6 @@ def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array,
 
 
 def _hermite(tau: Array, h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
-    """The cubic that meets states and rates at both ends."""
+    """Cubic that meets states and rates at both ends."""
     a, b = tau, tau - 1
     return x0 * (1 + 2 * a) * b**2 + x1 * a**2 * (3 - 2 * a) + h * (f0 * a * b**2 + f1 * a**2 * b)

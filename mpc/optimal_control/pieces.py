@@ -1,4 +1,4 @@
-"""The pieces of a program: equations of the intervals of a phase, of its ends, and of what joins phases."""
+"""Pieces of a program: equations of intervals, ends and links."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Start and length of a phase, from given numbers and free durations."""
+    """Start and length of a phase, given or free."""
 
     start: float  # its start, less the free durations before it
     length: float  # its duration, where it is given
@@ -29,14 +29,14 @@ class Clock:
     own: bool  # whether its own is free
 
     def times(self, free: Any) -> tuple[Any, Any]:
-        """Start and duration, of the free durations (k,)."""
+        """Start and duration from the free durations (k,)."""
         before = free[: len(self.free) - self.own]
         length = free[len(self.free) - 1] if self.own else self.length
         return self.start + (ca.sum1(before) if before.numel() else 0), length
 
 
 def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, int], data: int) -> ca.Function:
-    """Function (z, data) → values, from one of the columns that z consists of, by name, and the data."""
+    """Function (z, data) → values from a function of named columns."""
     kind: Any = ca.SX if scalar else ca.MX
     z, given = kind.sym("z", sum(sizes.values())), kind.sym("data", data)
     cuts = np.cumsum([0, *sizes.values()])
@@ -46,7 +46,7 @@ def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, 
 
 
 def interval_piece(interval: ca.Function, layout: Layout, clock: Clock, parameters: int, discrete: bool) -> ca.Function:
-    """Cost, defects and path values of an interval. Data are its begin and length, as fractions, and the signal."""
+    """Cost, defects and path values of an interval."""
     sizes = {
         "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
         "p": parameters, "free": len(clock.free),
@@ -63,7 +63,7 @@ def interval_piece(interval: ca.Function, layout: Layout, clock: Clock, paramete
 
 
 def end_piece(functions: PhaseFunctions, clock: Clock, nx: int, parameters: int) -> ca.Function:
-    """Terminal cost and boundary values of both ends of a phase."""
+    """Terminal cost and boundary values at a phase's ends."""
 
     def values(x0: Any, x: Any, p: Any, free: Any, data: Any) -> list[Any]:
         start, length = clock.times(free)
@@ -80,7 +80,7 @@ def end_piece(functions: PhaseFunctions, clock: Clock, nx: int, parameters: int)
 
 def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, parameters: int, fraction: float,
                kept: Numbers) -> ca.Function:  # fmt: skip
-    """Path values that are kept at one end of a phase. Data are the signal there."""
+    """Path values at one end of a phase; data are the signal."""
 
     def values(x: Any, u: Any, p: Any, free: Any, data: Any) -> list[Any]:
         start, length = clock.times(free)
@@ -94,7 +94,7 @@ def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, paramete
 
 
 def link_piece(link: ca.Function | None, clock: Clock, before: int, after: int, parameters: int) -> ca.Function:
-    """Gap between the state a phase begins with and that of the phase before; `clock` is the phase's own."""
+    """Gap between a phase's first state and the last before it."""
 
     def values(end: Any, begin: Any, p: Any, free: Any, data: Any) -> list[Any]:
         return [(end if link is None else link(end, p, clock.times(free)[0])) - begin]
@@ -118,12 +118,12 @@ def _scalar(*functions: ca.Function | None) -> bool:
 
 
 def itself() -> ca.Function:
-    """A number, as a piece."""
+    """Number as a piece."""
     return piece_function(lambda z, data: [z], True, {"z": 1}, 0)
 
 
 def mean_and_spread(weights: Array, spread: float) -> ca.Function:
-    """The weighted mean of numbers and so many times their standard deviation, as a piece."""
+    """Piece of the weighted mean plus `spread` standard deviations."""
     parts = ca.DM(weights / weights.sum())
 
     def value(z: Any, data: Any) -> list[Any]:
@@ -136,7 +136,7 @@ def mean_and_spread(weights: Array, spread: float) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """One function of a few unknowns, at M places. Each of its values is added to one row of [f; g]."""
+    """Function at M places, each value added to a row of [f; g]."""
 
     function: ca.Function  # (z (n,), data (d,)) → values (k,)
     unknowns: Numbers  # (n, M): which of all they are
@@ -151,12 +151,12 @@ class Piece:
 
     @property
     def of_cost(self) -> NDArray[np.bool_]:
-        """Values (k,) that are added to the cost (bool)."""
+        """Whether each value (k,) is added to the cost."""
         return np.asarray(self.rows[:, 0] == 0)
 
     @cached_property
     def parts(self) -> dict[bool, ca.Function]:
-        """Functions of the values that are added to the cost, and of the others."""
+        """Functions of the values in the cost, and of the others."""
         z, data = self.symbols
         value = self.function(z, data)
         found = {of_cost: value[listed(self.of_cost == of_cost)] for of_cost in (True, False)}
@@ -169,12 +169,12 @@ class Piece:
         return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
 
     def mapped(self, function: ca.Function, *columns: Any) -> Sequence[Any]:
-        """Results of a function of columns, one a place."""
+        """Results of a function of columns at all places."""
         found = function.map(self.places)(*columns) if self.places > 1 else function(*columns)
         return found if isinstance(found, list | tuple) else [found]
 
     def gathered(self, v: Any) -> Any:
-        """Unknowns (n, M) out of those of all."""
+        """Unknowns (n, M) of the piece."""
         return ca.reshape(v[self.unknowns.ravel(order="F").tolist()], *self.unknowns.shape)
 
 

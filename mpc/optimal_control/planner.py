@@ -1,4 +1,4 @@
-"""From a state to a plan: quadratic programs one after the other, and what stands in where they lead to none."""
+"""Plans by sequential quadratic programs, with substitutes where these fail."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real
 
 @dataclass(frozen=True, eq=False)
 class SolveBudget:
-    """Budget of a sample: quadratic programs (None: to the optimum), most of them, and wall time [s]."""
+    """Quadratic programs and seconds of a sample."""
 
     iterations: int | None
     most: int
@@ -40,7 +40,7 @@ class SolveBudget:
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """A plan on its way: states (N + 1, nx), inputs (N, nu), gains (N, nu, nx) of a feedback along it, and its name."""
+    """Path of states (N + 1, nx), inputs (N, nu), gains (N, nu, nx)."""
 
     states: Array
     inputs: Array
@@ -55,7 +55,7 @@ class _Path:
 
 
 class Planner:
-    """Plans of a statement for one set of parameters p (np,)."""
+    """Plans for one set of parameters p (np,)."""
 
     def __init__(self, law: LinearMPC, model: DiscreteModel, p: Array, budget: SolveBudget) -> None:
         self.law = law
@@ -73,7 +73,7 @@ class Planner:
         self._limits = (low, high, rate)
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
-        """The plan from a state, begun at another or at that of the linear law."""
+        """Plan from a state, begun at another or the linear law's."""
         began = time.perf_counter()
         w = given["w"].reshape(self.law.horizon, -1) if "w" in given else np.zeros((self.law.horizon, self.law.nw))
         with np.errstate(over="ignore", invalid="ignore"):
@@ -103,7 +103,7 @@ class Planner:
         return Plan(found.inputs, found.states, cost, status, residuals, violation, duration, found.name)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
-        """A plan one sample later; its last input is the linear law's, held in U."""
+        """Plan one sample later, with the linear law's last input."""
         error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
         u = self._admissible(-effort[-1] - self._gain @ (end + error[-1]), plan.inputs[-1])
@@ -114,7 +114,7 @@ class Planner:
     def _iterated(
         self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
     ) -> tuple[_Path, Step | None, Status]:
-        """Path that quadratic programs lead to, the last of them, and its status."""
+        """Path by quadratic programs, the last of them, and its status."""
         real_time = follow and self.budget.iterations is not None
         at = replace(first, name=CONVERGING if self.budget.iterations is None else REAL_TIME)
         dear = VIOLATION_PRICE * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
@@ -155,7 +155,7 @@ class Planner:
 
     def _after(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
                charged: tuple[float, float]) -> _Path | None:  # fmt: skip
-        """The path after a part of a step that brings the merit down, as planned or on the model. None if none does."""
+        """Path after a step that lowers the merit, or None."""
 
         def merit(path: _Path) -> float:
             return self.programs.merit(x, path.states, path.inputs, w, self.p, given, gap_price, charged)
@@ -181,7 +181,7 @@ class Planner:
         return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), w, given)
 
     def _followed(self, x: Array, path: _Path, w: Array, given: Given) -> _Path:
-        """A path on the model itself, from x, with inputs that keep their limits; finite."""
+        """Path on the model itself from x, within input limits; finite."""
         N = self.law.horizon
         last = given.get("u_prev", np.zeros(self.law.nu))
         if self._in_box:
@@ -196,14 +196,14 @@ class Planner:
         return replace(path, states=finite(states), inputs=finite(inputs))
 
     def _admissible(self, wanted: Array, last: Array) -> Array:
-        """The input nearest to one that is wanted, after the last one."""
+        """Admissible input nearest to `wanted`, after `last`."""
         if not self._in_box:
             return admissible(self.law, wanted[None], {"u_prev": last})[0]
         low, high, rate = self._limits
         return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
 
     def _best(self, x: Array, found: _Path, first: _Path, w: Array, given: Given) -> tuple[_Path, float]:
-        """The cheapest path and its cost: what was found, what that began at, or the linear law; violations at a price.
+        """Cheapest of found path, start and linear law, and its cost.
 
         A real-time iteration is replaced only by one that costs far less: it may pay now for what comes.
         """
@@ -221,7 +221,7 @@ class Planner:
         return paths[best], worth[best][0]
 
     def _worth(self, path: _Path, given: Given) -> tuple[float, float]:
-        """Cost of a path and, where limits are hard, the sum of its violations."""
+        """Cost of a path and the sum of its hard violations."""
         cost = cost_of(self.law, path.inputs, path.states, given)
         if self.law.soft is not None:
             return cost, 0.0

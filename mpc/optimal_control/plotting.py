@@ -1,4 +1,4 @@
-"""Plots of solutions; the only file of this package that imports matplotlib."""
+"""Plots of solutions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 
 def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, title: str,
                 figure: Any = None) -> Any:  # fmt: skip
-    """Draw states, inputs and costates of phases, one a column, those of one entry in a row.
+    """Draw states, inputs and costates, one phase a column.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, 
 
 
 def _entry(ax: Any, phase: PhaseSolution, kind: str, i: int) -> None:
-    """One state, input or costate, and its bounds."""
+    """Draw one state, input or costate, and its bounds."""
     discrete = phase.part.phase.discrete
     if kind == "costate":
         ax.plot(phase.times, phase.costates[:, i], color="C2", lw=1.2)
@@ -96,7 +96,7 @@ def _entry(ax: Any, phase: PhaseSolution, kind: str, i: int) -> None:
 
 
 def _input(ax: Any, phase: PhaseSolution, i: int) -> Array:
-    """An input, which may jump from interval to interval; its values."""
+    """Draw an input, which may jump; return its values."""
     known = phase.stages.inputs[:, :, i]
     if known.shape[1] == 1:  # held over every interval
         ax.step(phase.times, np.append(known[:, 0], known[-1, 0]), where="post", color="C1", lw=1.2)
@@ -111,5 +111,5 @@ def _input(ax: Any, phase: PhaseSolution, i: int) -> Array:
 
 
 def _fine(mesh: Array) -> Array:
-    """Times (N, 13) within every interval, its ends among them."""
+    """Times (N, 13) within every interval, ends included."""
     return mesh[:-1, None] + np.diff(mesh)[:, None] * np.linspace(0, 1, 13)

@@ -1,4 +1,4 @@
-"""An optimal control problem, stated once: phases, what joins them, and parameters that they share."""
+"""Optimal control problem: phases, links and shared parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RISKS = ("sum", "worst", "spread")
 
 @dataclass(frozen=True, eq=False)
 class OptimalControlProblem:
-    """Phases that follow one another, or scenarios side by side, and parameters that they share.
+    """Linked phases or parallel scenarios with shared parameters.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class OptimalControlProblem:
         set_(self, "p_constraint_names", names)
 
     def _as_guess(self) -> Array:
-        """The parameters to begin with, within their bounds."""
+        """First guess of the parameters, within their bounds."""
         low, high = self.p_bounds
         if self.p_guess is None:
             middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
@@ -132,7 +132,7 @@ class OptimalControlProblem:
 
     @cached_property
     def functions(self) -> tuple[PhaseFunctions, ...]:
-        """The functions of every phase, checked."""
+        """Functions of every phase, checked."""
         found = []
         for k, phase in enumerate(self.phases):
             try:
@@ -153,7 +153,7 @@ class OptimalControlProblem:
 
     @cached_property
     def link_functions(self) -> tuple[ca.Function | None, ...]:
-        """Functions (x, p, t) → the first state of each phase but the first. None for that of the phase before."""
+        """Functions (x, p, t) → first state of each later phase, or None."""
         pairs = zip(self.link, self.phases, self.phases[1:])
         return tuple(
             None if link is None else compiled("link", link, {"x": a.states, "p": self.parameters, "t": 1}, b.states)
@@ -162,7 +162,7 @@ class OptimalControlProblem:
 
 
 def _on_one_clock(phases: Sequence[Phase]) -> tuple[Phase, ...]:
-    """Linked phases, each with its own start time where that is known."""
+    """Linked phases, each with its start time where known."""
     found = list(phases)
     free = False
     for k in range(1, len(found)):

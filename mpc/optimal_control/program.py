@@ -1,4 +1,4 @@
-"""The nonlinear program that a transcription makes of an optimal control problem, and whether it is feasible."""
+"""Nonlinear program of a transcribed optimal control problem."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mpc.tolerances import SHAKEN, VANISHING
 
 @dataclass(frozen=True)
 class Rows:
-    """Constraints of one kind: their name, their place and where on the mesh they stand.
+    """Constraints of one kind.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class PhasePart:
         return len(self.mesh) - 1
 
     def unknowns(self, v: Array) -> tuple[Array, Array, list[Array], list[Array]]:
-        """Unknowns of nodes (node, N + 1) and intervals (own, N), states and inputs at points, of the vector of all."""
+        """Unknowns of nodes (node, N + 1), intervals (own, N), states, inputs at points."""
         nx, node, cut = self.layout.nx, self.layout.node, self.first + self.layout.column * self.intervals
         columns = v[self.first : cut].reshape(self.intervals, self.layout.column).T
         nodes, own = np.column_stack([columns[:node], v[cut : self.last]]), columns[node:]
@@ -77,7 +77,7 @@ class PhasePart:
 
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
-    """min f(v) subject to lower ≤ v ≤ upper, row_lower ≤ g(v) ≤ row_upper, in the units of the problem.
+    """Nonlinear program min f(v) with bounds on v and g(v).
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class NonlinearProgram:
         return f"NonlinearProgram({self.v.numel()} unknowns, {self.g.numel()} constraints, {kinds})"
 
     def times(self, v: Array) -> list[tuple[float, float]]:
-        """Start and duration of every phase, of the unknowns (n,)."""
+        """Start and duration of every phase, from unknowns (n,)."""
         clock, found = 0.0, []
         for k, part in enumerate(self.parts):
             start = clock if k and self.problem.linked else part.phase.start_time
@@ -131,7 +131,7 @@ class NonlinearProgram:
 
 
 def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
-    """The program with sizes of unknowns, dynamics and cost as they are at unknowns (n,)."""
+    """Program with unknowns, dynamics and cost sized at unknowns (n,)."""
     scale, row_scale = program.scale.copy(), program.row_scale.copy()
     for part in program.parts:
         layout = part.layout
@@ -154,7 +154,7 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
 
 
 def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
-    """The program with sizes of constraints other than dynamics: by how much they change with an unknown's size.
+    """Program with constraints sized by their change over the unknowns' sizes.
 
     One size for all points of an entry, that of the point where it changes most.
     """
@@ -173,7 +173,7 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
-    """The program whose unknown costs of scenarios start from what they are at the guess."""
+    """Program with scenario costs evaluated at the guess."""
     own = program.costs
     if own.stop == own.start:
         return program
@@ -188,7 +188,7 @@ def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
-    """Values of the unknown costs of scenarios at unknowns (n,): the largest cost, or each of them."""
+    """Scenario costs at unknowns (n,): the largest or each."""
     count = len(program.parts)
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
     each: Array = g[:count] + v[program.costs]
@@ -196,7 +196,7 @@ def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
 
 
 def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
-    """The program whose every constraint may be violated, with the sum of violations, in sizes, as cost."""
+    """Program with the sum of scaled violations as cost."""
     n, m = len(program.lower), len(program.row_lower)
     pieces = [
         replace(piece, factors=np.where(piece.of_cost, 0.0, piece.factors)) for piece in program.derivatives.pieces
@@ -223,14 +223,14 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
 
 
 def starts(program: NonlinearProgram, stopped: Array, lower: Array, upper: Array) -> Iterator[Array]:
-    """Starts of a search for the least violation: where the solver stopped, the guess, and the guess shaken."""
+    """Starts of a search for the least violation."""
     yield stopped
     yield np.clip(program.guess, lower, upper)
     yield shaken(program, lower, upper)
 
 
 def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0) -> Array:
-    """The guess with each state and input moved along a line of its own, by a part of its size."""
+    """Guess with each state and input moved along a line."""
     random = np.random.default_rng(seed)
     move = random.uniform(-SHAKEN, SHAKEN, len(lower))
     for part in program.parts:

@@ -1,4 +1,4 @@
-"""Finer meshes where the dynamics are missed or limits are passed."""
+"""Mesh refinement."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, Opt
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
            tolerance: float = 1e-6, rounds: int = 10, time_limit: float | None = None, progress: bool = False,
            **options: Any) -> Solution:  # fmt: skip
-    """Solve on meshes that are made finer where the dynamics are missed, until they are met to a tolerance.
+    """Solve on meshes refined until the dynamics are met.
 
     Intervals in which a limit is passed between the points are cut, too. Where that does not help, as a trajectory
     jumps over an obstacle, it is looked for anew, from a guess that is moved aside.
@@ -96,7 +96,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
 
 
 class _Rounds:
-    """Solves on finer and finer meshes, each from the one before."""
+    """Solves on finer and finer meshes."""
 
     def __init__(self, options: dict[str, Any], tolerance: float, left: int, end: float, bar: Any) -> None:
         self.options = options
@@ -108,13 +108,13 @@ class _Rounds:
         self.most = sys.maxsize
 
     def sharper(self) -> _Rounds:
-        """The rounds that are left, with a tighter tolerance of the solver."""
+        """Remaining rounds with a tighter solver tolerance."""
         rounds = copy(self)
         rounds.options = self.options | {"tolerance": SHARPER * self.tolerance}
         return rounds
 
     def refined(self, solution: Solution) -> tuple[Solution, str]:
-        """The best solution, and why it is not the one asked for, if so."""
+        """Best solution, and why it misses the tolerance, if so."""
         best, still = solution, 0
         while solution.solved_on_mesh and (meshes := self._meshes(solution)) is not None:
             if reason := self._over(still):
@@ -134,11 +134,11 @@ class _Rounds:
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
 
     def missed(self, solution: Solution) -> float:
-        """Error of a mesh in the dynamics or a limit, whichever is more, in tolerances [-]."""
+        """Error of the dynamics or a limit, in tolerances [-]."""
         return max(solution.mesh_error / self.tolerance, solution.excess / LIMIT_PASSED)
 
     def _over(self, still: int) -> str:
-        """Reason why there is no further round; empty if there is one."""
+        """Reason why there is no further round, or ""."""
         if time.perf_counter() >= self.end:
             return NO_TIME
         if not self.left:
@@ -147,7 +147,7 @@ class _Rounds:
         return said if still >= MESHES_WITHOUT_GAIN else ""
 
     def sharpened(self, solution: Solution) -> Solution | None:
-        """The solution to a tighter tolerance of the solver, if a mesh of much the same size does for that.
+        """Solution to a tighter solver tolerance, or None.
 
         Along a singular arc it does not: the input begins to swing.
         """
@@ -159,7 +159,7 @@ class _Rounds:
         return None if reason else sharp
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
-        """Solution from that of another mesh, or the user's start. If that fails, from the guess."""
+        """Solution from `start`, else from the guess."""
         found = self._once(program, self.options if start is None else self.options | {"start": start})
         if not found.solved_on_mesh and start is not None and time.perf_counter() < self.end:
             fresh = self._once(program, {name: value for name, value in self.options.items() if name != "start"})
@@ -171,14 +171,14 @@ class _Rounds:
         return found
 
     def _once(self, program: NonlinearProgram, options: dict[str, Any]) -> Solution:
-        """One solve, in the time that is left."""
+        """One solve in the time left."""
         left = max(self.end - time.perf_counter(), LEAST_SECONDS) if np.isfinite(self.end) else None
         found = solve(program, time_limit=left, **options)
         self.iterations[0] += found.iterations
         return found
 
     def _meshes(self, solution: Solution) -> list[Array] | None:
-        """Finer meshes; None where none is asked for."""
+        """Finer meshes; None where none are needed."""
         meshes = []
         for k, (phase, error) in enumerate(zip(solution.phases, solution.errors)):
             excess = solution.path_excess[k].intervals / LIMIT_PASSED
@@ -188,7 +188,7 @@ class _Rounds:
 
 
 def _reach_bounds(solution: Solution) -> bool:
-    """Whether inputs reach their bounds, between which they may jump."""
+    """Whether inputs reach their bounds."""
     for phase in solution.phases:
         low, high = phase.part.phase.u_bounds
         room = INPUT_AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
@@ -198,17 +198,17 @@ def _reach_bounds(solution: Solution) -> bool:
 
 
 def _jumps_over(solution: Solution) -> bool:
-    """Whether limits are passed between the points after all rounds, or where the solver gave up."""
+    """Whether limits are passed between points at the end."""
     return solution.status in PASSING and solution.excess > LIMIT_PASSED
 
 
 def _halved(mesh: Array) -> Array:
-    """A mesh whose every interval is cut in two."""
+    """Mesh with every interval halved."""
     return np.sort(np.concatenate([mesh, (mesh[:-1] + mesh[1:]) / 2]))
 
 
 def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solution:
-    """The best solution, with the reason why it misses more than the tolerances if it does, and STOPPED by them."""
+    """Best solution, with a reason where tolerances are missed."""
     found = replace(solution, iterations=run.iterations[0], solve_time=time.perf_counter() - began)
     if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found
@@ -224,6 +224,6 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
 
 
 def _rounded_up(value: float) -> float:
-    """A value, up to one digit."""
+    """Value rounded up to one digit."""
     digit = 10.0 ** np.floor(np.log10(value)) if np.isfinite(value) else 1.0
     return float(np.ceil(value / digit) * digit)

@@ -1,4 +1,4 @@
-"""The next state of continuous dynamics after a sample with the input held: a model for nonlinear MPC."""
+"""Continuous dynamics over a sample with the input held."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mpc.optimal_control.interval import runge_kutta
 
 
 def sampled(dynamics: Statement, dt: float, *, parts: int = 4) -> Callable[..., Any]:
-    """The step x⁺ = f(x, u, w, p) of dx/dt = dynamics(x, u, w, p) over dt, with u, w and p held.
+    """Step x⁺ = f(x, u, w, p) of dx/dt = dynamics(x, u, w, p).
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def sampled(dynamics: Statement, dt: float, *, parts: int = 4) -> Callable[..., 
     own = inspect.Signature([inspect.Parameter(name, kind) for name in names])
 
     def step(*columns: Any, **named: Any) -> Any:
-        """The next state."""
+        """Next state."""
         given = own.bind(*columns, **named).arguments
 
         def rate(z: Any, time: Any, _: Any) -> Any:

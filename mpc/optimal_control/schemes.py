@@ -1,4 +1,4 @@
-"""Discretisation of a trajectory: the points, unknowns and equations of one interval of the mesh."""
+"""Discretisation schemes of a trajectory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mpc.tolerances import HIGHEST_DEGREE
 
 @dataclass(frozen=True)
 class Collocation:
-    """States are polynomials that meet the dynamics at given points of every interval; so are inputs.
+    """Polynomials that meet the dynamics at points of every interval.
 
     An implicit Runge–Kutta method: x(τ) = x_k + h Σ a_j(τ) f_j, where a_j is the integral of the j-th Lagrange
     polynomial of the points. With the points 0 and 1 among them inputs are continuous; else every interval has its own.
@@ -59,7 +59,7 @@ class Collocation:
         return np.stack([np.prod(away[..., own], axis=-1) for own in others], axis=-1) / over
 
     def integrals(self, tau: Any) -> Array:
-        """Integrals (n, stages) of the polynomials from 0 to fractions (n,) of the interval, by an exact quadrature."""
+        """Integrals (n, stages) of the polynomials from 0 to fractions (n,)."""
         at, weights = np.polynomial.legendre.leggauss(self.stages // 2 + 1)
         given = np.asarray(tau, dtype=float)[..., None]
         values = self.basis(given * (at + 1) / 2)
@@ -67,7 +67,7 @@ class Collocation:
 
     @cached_property
     def matrix(self) -> Array:
-        """The Runge–Kutta matrix (stages, stages); its last row is the quadrature."""
+        """Runge–Kutta matrix (stages, stages); its last row is the quadrature."""
         return self.integrals(np.asarray(self.points))
 
 
@@ -82,7 +82,7 @@ def HermiteSimpson() -> Collocation:
 
 
 def Radau(degree: int = 3) -> Collocation:
-    """Legendre–Gauss–Radau points, the end of the interval among them: order 2·degree − 1."""
+    """Legendre–Gauss–Radau points, order 2·degree − 1."""
     d = as_count("degree", degree)
     if d > HIGHEST_DEGREE:
         cure = "Take more intervals instead."
@@ -93,7 +93,7 @@ def Radau(degree: int = 3) -> Collocation:
 
 @dataclass(frozen=True)
 class MultipleShooting:
-    """Inputs constant over every interval. States at its ends, joined by an integrator.
+    """Multiple shooting with inputs constant over every interval.
 
     Attributes
     ----------

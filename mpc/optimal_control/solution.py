@@ -1,4 +1,4 @@
-"""The result of a solve: trajectories as functions of time, multipliers, and how far it can be believed."""
+"""Solution of an optimal control problem, and its status."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ ON_MESH = (OptimalControlStatus.SOLVED, OptimalControlStatus.LIMITS_PASSED, Opti
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """An optimal control problem's solution on a mesh.
+    """Solution of an optimal control problem on a mesh.
 
     Attributes
     ----------
@@ -108,22 +108,22 @@ class Solution:
 
     @property
     def solved(self) -> bool:
-        """Whether the solution is an optimum that keeps limits and dynamics between the points, too."""
+        """Whether it is an optimum, also between the points."""
         return self.status is OptimalControlStatus.SOLVED
 
     @property
     def solved_on_mesh(self) -> bool:
-        """Whether the solution is an optimum of the program, whatever happens between the points."""
+        """Whether it is an optimum on its mesh."""
         return self.status in ON_MESH
 
     @property
     def advice(self) -> str:
-        """Advice on the outcome: that of the status, the notes, and what is missed between the points."""
+        """Advice on the outcome, with notes and what is missed."""
         return " ".join([self.status.advice, *self.notes, *(self._missed() if self.solved_on_mesh else ())])
 
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
-        """Violations of limits between the points of the mesh, and their times, one a phase: see `Excess`."""
+        """Violations of limits between mesh points; see `Excess`."""
         return path_excess(self.program, self.unknowns, self.phases, self.p)
 
     @property
@@ -133,26 +133,26 @@ class Solution:
 
     @cached_property
     def missed(self) -> tuple[Missed, ...]:
-        """Errors of dynamics and cost between the points, one a phase: see `mesh_errors`."""
+        """Errors between mesh points; see `mesh_errors`."""
         return tuple(mesh_errors(phase, self.p) for phase in self.phases)
 
     @property
     def errors(self) -> tuple[Array, ...]:
-        """Errors of the dynamics between the points, relative to the extents of states, (N,) a phase."""
+        """Relative errors of the dynamics between points, (N,) a phase."""
         return tuple(one.dynamics for one in self.missed)
 
     @property
     def mesh_error(self) -> float:
-        """The largest of `errors`."""
+        """Largest of `errors`."""
         return max(float(error.max(initial=0.0)) for error in self.errors)
 
     @property
     def cost_error(self) -> float:
-        """Error of the cost by the mesh, about: to first order, by the costates and the cost's quadrature."""
+        """Estimated error of the cost by the mesh."""
         return float(sum(one.cost.sum() for one in self.missed))
 
     def looked_between(self) -> Solution:
-        """Solution with the status that it deserves between the points."""
+        """Solution with its status revised between the points."""
         status = OptimalControlStatus.SOLVED
         if not self.excess <= LIMIT_PASSED:
             status = OptimalControlStatus.LIMITS_PASSED
@@ -167,7 +167,7 @@ class Solution:
         return self.cost_error <= max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
 
     def _missed(self) -> list[str]:
-        """Limits exceeded between the points by more than rounding, and what a coarse mesh misses."""
+        """Limits exceeded and errors made between the points, in words."""
         said = [
             f"Between the points of the mesh {name}{of_phase(self.program, k)} is exceeded by {value:.3g} at "
             f"t = {time:.6g}: cut the intervals there, or keep a margin."
@@ -195,11 +195,11 @@ class Solution:
 
     @property
     def p_gradient(self) -> Array:
-        """Derivatives (np,) of the optimal cost by parameters that are held or stand at a bound; 0 of others."""
+        """Derivatives (np,) of the optimal cost by held or bounded parameters; else 0."""
         return -self.multipliers["bounds"][self.program.parameters]
 
     def sensitivity(self) -> SolutionSensitivity:
-        """Derivatives of optimal cost and trajectory by the parameters, held where they are, and by a given start.
+        """Derivatives of optimal cost and trajectory by parameters and start.
 
         The conditions of an optimum of the program, on its mesh, are differentiated at the active constraints. Solve
         to a small tolerance for derivatives of as many digits: `solve(…, tolerance=1e-10)`.
@@ -217,19 +217,19 @@ class Solution:
         return solution_sensitivity(self.program, self.unknowns, self.multipliers, self.solved_on_mesh)
 
     def x(self, t: ArrayLike) -> Array:
-        """States (..., nx) at times (...), of the phase that they fall in."""
+        """States (..., nx) at times (...), of their phase."""
         return self._of_phases("x", t)
 
     def u(self, t: ArrayLike) -> Array:
-        """Inputs (..., nu) at times (...), of the phase that they fall in."""
+        """Inputs (..., nu) at times (...), of their phase."""
         return self._of_phases("u", t)
 
     def costate(self, t: ArrayLike) -> Array:
-        """Costates (..., nx) at times (...), of the phase that they fall in."""
+        """Costates (..., nx) at times (...), of their phase."""
         return self._of_phases("costate", t)
 
     def plot(self, *, costates: bool = False, mesh: bool = True, figure: Any = None) -> Any:
-        """Draw states, inputs with their bounds, and the mesh. Phases or scenarios side by side.
+        """Draw states, inputs and mesh, phases side by side.
 
         Parameters
         ----------

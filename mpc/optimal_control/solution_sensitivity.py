@@ -1,4 +1,4 @@
-"""Derivatives of a solution by parameters that are held and by a given start: its KKT system, solved."""
+"""Derivatives of a solution by held parameters and a given start."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class PhaseSensitivity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolutionSensitivity:
-    """Derivatives of a solution by the shared parameters p, held where they are, and by the start of the first phase.
+    """Derivatives of a solution by the held parameters p and the start.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SolutionSensitivity:
 def solution_sensitivity(
     program: NonlinearProgram, v: Array, multipliers: dict[str, Array], solved: bool
 ) -> SolutionSensitivity:
-    """Derivatives at unknowns v (n,) with multipliers of "rows" and "bounds". See `Solution.sensitivity`."""
+    """Derivatives at unknowns v (n,); see `Solution.sensitivity`."""
     held = _held(program)
     if not solved:
         return _none(program, held, SensitivityStatus.UNSOLVED, ())
@@ -111,14 +111,14 @@ def solution_sensitivity(
 
 
 def _held(program: NonlinearProgram) -> NDArray[np.int64]:
-    """Unknowns whose changes are asked for: parameters, then the given entries of the first phase's start."""
+    """Unknowns to differentiate by: parameters, then given start entries."""
     first = program.parts[0].first + np.arange(program.parts[0].layout.nx)
     given = first[program.lower[first] == program.upper[first]]
     return np.concatenate([np.arange(program.parameters.start, program.parameters.stop), given])
 
 
 def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tuple[Array, Any, Any, Array]:
-    """Gradient and Hessian of the Lagrangian, Jacobian of the rows, all scaled, and the rows."""
+    """Scaled Lagrangian gradient and Hessian, row Jacobian, and rows."""
     y = ca.MX.sym("multipliers", program.g.numel())
     lagrangian = program.f + ca.dot(y, program.g)
     hessian, gradient = ca.hessian(lagrangian, program.v)
@@ -134,7 +134,7 @@ def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tup
 def _acting(
     low: Array, high: Array, multiplier: Array, softness: Array
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Bounds (n,) that hold with equality, and those of which an interior point cannot tell.
+    """Bounds (n,) that are active, and those weakly active.
 
     Of bounds relative to the value, multipliers, and how far a unit force moves the value, about; all scaled.
     """
@@ -149,7 +149,7 @@ def _acting(
 
 
 def _once_each(rows: Any) -> NDArray[np.int64]:
-    """Rows (n,) that are no multiple of one before. A limit that is stated twice is one limit."""
+    """Rows (n,) that are no multiple of an earlier one."""
     along = rows @ np.random.default_rng(0).normal(size=(rows.shape[1], 2))
     length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
     along = along / (np.where(along[:, 0] < 0, -1, 1) * length)[:, None]
@@ -172,7 +172,7 @@ def _solved(K: Any, right: Array) -> Array | None:
 
 def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: SensitivityStatus, gradient: Array,
             curvature: Array, moves: Array, weak: tuple[str, ...]) -> SolutionSensitivity:  # fmt: skip
-    """The derivatives by name; moves (n, held) of all unknowns."""
+    """Derivatives by name from moves (n, held) of all unknowns."""
     count = program.parameters.stop - program.parameters.start
     part = program.parts[0]
     start = np.full((len(moves), part.layout.nx), np.nan)
@@ -190,7 +190,7 @@ def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: Sensitiv
 
 
 def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
-    """Moves of states (N + 1, nx, m) and inputs (n, nu, m) of a phase, of those (n, m) of all unknowns."""
+    """Moves of states (N + 1, nx, m) and inputs (n, nu, m) of a phase."""
     layout = part.layout
     states = np.empty((part.intervals + 1, layout.nx, moves.shape[1]))
     inputs = np.empty((part.intervals * len(layout.points), layout.nu, moves.shape[1]))
@@ -204,7 +204,7 @@ def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
 def _none(
     program: NonlinearProgram, held: NDArray[np.int64], status: SensitivityStatus, weak: tuple[str, ...]
 ) -> SolutionSensitivity:
-    """Sensitivity without derivatives: NaN in place of each."""
+    """Sensitivity with NaN in place of each derivative."""
     moves = np.full((len(program.lower), len(held)), np.nan)
     return _packed(
         program, held, status, np.full(len(held), np.nan), np.full((len(held), len(held)), np.nan), moves, weak

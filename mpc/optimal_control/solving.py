@@ -1,4 +1,4 @@
-"""Solve a nonlinear program, and check what the solver says with the program's own derivatives."""
+"""Solution of a nonlinear program, checked by its own derivatives."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Se
 
 
 class _Run:
-    """The calls of the solver that one solve takes, within one limit of time."""
+    """Solver calls of one solve, within one time limit."""
 
     def __init__(self, program: NonlinearProgram, lower: Array, upper: Array, settings: Settings) -> None:
         self.program = program
@@ -101,7 +101,7 @@ class _Run:
         self.iterations = 0
 
     def _left(self, warm: bool) -> Settings:
-        """The settings of the next call."""
+        """Settings of the next call."""
         passed = time.perf_counter() - self.began
         options = {
             "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
@@ -133,7 +133,7 @@ class _Run:
         return found
 
     def elsewhere(self, found: Found) -> Found:
-        """Result from a guess that is moved, where the guess itself was stationary. It may be a maximum."""
+        """Result from a moved guess, where the guess was stationary."""
         program = self.program
         # begun with a small barrier, which at full height would pull inputs back between their bounds
         other = self.solved(shaken(program, self.lower, self.upper), None, warm=True)
@@ -145,7 +145,7 @@ class _Run:
         return found
 
     def judged(self, found: Found) -> Solution:
-        """The solution that the solver's answer stands for, with its status confirmed."""
+        """Solution from the solver's answer, its status confirmed."""
         status = _status(found)
         if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self._falls(found):
             status = OptimalControlStatus.UNBOUNDED
@@ -159,12 +159,12 @@ class _Run:
         return self._packed(found, status, conflicts)
 
     def _falls(self, found: Found) -> bool:
-        """Whether the cost came down beyond all that it began with, or unknowns ran away to make it fall."""
+        """Whether the cost fell without end."""
         first, last = (float(self.program.derivatives.values(v)[0]) for v in (self.program.guess, found.v))
         return last < -BOTTOMLESS * max(1.0, abs(first)) or (found.said in ENDLESS and last < first)
 
     def _confirmed(self, found: Found) -> tuple[Found, OptimalControlStatus, tuple[str, ...]]:
-        """A verdict of infeasibility, checked by the least violation from several starts.
+        """Verdict of infeasibility checked from several starts.
 
         Where one of them is feasible the problem is solved from there.
         """
@@ -198,7 +198,7 @@ class _Run:
         return replace(found, v=least.v, violations=least.violations), OptimalControlStatus.INFEASIBLE, named
 
     def _packed(self, found: Found, status: OptimalControlStatus, conflicts: tuple[str, ...]) -> Solution:
-        """The solution, with its trajectories."""
+        """Solution with its trajectories."""
         program, v, multipliers = self.program, found.v, found.multipliers
         cost = float(program.derivatives.values(v)[0])
         p = v[program.parameters]
@@ -227,7 +227,7 @@ def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -
 
 
 def _status(found: Found) -> OptimalControlStatus:
-    """Status that a solver's word and the residuals come to."""
+    """Status from the solver's word and the residuals."""
     said, residuals = found.said, found.residuals
     if residuals.worst <= OPTIMAL and residuals.primal <= FEASIBLE:
         return OptimalControlStatus.SOLVED
@@ -241,7 +241,7 @@ def _status(found: Found) -> OptimalControlStatus:
 
 
 def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
-    """Unknowns (n,) of a program, of a solution of the same phases on any mesh."""
+    """Unknowns (n,) of a program from a solution on any mesh."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
     sizes = [(one.states.shape[1], one.inputs.shape[1]) for one in start.phases]
     if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:

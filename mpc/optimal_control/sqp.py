@@ -1,4 +1,4 @@
-"""One step of sequential quadratic programming for a discrete plan: linearise along it, condense, solve."""
+"""Sequential quadratic programming for discrete plans."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class _Program:
 
 
 class Sequential:
-    """The quadratic programs of a statement: cost and limits of `problem`, the dynamics of `model`.
+    """Quadratic programs of `problem` with the dynamics of `model`.
 
     Its variables are v = du + K dx with the gains of the regulator along the plan, for which the Hessian is block
     diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998).
@@ -110,7 +110,7 @@ class Sequential:
         self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
         relaxed: bool = False, costates: Array | None = None,
     ) -> Step:  # fmt: skip
-        """The quadratic program at a plan of states (N + 1, nx) and inputs (N, nu), from the state x (nx,).
+        """Quadratic program at a plan (N + 1, nx), (N, nu) from x (nx,).
 
         `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
         With `costates` (N + 1, nx) the Hessian takes the curvature of the model in, where it stays definite.
@@ -147,7 +147,7 @@ class Sequential:
         )  # fmt: skip
 
     def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
-        """Prices of a merit for a gap of one size and a limit violated by one unit; costates (N + 1, nx)."""
+        """Merit prices of gaps and of violated limits; costates (N + 1, nx)."""
         forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
         found = costates_along(*step.slopes, step.gains, *forces)
         own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
@@ -155,7 +155,7 @@ class Sequential:
         return 2.0 * _largest(found * self.size), 2.0 * _largest(along), found
 
     def _hessian(self, G: Array, F: Array) -> Array:
-        """Hessian by v of the cost of states that answer by G and inputs that answer by F."""
+        """Hessian by v, for state responses G and input responses F."""
         problem, n = self.problem, self.n
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
         H = 2 * (flat.T @ (self._weights @ G).reshape(-1, n) + acting.T @ (problem.R @ F).reshape(-1, n))
@@ -166,7 +166,7 @@ class Sequential:
         return np.asarray((H + H.T) / 2)
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
-        """The program in v, of a plan that v = 0 leads to. States answer by G, inputs by F."""
+        """Program in v about the plan of v = 0."""
         problem, n = self.problem, self.n
         error, effort = self.deviations(states, inputs, given)
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
@@ -182,7 +182,7 @@ class Sequential:
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 
     def _slopes(self, error: Array, effort: Array) -> tuple[Array, Array]:
-        """Slopes of the cost by states (N + 1, nx) and inputs (N, nu), at these deviations from the references."""
+        """Slopes of the cost by states (N + 1, nx) and inputs (N, nu)."""
         problem = self.problem
         by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
         by_input = 2 * effort @ problem.R
@@ -192,12 +192,12 @@ class Sequential:
         return by_state, by_input
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
-        """Deviations of states and inputs from their references, where there are some."""
+        """Deviations of states and inputs from their references."""
         error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
         return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
     def _limits(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> tuple[Array, Array]:
-        """Rows and bounds of v: inputs, rates, then states and the end."""
+        """Rows and bounds of v: inputs, rates, states, end."""
         problem, n = self.problem, self.n
         H, h = problem.input_rows
         rows = [(H @ F).reshape(-1, n)]
@@ -215,7 +215,7 @@ class Sequential:
         return np.vstack(rows), np.concatenate(bounds)
 
     def _forces(self, states: Array, inputs: Array, multipliers: Array, given: Given) -> tuple[Array, Array]:
-        """Slopes of the Lagrangian by states (N + 1, nx) and inputs (N, nu), without those of the dynamics."""
+        """Lagrangian slopes (N + 1, nx) and (N, nu) without dynamics."""
         problem, N, nu = self.problem, self.problem.horizon, self.problem.nu
         by_state, by_input = self._slopes(*self.deviations(states, inputs, given))
         end = len(problem.terminal_rows[1])
@@ -231,7 +231,7 @@ class Sequential:
         return by_state, by_input
 
     def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, Array, bool, bool]:
-        """Variables, multipliers of the rows, whether limits of states were relaxed, and whether it was solved."""
+        """Variables, multipliers, whether limits were relaxed, whether it was solved."""
         if self.problem.soft is not None:
             return self._priced(program, *self.problem.soft, False)
         if relaxed:
@@ -244,7 +244,7 @@ class Sequential:
     def _priced(
         self, program: _Program, linear: float, quadratic: float, relaxed: bool
     ) -> tuple[Array, Array, bool, bool]:
-        """Solution as of `_solve`, with a price on the largest violation of every step."""
+        """Solution as of `_solve`, with priced violations per step."""
         N, n, m = self.problem.horizon, self.n, len(program.rows)
         columns = np.zeros((m, N))
         columns[m - len(self._prices) + np.arange(len(self._prices)), self._step_of] = -self._prices
@@ -260,14 +260,14 @@ class Sequential:
 
     def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, gap_price: float,
               limit_prices: tuple[float, float]) -> float:  # fmt: skip
-        """Cost of a plan, with its gaps and, where limits are hard, its violations at their prices."""
+        """Cost of a plan with its gaps and hard violations priced."""
         gaps = (self.model.along(states[:-1], inputs, w, p) - states[1:]) / self.size
         first = (x - states[0]) / self.size
         of_gaps = gap_price * float(np.abs(gaps).sum() + np.abs(first).sum())
         return of_gaps + self.priced_cost(states, inputs, given, limit_prices)
 
     def priced_cost(self, states: Array, inputs: Array, given: Given, limit_prices: tuple[float, float]) -> float:
-        """Cost of a plan and, where limits are hard, its violations at prices, linear and quadratic."""
+        """Cost of a plan with its hard violations priced."""
         cost = cost_of(self.problem, inputs, states, given)
         if self.problem.soft is not None or not any(limit_prices):
             return cost
@@ -276,7 +276,7 @@ class Sequential:
 
 
 def _diagonal(blocks: Array) -> Array:
-    """The matrix (N m, N m) with blocks (N, m, m) along its diagonal."""
+    """Block diagonal matrix (N m, N m) of blocks (N, m, m)."""
     N, m, _ = blocks.shape
     whole = np.zeros((N, m, N, m))
     whole[np.arange(N), :, np.arange(N)] = blocks
@@ -284,7 +284,7 @@ def _diagonal(blocks: Array) -> Array:
 
 
 def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _Program:
-    """The program with the curvature of the model, if its Hessian stays definite.
+    """Program with the model's curvature, if its Hessian stays definite.
 
     `answers` (N, nx + nu, n) of states and inputs to the variables, which lead nowhere but to `lead` (N, nx + nu) at 0.
     """

@@ -1,4 +1,4 @@
-"""The steady state of a nonlinear model nearest to a reference, where Newton's method finds none: by Ipopt."""
+"""Nearest steady state of a nonlinear model, by Ipopt."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mpc.tracking import sizes_of
 
 
 class SteadyStates:
-    """Steady states of a model in X and U. The statement is that of `targets.nearest_target`.
+    """Steady states of a model in X and U.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class SteadyStates:
         })  # fmt: skip
 
     def nearest(self, C: Array, r: Array, w: Array, p: Array) -> Array | None:
-        """State and input (nx + nu,) with outputs Cx nearest to r, sought from rest. None where it finds none."""
+        """State and input (nx + nu,) with Cx nearest to r, or None."""
         unit = max(float(np.linalg.norm(C * self._size[: C.shape[1]])), np.finfo(float).tiny)
         data = np.concatenate([(C.T @ C).ravel() / unit**2, C.T @ r / unit**2, w, p])
         found = self._solver(x0=0, p=data, lbg=self._least, ubg=self._most)

@@ -1,4 +1,4 @@
-"""From an optimal control problem and a mesh to a nonlinear program."""
+"""Transcription of an optimal control problem on a mesh."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class _Builder:
         self.into = Assembly()
 
     def program(self) -> NonlinearProgram:
-        """The whole program."""
+        """Whole program."""
         problem, into = self.problem, self.into
         first_parameters = np.asarray(problem.p_guess)
         layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
@@ -92,7 +92,7 @@ class _Builder:
         return into.program(problem, tuple(parts), parameters, costs)
 
     def _costs_of_scenarios(self) -> slice:
-        """Append what the costs of scenarios are known by, where these are not summed: the largest, or each of them."""
+        """Append the unknown costs of scenarios that are not summed."""
         problem = self.problem
         count = len(problem.phases)
         first = self.into.width
@@ -109,7 +109,7 @@ class _Builder:
         return slice(first, first + many)
 
     def _duration(self, phase: Phase) -> int:
-        """Append a duration that is free; return its place, or −1."""
+        """Append a free duration; return its place, or −1."""
         if not phase.free_duration:
             return -1
         low, high = phase.duration
@@ -127,7 +127,7 @@ class _Builder:
         return Clock(start + given, phases[k].duration[0], np.array(free, dtype=int), durations[k] >= 0)
 
     def _link(self, k: int, clock: Clock, before: PhasePart, after: PhasePart) -> None:
-        """Append that a phase begins where the one before it ends."""
+        """Append that a phase begins where its predecessor ends."""
         link = self.problem.link_functions[k - 1]
         end, begin = before.layout.nx, after.layout.nx
         size = self.into.scale[k][:begin]
@@ -153,7 +153,7 @@ class _Builder:
 
 def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, layout: Layout,
                    mesh: Array) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Lower and upper bounds, guess and sizes of the unknowns (n,) of a phase, with parameters (np,) to begin with."""
+    """Bounds, guess and sizes of the unknowns (n,) of a phase."""
     trajectory = first_guess(phase)
     x, u = trajectory(mesh)
     known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
@@ -180,7 +180,7 @@ def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, l
 
 def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Array, x: Array, u: Array, sizes: Array,
            told: Array) -> Array:  # fmt: skip
-    """Sizes (nx + nu,) of states and inputs, some of them told: the others by how the dynamics join them.
+    """Sizes (nx + nu,) of states and inputs, some of them told.
 
     An unknown is as large as a state of known size needs it, to move by that over the phase or as fast as the rest
     of its dynamics makes it; failing that, a state is as large as it moves over the phase.

@@ -1,1 +1,1 @@
-"""Changes of controllers with their first state and parameters: LQR, linear MPC, and what nonlinear MPC shares."""
+"""Sensitivities of controllers to their state and parameters."""

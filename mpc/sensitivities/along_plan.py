@@ -1,4 +1,4 @@
-"""The derivatives of a plan: Newton steps to the optimum itself, then those of its optimality conditions."""
+"""Derivatives of a plan from its optimality conditions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, 
 def sensitivity_of(
     problem: MPCProblem, model: PlanModel, changes: Changes, plan: Plan, given: Given
 ) -> PlanSensitivity:
-    """Derivatives of a plan of `problem`, whose dynamics are those of `model`, under the signals `given`."""
+    """Derivatives of a plan of `problem` with the dynamics of `model`."""
     conditions = Conditions(problem, model, changes, given)
     if plan.status is not Status.SOLVED:
         return conditions.none(plan, SensitivityStatus.UNSOLVED)
@@ -46,7 +46,7 @@ def sensitivity_of(
 
 
 def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
-    """The derivatives at an optimum, from the step that no longer moves it."""
+    """Derivatives at an optimum, from the last step."""
     linear, point = step.linear, step.point
     at, nt = linear.conditions.columns, linear.conditions.nt
     rates = step.moves[:, :nt]
@@ -83,7 +83,7 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
 
 @dataclass(frozen=True, eq=False)
 class IdleRows:
-    """Rows (m,) that are met but do not push: weak ones, dependent ones, and which of these move along anyway.
+    """Rows (m,) that are met but do not push.
 
     Weak rows that only depend on each other are both: a direction has rates where its quadratic program has a solution
     (Ralph and Dempe, Mathematical Programming 70, 1995).
@@ -95,7 +95,7 @@ class IdleRows:
 
     @classmethod
     def at(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
-        """Idle rows at an optimum whose free variables move by rates (n, nt)."""
+        """Idle rows at an optimum with rates (n, nt)."""
         met = linear.on_bound & linear.own & ~point.acting
         acting = linear.rows[point.acting][:, linear.free] * linear.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(linear.scale), 0))
@@ -121,7 +121,7 @@ class IdleRows:
         return cls(met & ~alone, dependent, together)
 
     def margin(self, linear: Linearised, point: Point) -> float:
-        """Distance of the nearest row from beginning or ceasing to act, in its unit [-]."""
+        """Distance of the nearest row from beginning or ceasing to act [-]."""
         idle = self.weak | self.dependent
         worth = linear.worth(linear.multipliers)
         pushing = worth > WEAKLY_ACTIVE
@@ -134,7 +134,7 @@ class IdleRows:
 
 
 def _vanishing_sum(unit: Array, weak: Mask) -> dict[int, float] | None:
-    """A sum with positive parts of weak rows that leaves nothing beside the acting ones. None where there is none.
+    """Positive combination of weak rows that vanishes, or None.
 
     Where there is one the multipliers are not unique (Kyparisis, Mathematical Programming 32, 1985).
     """
@@ -147,7 +147,7 @@ def _vanishing_sum(unit: Array, weak: Mask) -> dict[int, float] | None:
 
 
 def _moves_along(linear: Linearised, rates: Array, parts: dict[int, float]) -> bool:
-    """Whether a sum of rows stays on its bound in all directions as the free variables move by rates (n, nt)."""
+    """Whether a sum of rows stays on its bound under rates (n, nt)."""
     nt = linear.conditions.nt
     terms = [part * np.vstack([linear.rows[i, :nt], linear.rows[i, linear.free][:, None] * rates])
              for i, part in parts.items()]  # fmt: skip
@@ -157,7 +157,7 @@ def _moves_along(linear: Linearised, rates: Array, parts: dict[int, float]) -> b
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
-    """Moves by θ = (x, p, u_prev) and, in the last column, to the optimum."""
+    """Moves by θ = (x, p, u_prev) and, last, to the optimum."""
 
     linear: Linearised  # the conditions that it is a step on
     point: Point  # where it begins
@@ -166,7 +166,7 @@ class NewtonStep:
 
     @classmethod
     def at(cls, linear: Linearised, point: Point) -> NewtonStep | None:
-        """Newton step at a point. None at a saddle, or where acting rows depend on each other."""
+        """Newton step at a point; None at saddles or dependent acting rows."""
         at, nt = linear.conditions.columns, linear.conditions.nt
         acting = np.flatnonzero(point.acting)
         d = linear.scale
@@ -195,7 +195,7 @@ class NewtonStep:
 
     @property
     def size(self) -> float:
-        """Length of the step, in sizes of inputs and states, and in the units of the slacks [-]."""
+        """Length of the step in sizes of inputs, states and slacks [-]."""
         linear = self.linear
         problem = linear.conditions.problem
         inputs, states = self._of_plan
@@ -220,7 +220,7 @@ class NewtonStep:
         return self.moves[at["z"].stop - at["z"].start :, -1]
 
     def after(self) -> Point:
-        """Point after the step. Rows that it would pass act from then on, those that would pull do not."""
+        """Point after the step, with its rows that act."""
         linear, point = self.linear, self.point
         inputs, states = self._of_plan
         multipliers = np.zeros(len(linear.rows))
@@ -237,7 +237,7 @@ class NewtonStep:
 
 
 def enter(rows: Array, multipliers: Array, acting: Mask, passed: Mask) -> None:
-    """Let passed rows act, in place: one that is a sum of acting rows takes the place of the first that would pull.
+    """Let passed rows act, in place, exchanged for acting rows they depend on.
 
     That is the ratio test of the dual simplex method (Lemke, Naval Research Logistics Quarterly 1, 1954): the slope
     stays balanced, the multipliers stay >= 0 and the acting rows independent.

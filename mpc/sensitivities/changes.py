@@ -1,4 +1,4 @@
-"""Derivatives of cost and limits of an MPC problem by parameters, as a user states them."""
+"""Derivatives of cost and limits by parameters, checked."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mpc.tolerances import UNIT_STEP
 
 @dataclass(frozen=True, eq=False)
 class Changes:
-    """Derivatives of cost and limits by parameters.
+    """Derivatives of cost and limits by np parameters.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Changes:
 
 
 def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count: int | None = None) -> Changes:
-    """Derivatives dA, dB, dE, dQ, dR, dS, dP, dX, dU, d_terminal_set and d_rate_limit, checked; 0 for what is None.
+    """Derivatives dA, …, d_rate_limit, checked; 0 for None.
 
     Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others.
 
@@ -82,7 +82,7 @@ def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count
 
 
 def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[str, Array]:
-    """Derivatives (rows, np) of the units of soft limits by parameters, by kind.
+    """Derivatives (rows, np) of soft limits' units, by kind.
 
     A unit is the size of a bound, or a reach; reaches are products of at most two numbers that change, piece by piece,
     of which central differences are exact. The unit of a bound that is zero does not change with that bound.
@@ -112,7 +112,7 @@ def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[s
 
 
 def _moved(limits: Limits, moves: dict[str, Array], dB: Array, rate: Array | None, part: float) -> Limits:
-    """The limits after a part of a move."""
+    """Limits after a part of a move."""
     state, terminal, actions = (
         (H, h + part * moves[kind])
         for kind, (H, h) in (("state", limits.state), ("terminal", limits.terminal), ("input", limits.input))

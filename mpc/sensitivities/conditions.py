@@ -1,4 +1,4 @@
-"""The optimality conditions of a plan: moves of inputs, states and rows with its first state, parameters and inputs."""
+"""Optimality conditions of a plan."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class PlanModel(Protocol):
     """Derivatives of x⁺ = f(x, u, p) along a plan, p (np,)."""
 
     def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
-        """Values f (N, nx), ∂f/∂x (N, nx, nx), ∂f/∂u (N, nx, nu), ∂f/∂p (N, nx, np) at states and inputs of N steps."""
+        """Values f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
         ...
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Hessians of Σ λ_i f_i, costates λ (N, nx), by (x, u) and mixed with p, (N, nx + nu, nx + nu | np)."""
+        """Hessians of Σ λ_i f_i by (x, u), and mixed derivatives with p."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Inputs (N, nu), states (N + 1, nx), slacks (N,) of soft limits, multipliers (m,) if known, which rows act."""
+    """Inputs (N, nu), states (N + 1, nx), slacks (N,), multipliers (m,) or None."""
 
     inputs: Array
     states: Array
@@ -47,7 +47,7 @@ class Point:
 
     @classmethod
     def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:
-        """Point of a plan, whose multipliers are not known."""
+        """Point of a plan without multipliers."""
         slacks = np.zeros(0)
         if problem.soft is not None:
             slacks = relative_violations(problem, plan.states, problem.price_units)
@@ -55,7 +55,7 @@ class Point:
 
 
 class Conditions:
-    """The optimality conditions of a problem, to be linearised at points.
+    """Optimality conditions of a problem, to be linearised at points.
 
     Columns of every form are ξ = (x, p, u_prev, gap, value, z): what moves with θ = (x, p, u_prev), what closes the
     gaps of the dynamics, the value itself, and what moves with the free inputs.
@@ -80,7 +80,7 @@ class Conditions:
     def forms(
         self, point: Point, model: tuple[Array, Array, Array], after: Array, feedback: Array | None
     ) -> tuple[Array, Array]:
-        """Inputs (N, nu, ·) and states (N + 1, nx, ·) as they move with ξ."""
+        """Inputs (N, nu, ·) and states (N + 1, nx, ·) as functions of ξ."""
         A, B, F = model
         problem, at = self.problem, self.columns
         N, width = problem.horizon, at["z"].stop
@@ -104,7 +104,7 @@ class Conditions:
         return U, X
 
     def rows(self, point: Point, U: Array, X: Array) -> tuple[Array, Array, list[Constraint]]:
-        """Rows (m, ·) of ξ and the slacks, their values g <= 0 (m,) at the point, and their labels."""
+        """Rows (m, ·) by ξ and slacks, values g <= 0 (m,), and labels."""
         problem, at = self.problem, self.columns
         rows, bounds, labels = constraints_of(problem, U, X, at)
         value = rows[:, at["value"]].ravel()
@@ -122,12 +122,12 @@ class Conditions:
         return rows, value - bounds, labels
 
     def priced(self, labels: list[Constraint]) -> list[tuple[int, Array]]:
-        """Rows that a slack relaxes by units that change, and how these do (np,)."""
+        """Softened rows with changing units, and their changes (np,)."""
         units = {kind: change for kind, change in self.changes.units.items() if change.any()}
         return [(i, units[label.kind][label.row]) for i, label in enumerate(labels) if label.kind in units]
 
     def none(self, plan: Plan, status: SensitivityStatus) -> PlanSensitivity:
-        """Sensitivity without derivatives: NaN in place of each."""
+        """Sensitivity with NaN in place of each derivative."""
         N, nx, nu, count = self.problem.horizon, self.problem.nx, self.problem.nu, self.changes.parameters
         last = self.columns["u_prev"].stop - self.columns["u_prev"].start
         shapes = {

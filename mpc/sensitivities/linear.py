@@ -1,4 +1,4 @@
-"""Derivatives of linear MPC by its first state and by the parameters of its model, weights and limits."""
+"""Derivatives of linear MPC by its state and parameters."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _LinearModel:
         return after, np.broadcast_to(A, (N, *A.shape)), np.broadcast_to(B, (N, *B.shape)), by_parameters
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Mixed derivatives by costates and changes of A and B. There is no curvature."""
+        """Curvature, which is zero, and mixed derivatives by parameters."""
         size = states.shape[1] + inputs.shape[1]
         mixed = [np.einsum("kx,xyp->kyp", costates, self._changes[name]) for name in ("dA", "dB")]
         return np.zeros((len(inputs), size, size)), np.concatenate(mixed, axis=1)

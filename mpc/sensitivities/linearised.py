@@ -1,4 +1,4 @@
-"""The optimality conditions of a plan, linearised at one point: slopes, curvature, multipliers and which rows act."""
+"""Optimality conditions of a plan, linearised at one point."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mpc.tolerances import ACTIVE, WEAKLY_ACTIVE
 
 
 class Linearised:
-    """The optimality conditions at one point."""
+    """Optimality conditions at one point."""
 
     def __init__(self, conditions: Conditions, point: Point) -> None:
         self.conditions = conditions
@@ -73,7 +73,7 @@ class Linearised:
         return slice(self.conditions.columns["z"].start, self.width)
 
     def _mixed(self, steps: Array, end: Array) -> tuple[Array, Array]:
-        """Derivatives of the slopes of the cost by p, (N, nx + nu, np) and (nx, np)."""
+        """Derivatives of cost slopes by p, (N, nx + nu, np) and (nx, np)."""
         conditions = self.conditions
         return (
             2 * np.einsum("pij,kj->kip", conditions.stage_change, steps),
@@ -81,7 +81,7 @@ class Linearised:
         )
 
     def _hessian(self, forms: Array, curvature: Array, slacks: int) -> Array:
-        """Second derivatives (n, ·) of the Lagrangian by (z, slacks) and by (ξ, slacks)."""
+        """Lagrangian Hessian (n, ·) by (z, slacks) and (ξ, slacks)."""
         problem, at = self.conditions.problem, self.conditions.columns
         free = slice(at["z"].start, at["z"].stop)
         weighted = (curvature @ forms).reshape(-1, forms.shape[-1])
@@ -96,7 +96,7 @@ class Linearised:
         return whole
 
     def _pushes(self) -> tuple[Array, Array]:
-        """Slopes by states (N + 1, nx) and inputs (N, nu) that the multipliers of limits add."""
+        """Slopes by states (N + 1, nx) and inputs (N, nu) from limits."""
         problem = self.conditions.problem
         on_states = np.zeros((problem.horizon + 1, problem.nx))
         on_inputs = np.zeros((problem.horizon, problem.nu))
@@ -114,7 +114,7 @@ class Linearised:
         return on_states, on_inputs
 
     def _costates(self, A: Array, B: Array) -> Array:
-        """Costates λ (N, nx): derivatives of the cost from each next state on by that state.
+        """Costates λ (N, nx) of each next state.
 
         Along the feedback, where there is one, they do not lose their digits to an unstable model: at an optimum the
         slope by the inputs, which it adds, is zero.
@@ -134,7 +134,7 @@ class Linearised:
         return costates
 
     def with_multipliers(self, point: Point) -> Point:
-        """The point with multipliers >= 0 of the rows that are met, which balance the gradient best."""
+        """Point with multipliers >= 0 that best balance the gradient."""
         met = np.flatnonzero((self.values >= -ACTIVE * self.units) & self.own)
         multipliers = np.zeros(len(self.rows))
         scaled = self.rows[met][:, self.free] * self.scale
@@ -146,7 +146,7 @@ class Linearised:
         return Point(point.inputs, point.states, point.slacks, multipliers, self.acting(multipliers))
 
     def worth(self, multipliers: Array) -> Array:
-        """Violation (m,) of each row if it alone did not act, in its unit [-]. Exact for linear models."""
+        """Violation (m,) of each row if inactive, in its unit [-]."""
         pushing = np.flatnonzero(multipliers > 0)
         d = self.scale
         G = self.rows[pushing][:, self.free] * d
@@ -163,7 +163,7 @@ class Linearised:
         return worth
 
     def acting(self, multipliers: Array) -> Mask:
-        """Rows (m,) that push, and those of slacks at zero that nothing pushes, (m,) bool."""
+        """Whether each row (m,) pushes, or is an unpushed slack at zero."""
         pushing = self.worth(multipliers) > WEAKLY_ACTIVE
         near = {
             label.step
@@ -175,5 +175,5 @@ class Linearised:
 
     @property
     def on_bound(self) -> Mask:
-        """Rows (m,) that hold with equality, or are passed by less than it takes to act."""
+        """Whether each row (m,) holds with equality, up to tolerance."""
         return np.asarray(self.values >= -WEAKLY_ACTIVE * self.units)

@@ -1,4 +1,4 @@
-"""Derivatives of an optimal plan and its cost: what `sensitivity` returns."""
+"""Derivatives of an optimal plan and its cost."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class SensitivityStatus(Outcome):
 
 
 class Rates(NamedTuple):
-    """One-sided rates of change: of the cost, the inputs (N, nu) and the states (N + 1, nx)."""
+    """One-sided rates of cost, inputs (N, nu) and states (N + 1, nx)."""
 
     cost: float
     inputs: Array
@@ -47,7 +47,7 @@ class Rates(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LocalProgram:
-    """The quadratic program that rates of change solve, in ξ = (θ, z): θ = (x, p, u_prev), z the free variables."""
+    """QP of the rates of change, in ξ = (θ, z), θ = (x, p, u_prev)."""
 
     H: Array  # (n, n): Hessian of the Lagrangian by z
     F: Array  # (n, nt): its mixed derivatives by z and θ
@@ -58,7 +58,7 @@ class LocalProgram:
     states: Array  # (N + 1, nx, nt + n)
 
     def rate(self, theta: Array) -> Array | None:
-        """Rate (n,) of z as θ (nt,) moves that way. None where the program has no solution."""
+        """Rate (n,) of z along θ (nt,); None without a solution."""
         nt = len(theta)
         held, at = self.held[:, nt:], self.held[:, :nt] @ theta
         d = 1 / np.sqrt(np.abs(np.diag(self.H)))
@@ -76,7 +76,7 @@ class LocalProgram:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlanSensitivity:
-    """An optimal plan with its derivatives by the first state x (nx,), parameters p (np,) and the last input (nu,).
+    """Optimal plan with derivatives by x (nx,), p (np,) and u_prev (nu,).
 
     They are those of the optimality conditions at the active constraints (Fiacco, *Introduction to Sensitivity and
     Stability Analysis in Nonlinear Programming*, 1983), of the plan after Newton steps on these; NaN where there are
@@ -130,23 +130,23 @@ class PlanSensitivity:
 
     @property
     def regular(self) -> bool:
-        """Whether the active constraints are independent (LICQ), so that their multipliers are unique."""
+        """Whether the active constraints are independent (LICQ)."""
         return not self.dependent and self.status is not SensitivityStatus.UNSOLVED
 
     @property
     def input_by_state(self) -> Array:
-        """∂u_0/∂x (nu, nx): the gain of the control law here."""
+        """Gain ∂u_0/∂x (nu, nx)."""
         return np.asarray(self.inputs_by_state[0])
 
     @property
     def input_by_parameters(self) -> Array:
-        """∂u_0/∂p (nu, np)."""
+        """Derivative ∂u_0/∂p (nu, np)."""
         return np.asarray(self.inputs_by_parameters[0])
 
     def along(
         self, dx: ArrayLike | None = None, dp: ArrayLike | None = None, du_prev: ArrayLike | None = None
     ) -> Rates:
-        """Rates of change as x, p and the last input move along dx (nx,), dp (np,) and du_prev (nu,): one-sided.
+        """One-sided rates along dx (nx,), dp (np,) and du_prev (nu,).
 
         At weakly active constraints they are not linear in the direction: a quadratic program says which of them begin
         to act (Jittorntrum, Mathematical Programming Study 21, 1984). NaN where that has no solution: the way
@@ -170,7 +170,7 @@ class PlanSensitivity:
 
     @property
     def _cost_by_last(self) -> Array:
-        """∂J*/∂u_prev (nu,): what the rate limits of the first step are worth."""
+        """Derivative ∂J*/∂u_prev (nu,)."""
         worth = np.zeros(self.inputs_by_last_input.shape[-1])
         for label, multiplier in self.active.items():
             if label.kind == "rate" and label.step == 0:
@@ -180,6 +180,6 @@ class PlanSensitivity:
 
 
 def null_directions(rows: Array) -> Array:
-    """An orthonormal basis (n, ·) of the directions that independent rows (m, n) leave free."""
+    """Orthonormal basis (n, ·) of the null space of rows (m, n)."""
     m, n = rows.shape
     return np.asarray(np.linalg.qr(rows.T, mode="complete")[0][:, m:]) if m else np.eye(n)

@@ -1,4 +1,4 @@
-"""Derivatives of gain and cost of the infinite-horizon regulator by parameters: the differentiated Riccati equation."""
+"""Derivatives of the infinite-horizon regulator by parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mpc.tolerances import ASYMMETRY
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LQRSensitivity:
-    """The regulator u = -K x at one design, with exact derivatives by the parameters p (np,).
+    """Regulator u = -K x with exact derivatives by parameters p (np,).
 
     Attributes
     ----------
@@ -43,33 +43,33 @@ class LQRSensitivity:
 
     @property
     def input_by_state(self) -> Array:
-        """∂u/∂x (nu, nx), which is -K."""
+        """Derivative ∂u/∂x (nu, nx), which is -K."""
         return -self.K
 
     def input_by_parameters(self, x: ArrayLike) -> Array:
-        """∂u/∂p (nu, np) at a state (nx,)."""
+        """Derivative ∂u/∂p (nu, np) at a state (nx,)."""
         return -np.einsum("uxp,x->up", self.dK, self._state(x))
 
     def cost(self, x: ArrayLike) -> float:
-        """J* = x'Px from a state (nx,)."""
+        """Cost J* = x'Px from a state (nx,)."""
         x = self._state(x)
         return float(x @ self.P @ x)
 
     def cost_by_state(self, x: ArrayLike) -> Array:
-        """∂J*/∂x (nx,) at a state (nx,)."""
+        """Derivative ∂J*/∂x (nx,) at a state (nx,)."""
         return 2 * self.P @ self._state(x)
 
     def cost_by_parameters(self, x: ArrayLike) -> Array:
-        """∂J*/∂p (np,) from a state (nx,)."""
+        """Derivative ∂J*/∂p (np,) from a state (nx,)."""
         x = self._state(x)
         return np.einsum("x,xyp,y->p", x, self.dP, x)
 
     def noise_cost(self, W: ArrayLike) -> float:
-        """Cost tr(PW) a step, in the long run, of noise of covariance W (nx, nx) in the state."""
+        """Cost tr(PW) a step under noise covariance W (nx, nx)."""
         return float(np.sum(self.P * as_weight("W", W, len(self.P))))
 
     def noise_cost_by_parameters(self, W: ArrayLike, dW: ArrayLike | None = None) -> Array:
-        """∂tr(PW)/∂p (np,), of a covariance W (nx, nx) that changes by dW (nx, nx, np) if it does."""
+        """Derivative ∂tr(PW)/∂p (np,) for W (nx, nx), dW (nx, nx, np)."""
         W = as_weight("W", W, len(self.P))
         gradient = np.einsum("xyp,xy->p", self.dP, W)
         if dW is None:
@@ -77,7 +77,7 @@ class LQRSensitivity:
         return gradient + np.einsum("xy,xyp->p", self.P, as_array("dW", dW, self.dP.shape))
 
     def _state(self, x: ArrayLike) -> Array:
-        """A state, checked."""
+        """State, checked."""
         return as_array("x", x, (len(self.P),))
 
 
@@ -86,7 +86,7 @@ def lqr_sensitivity(
     dA: ArrayLike | None = None, dB: ArrayLike | None = None, dQ: ArrayLike | None = None,
     dR: ArrayLike | None = None, dS: ArrayLike | None = None,
 ) -> LQRSensitivity:  # fmt: skip
-    """Gain and cost of the regulator of `lqr`, and their exact derivatives by parameters p (np,).
+    """Gain and cost of `lqr` with exact derivatives by p (np,).
 
     The Riccati equation holds at every p, so its derivative is a Lyapunov equation of the closed loop, which is solved
     for all parameters with one factorisation.
@@ -145,7 +145,7 @@ def lqr_sensitivity(
 
 
 def _lyapunov(A: Array, C: Array) -> Array:
-    """X (n, n, m) with X = A'XA + C for symmetric C (n, n, m) and a stable A."""
+    """Solution X (n, n, m) of X = A'XA + C, C symmetric, A stable."""
     n, _, m = C.shape
     if m == 0:
         return np.zeros(C.shape)
@@ -166,7 +166,7 @@ def as_derivatives(
     symmetric: tuple[str, ...] = (),
     count: int | None = None,
 ) -> dict[str, Array]:
-    """Arrays (*shape, np) of derivatives by name, checked. Zeros for what is None.
+    """Derivatives (*shape, np) by name, checked; zeros for None.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The C text that `codegen` fills in, and the printing of its tables."""
+"""C templates of `codegen`, and their tables."""
 
 from __future__ import annotations
 
@@ -261,7 +261,7 @@ static int find_law(const real theta[NT], int *outside)
 
 
 def real(value: float, scalar: str) -> str:
-    """A number that reads back exactly, as a C literal."""
+    """C literal that reads back as exactly the same number."""
     if scalar == "double":
         return repr(float(value))
     text = f"{float(np.float32(value)):.9g}"
@@ -269,7 +269,7 @@ def real(value: float, scalar: str) -> str:
 
 
 def table(values: Any, scalar: str) -> str:
-    """A nested C initialiser. An empty table gets one zero, which C demands."""
+    """Nested C initialiser; a single zero for an empty table."""
     array = np.asarray(values)
     if array.size == 0:
         return "{0}" if array.ndim == 1 else "{{0}}"

@@ -1,4 +1,4 @@
-"""C99 source for an explicit law: no allocation, no library, the same tables for every call."""
+"""C99 source for an explicit law, without allocation or libraries."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class CodeReport:
 def write_c(
     law: PiecewiseLaw, folder: Path, *, name: str = "mpc", method: str = "tree", scalar: str = "double"
 ) -> CodeReport:
-    """Write `folder`/`name`.h and `name`.c, which define `int name_law(const name_real theta[], name_real u[])`.
+    """Write `name`.h and `name`.c, which define `int name_law(const name_real theta[], name_real u[])`.
 
     The function returns 0; 1 where theta lies outside the partition; 2 where it is not finite (u is the input nearest
     to zero). u never leaves an input set that is a box. Outside, u is what `ExplicitMPC.evaluate` gives, by either
@@ -125,7 +125,7 @@ def write_c(
 
 
 def _law_tables(law: PiecewiseLaw, scalar: str) -> tuple[str, int]:
-    """C text of the distinct laws and how many numbers it holds.
+    """C text of the distinct laws, and its count of numbers.
 
     In double a law is a gain and its value at a point amid its regions; in float, gain and offset in two parts.
     """
@@ -144,7 +144,7 @@ def _law_tables(law: PiecewiseLaw, scalar: str) -> tuple[str, int]:
 
 
 class Search(NamedTuple):
-    """C text of the point location and its size: hyperplanes and rows of a worst-case call, numbers and index bytes."""
+    """C text of the point location, with counts and sizes."""
 
     regions: str
     body: str
@@ -155,7 +155,7 @@ class Search(NamedTuple):
 
 
 class Leaves(NamedTuple):
-    """Inner nodes of a tree alone, and the regions of its leaves with several laws.
+    """Inner nodes of a tree, and regions of leaves with several laws.
 
     plane, below, above : a child is a node, or -1 - leaf; leaf k < laws is law k, leaf laws + l the list l.
     """
@@ -169,7 +169,7 @@ class Leaves(NamedTuple):
 
 
 def _border(law: PiecewiseLaw, scalar: str) -> str:
-    """C text that decides what is outside and moves it onto the border."""
+    """C text that moves outside points onto the border."""
     border = law.tree.border
     if not len(border):
         return c.NO_BORDER
@@ -182,7 +182,7 @@ def _border(law: PiecewiseLaw, scalar: str) -> str:
 
 
 def _tree(law: PiecewiseLaw, scalar: str) -> Search:
-    """Tables of the search tree, with those regions that share a leaf with other laws."""
+    """Tables of the search tree and of leaves with several laws."""
     laws = int(law.law_number.max()) + 1
     found = _compact(law, laws)
     members = np.concatenate([np.zeros(0, dtype=np.int64), *found.lists])
@@ -251,7 +251,7 @@ def _compact(law: PiecewiseLaw, laws: int) -> Leaves:
 
 
 def _scan(law: PiecewiseLaw, scalar: str) -> Search:
-    """Tables of the scan: every region lists its hyperplanes, with -1 - i for the other side of plane i."""
+    """Tables of the scan; -1 - i is minus plane i."""
     rows = law.partition.scaled_rows
     offsets = law.partition.offsets
     planes, number, flipped = distinct_planes(rows)
@@ -267,14 +267,14 @@ def _scan(law: PiecewiseLaw, scalar: str) -> Search:
 
 
 def _unscaled(law: PiecewiseLaw, planes: Array) -> Array:
-    """Hyperplanes [a, b] in the units of θ. The residual a'θ - b keeps its size."""
+    """Hyperplanes [a, b] in units of θ, with a'θ - b unchanged."""
     p = law.partition
     a = planes[:, :-1] / p.half
     return np.hstack([a, (planes[:, -1] + a @ p.centre)[:, None]])
 
 
 def _inputs(law: PiecewiseLaw) -> tuple[Array, Array, Array]:
-    """Bounds of the inputs where the input set is a box, a very large number elsewhere; the input nearest to zero."""
+    """Bounds of the inputs (±1e37 for none), and the input nearest to zero."""
     H, h = law.input_rows
     low, high = box_of(H, h) or (np.full(law.nu, -np.inf), np.full(law.nu, np.inf))
     nearest = np.clip(0.0, low, high)
@@ -284,10 +284,10 @@ def _inputs(law: PiecewiseLaw) -> tuple[Array, Array, Array]:
 
 
 def _index_type(largest: int) -> tuple[str, int]:
-    """C type that holds indices up to a number, and its bytes."""
+    """C type for indices up to `largest`, and its bytes."""
     return ("int16_t", 2) if largest < 2**15 - 1 else ("int32_t", 4)
 
 
 def _fill(template: str, fields: dict[str, Any]) -> str:
-    """A template with its @fields@ filled in."""
+    """Template with its @fields@ filled in."""
     return re.sub(r"@(\w+)@", lambda match: str(fields[match[1]]), template)
