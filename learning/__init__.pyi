@@ -1,17 +1,8 @@
-from learning.checkpoint import load as load
-from learning.checkpoint import save as save
+from learning.checkpoint import load as load, save as save
 from learning.copula_fit import fit_copula as fit_copula
-from learning.exceptions import InputError as InputError
-from learning.exceptions import LearningError as LearningError
-from learning.networks import ActorCritic as ActorCritic
-from learning.networks import NetworkConfig as NetworkConfig
-from learning.ppo import PPO as PPO
-from learning.ppo import PPOConfig as PPOConfig
-from learning.ppo import gae as gae
-from learning.ppo import train as train
-from learning.quantile import QuantileConfig as QuantileConfig
-from learning.quantile import fit_quantiles as fit_quantiles
-from learning.rollout import VectorEnv as VectorEnv
-from learning.rollout import collect as collect
-from learning.warm_start import CloningConfig as CloningConfig
-from learning.warm_start import fit_actor_critic as fit_actor_critic
+from learning.exceptions import InputError as InputError, LearningError as LearningError
+from learning.networks import ActorCritic as ActorCritic, NetworkConfig as NetworkConfig
+from learning.ppo import PPO as PPO, PPOConfig as PPOConfig, gae as gae, train as train
+from learning.quantile import QuantileConfig as QuantileConfig, fit_quantiles as fit_quantiles
+from learning.rollout import VectorEnv as VectorEnv, collect as collect
+from learning.warm_start import CloningConfig as CloningConfig, fit_actor_critic as fit_actor_critic

@@ -10,14 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from learning.checks import (
-    as_bounds,
-    as_count,
-    as_floats,
-    as_generator,
-    check_instance,
-    check_number,
-)  # fmt: skip
+from learning.checks import as_bounds, as_count, as_floats, as_generator, check_instance, check_number  # fmt: skip
 from learning.exceptions import InputError
 from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
 from learning.tolerances import LEAK, ROUNDING

@@ -13,14 +13,7 @@ import argparse
 import numpy as np
 
 from active_suspension.detailed_suspension import detailed_active_suspension
-from active_suspension.independent import (
-    damping,
-    room,
-    rules_along,
-    rules_of_design,
-    simulated,
-    stiffness,
-)  # fmt: skip
+from active_suspension.independent import damping, room, rules_along, rules_of_design, simulated, stiffness  # fmt: skip
 from active_suspension.roads import SOURCE, SPEED, recorded_road, recording, synthetic_road
 from active_suspension.statement import GRADE, OF_RAMP, OF_ROUGH, PUBLISHED, STARTS, WEIGHTS, meshes
 from active_suspension.strategies import Found, Inner, nested, simultaneous

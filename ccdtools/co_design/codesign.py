@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
-from ccdtools.co_design.configuration import METHODS as LEARNED
-from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.configuration import METHODS as LEARNED, CoDesignConfig
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult

@@ -19,8 +19,7 @@ from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_names import ALL, as_method_names
 from ccdtools.co_design.method_pairs import MethodRow, Pairs, closed_loop_returns, scenarios_of
 from ccdtools.co_design.methods.learned import Learned
-from ccdtools.co_design.methods.nested import NAMES as INNER
-from ccdtools.co_design.methods.nested import Nested
+from ccdtools.co_design.methods.nested import NAMES as INNER, Nested
 from ccdtools.co_design.methods.search import LIBRARIES, Search
 from ccdtools.co_design.methods.sequential import Sequential
 from ccdtools.co_design.methods.simultaneous import UNKNOWNS, Simultaneous

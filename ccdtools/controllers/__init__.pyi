@@ -1,9 +1,6 @@
-from ccdtools.controllers.controllers import PID as PID
-from ccdtools.controllers.controllers import LinearFeedback as LinearFeedback
-from ccdtools.controllers.controllers import Passive as Passive
+from ccdtools.controllers.controllers import PID as PID, LinearFeedback as LinearFeedback, Passive as Passive
 from ccdtools.controllers.filtered import Filtered as Filtered
-from ccdtools.controllers.learned import LearnedPolicy as LearnedPolicy
-from ccdtools.controllers.learned import load_policy as load_policy
+from ccdtools.controllers.learned import LearnedPolicy as LearnedPolicy, load_policy as load_policy
 from ccdtools.controllers.observed import Observed as Observed
 from ccdtools.controllers.previewing import Previewing as Previewing
 from ccdtools.controllers.signals import Reference as Reference

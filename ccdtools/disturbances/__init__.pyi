@@ -1,9 +1,9 @@
-from ccdtools.disturbances.combinations import Cases as Cases
-from ccdtools.disturbances.combinations import Constant as Constant
-from ccdtools.disturbances.combinations import Mixture as Mixture
-from ccdtools.disturbances.combinations import Stacked as Stacked
-from ccdtools.disturbances.combinations import Sum as Sum
-from ccdtools.disturbances.disturbance import Gaussian as Gaussian
-from ccdtools.disturbances.disturbance import Recorded as Recorded
-from ccdtools.disturbances.disturbance import Uniform as Uniform
+from ccdtools.disturbances.combinations import (
+    Cases as Cases,
+    Constant as Constant,
+    Mixture as Mixture,
+    Stacked as Stacked,
+    Sum as Sum,
+)
+from ccdtools.disturbances.disturbance import Gaussian as Gaussian, Recorded as Recorded, Uniform as Uniform
 from ccdtools.disturbances.recordings import read_disturbance as read_disturbance

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import Enum
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.estimation.tolerances import FLAT_OUTPUT, MAIN_STATES
 from ccdtools.exceptions import NotDetectableError
+from ccdtools_ground.outcome import Outcome
 from mpc import NotStabilisableError, lqr
 from mpc.modes import Mode, least_reached
 from mpc.riccati import cost_units
@@ -72,26 +72,22 @@ def states_of(mode: Mode) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(mode.parts >= MAIN_STATES * mode.parts.max()))
 
 
-class Detectability(Enum):
+class Detectability(Outcome):
     """Detectability of modes that do not decay, by a filter's linearisation."""
 
-    SEEN = "seen"
-    SEEN_AWAY = "not seen at the first estimate, but about it"
-    DRIFTING = "a mode that neither grows nor decays is not seen"
-    UNKNOWN = "the linearisation is not finite"
-
-    @property
-    def advice(self) -> str:
-        """Advice on what to do next, in one sentence."""
-        return _ADVICE[self]
-
-
-_ADVICE = {
-    Detectability.SEEN: "Nothing to do.",
-    Detectability.SEEN_AWAY: "Start the filter elsewhere, or measure more: at rest there it corrects nothing.",
-    Detectability.DRIFTING: "Measure that state, or expect its variance to grow without a bound.",
-    Detectability.UNKNOWN: "Check the outputs and the dynamics about x0: their derivatives are not finite there.",
-}
+    SEEN = "seen", "Nothing to do."
+    SEEN_AWAY = (
+        "not seen at the first estimate, but about it",
+        "Start the filter elsewhere, or measure more: at rest there it corrects nothing.",
+    )
+    DRIFTING = (
+        "a mode that neither grows nor decays is not seen",
+        "Measure that state, or expect its variance to grow without a bound.",
+    )
+    UNKNOWN = (
+        "the linearisation is not finite",
+        "Check the outputs and the dynamics about x0: their derivatives are not finite there.",
+    )
 
 
 def detectability(slopes: Slopes, x0: Array, P0: Array) -> Detectability:

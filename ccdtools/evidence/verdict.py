@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -15,50 +14,47 @@ from ccdtools.evidence.percent import signed_percent
 from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
 from ccdtools.tolerances import SAME_RETURN
+from ccdtools_ground.outcome import Outcome
+
+LOG_MORE = "Log more runs or a longer one"
+STAYS = "What was deployed before stays deployed; the log still teaches the twin."
 
 
-class Status(Enum):
+class Status(Outcome):
     """Status of a candidate: what becomes of it."""
 
-    FIRST = "the first deployed"
-    BETTER = "better"
-    NOT_WORSE = "not worse"
-    NO_LOSS_SHOWN = "no loss shown"
-    NOT_COMPARED = "not compared"
-    NO_GAIN = "no gain beyond chance"
-    BELOW_PRICE = "less than its price"
-    LOSS = "a loss beyond the tolerance"
-    UNDECIDED = "a loss beyond the tolerance cannot be ruled out"
-    WORSE = "worse"
-    NOT_BETTER = "not better"
-    MORE_LOST = "more of its runs are lost"
-    LIMITS = "further outside the limits than the tolerance"
-    NO_FILTER = "the filter finds no set at its design"
+    FIRST = "the first deployed", ""
+    BETTER = "better", ""
+    NOT_WORSE = "not worse", ""
+    NO_LOSS_SHOWN = "no loss shown", "It stays deployed; log more runs or a longer one to know whether it loses."
+    NOT_COMPARED = (
+        "not compared", "It stays deployed as it was decided before; log runs that both keep to compare them."
+    )  # fmt: skip
+    NO_GAIN = "no gain beyond chance", f"{LOG_MORE}; or what is deployed is as good as the log can tell."
+    BELOW_PRICE = (
+        "less than its price", "State another price (redesign_price) if so small a gain is worth a redesign."
+    )  # fmt: skip
+    LOSS = (
+        "a loss beyond the tolerance",
+        "If the gain is worth that loss, say so: accept_loss, or --accept-loss on the command line.",
+    )
+    UNDECIDED = (
+        "a loss beyond the tolerance cannot be ruled out",
+        f"{LOG_MORE}; or, if the gain is worth such a loss, accept it: accept_loss.",
+    )
+    WORSE = "worse", STAYS
+    NOT_BETTER = "not better", STAYS
+    MORE_LOST = "more of its runs are lost", "Limit the box of designs to those that keep the plant stable."
+    LIMITS = "further outside the limits than the tolerance", "Raise limit_tolerance, or deploy with the filter."
+    NO_FILTER = (
+        "the filter finds no set at its design",
+        "Widen X or U, or leave the filter out: no state can be kept within X for ever.",
+    )
 
     @property
     def replaces(self) -> bool:
-        """Whether the candidate replaces the current one."""
+        """Whether the candidate takes the place of the current one."""
         return self in (Status.FIRST, Status.BETTER, Status.NOT_WORSE, Status.NO_LOSS_SHOWN, Status.NOT_COMPARED)
-
-    @property
-    def advice(self) -> str:
-        """Advice to the user about this status."""
-        return ADVICE.get(self, "")
-
-
-ADVICE = {
-    Status.NO_LOSS_SHOWN: "It stays deployed; log more runs or a longer one to know whether it loses.",
-    Status.NOT_COMPARED: "It stays deployed as it was decided before; log runs that both keep to compare them.",
-    Status.NO_GAIN: "Log more runs or a longer one; or what is deployed is as good as the log can tell.",
-    Status.BELOW_PRICE: "State another price (redesign_price) if so small a gain is worth a redesign.",
-    Status.LOSS: "If the gain is worth that loss, say so: accept_loss, or --accept-loss on the command line.",
-    Status.UNDECIDED: "Log more runs or a longer one; or, if the gain is worth such a loss, accept it: accept_loss.",
-    Status.WORSE: "What was deployed before stays deployed; the log still teaches the twin.",
-    Status.NOT_BETTER: "What was deployed before stays deployed; the log still teaches the twin.",
-    Status.MORE_LOST: "Limit the box of designs to those that keep the plant stable.",
-    Status.LIMITS: "Raise limit_tolerance, or deploy with the filter.",
-    Status.NO_FILTER: "Widen X or U, or leave the filter out: no state can be kept within X for ever.",
-}
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 from ccdtools.studies.generations import Generations as Generations
 from ccdtools.studies.loading import load_study as load_study
 from ccdtools.studies.options import study_names as study_names
-from ccdtools.studies.presets import StudyConfig as StudyConfig
-from ccdtools.studies.presets import configuration as configuration
+from ccdtools.studies.presets import StudyConfig as StudyConfig, configuration as configuration
 from ccdtools.studies.real_plant import RealPlant as RealPlant
 from ccdtools.studies.run_folder import RunFolder as RunFolder
 from ccdtools.studies.study import Study as Study

@@ -1,7 +1,5 @@
-from ccdtools.twin.deployment import deploy as deploy
-from ccdtools.twin.deployment import deploy_and_update as deploy_and_update
+from ccdtools.twin.deployment import deploy as deploy, deploy_and_update as deploy_and_update
 from ccdtools.twin.free_running import free_running_bands as free_running_bands
 from ccdtools.twin.online import OnlineConfig as OnlineConfig
-from ccdtools.twin.replay import replay_problem as replay_problem
-from ccdtools.twin.replay import updated_problem as updated_problem
+from ccdtools.twin.replay import replay_problem as replay_problem, updated_problem as updated_problem
 from ccdtools.twin.twin import DigitalTwin as DigitalTwin

@@ -6,14 +6,17 @@ from mpc.optimal_control.problem import OptimalControlProblem as OptimalControlP
 from mpc.optimal_control.program import NonlinearProgram as NonlinearProgram
 from mpc.optimal_control.refinement import refine as refine
 from mpc.optimal_control.sampled_plant import sampled as sampled
-from mpc.optimal_control.schemes import Collocation as Collocation
-from mpc.optimal_control.schemes import HermiteSimpson as HermiteSimpson
-from mpc.optimal_control.schemes import MultipleShooting as MultipleShooting
-from mpc.optimal_control.schemes import Radau as Radau
-from mpc.optimal_control.schemes import Trapezoidal as Trapezoidal
-from mpc.optimal_control.solution import OptimalControlStatus as OptimalControlStatus
-from mpc.optimal_control.solution import Solution as Solution
-from mpc.optimal_control.solution_sensitivity import PhaseSensitivity as PhaseSensitivity
-from mpc.optimal_control.solution_sensitivity import SolutionSensitivity as SolutionSensitivity
+from mpc.optimal_control.schemes import (
+    Collocation as Collocation,
+    HermiteSimpson as HermiteSimpson,
+    MultipleShooting as MultipleShooting,
+    Radau as Radau,
+    Trapezoidal as Trapezoidal,
+)
+from mpc.optimal_control.solution import OptimalControlStatus as OptimalControlStatus, Solution as Solution
+from mpc.optimal_control.solution_sensitivity import (
+    PhaseSensitivity as PhaseSensitivity,
+    SolutionSensitivity as SolutionSensitivity,
+)
 from mpc.optimal_control.solving import solve as solve
 from mpc.optimal_control.transcription import build as build

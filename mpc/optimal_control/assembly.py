@@ -14,13 +14,7 @@ from mpc.optimal_control.interval import size_of
 from mpc.optimal_control.notes import check_at_guess
 from mpc.optimal_control.pieces import Numbers, Piece
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import (
-    NonlinearProgram,
-    PhasePart,
-    Rows,
-    with_costs_of_scenarios,
-    with_sizes_of_rows,
-)
+from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 
 
 class Assembly:

@@ -18,13 +18,7 @@ from ccdtools.studies.report.formatting import (
 )
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
-from ccdtools.studies.report.verdicts import (
-    outside_text,
-    percent_of_reference,
-    reference_of,
-    size_of,
-    verdict,
-)
+from ccdtools.studies.report.verdicts import outside_text, percent_of_reference, reference_of, size_of, verdict
 from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT, SMALL_PART
 
 Results = Mapping[str, Any]

@@ -19,13 +19,7 @@ from ccdtools.studies.report.formatting import (
 )
 from ccdtools.studies.report.gains import console_lines
 from ccdtools.studies.report.metric_tables import metrics_in
-from ccdtools.studies.report.verdicts import (
-    difference_text,
-    limit_notes,
-    on_same_runs,
-    reference_of,
-    saw_fewer_runs,
-)
+from ccdtools.studies.report.verdicts import difference_text, limit_notes, on_same_runs, reference_of, saw_fewer_runs
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.table import Table, csv_text
 

@@ -6,16 +6,7 @@ import numpy as np
 from numba import njit
 
 from mpc.explicit.kernels import forget_stale
-from mpc.tolerances import (
-    CROSSING,
-    NO_STEP,
-    PARALLEL,
-    PROJECTION,
-    REDUNDANT,
-    REGION_RADIUS,
-    SPANNED,
-    TINY_PIVOT,
-)
+from mpc.tolerances import CROSSING, NO_STEP, PARALLEL, PROJECTION, REDUNDANT, REGION_RADIUS, SPANNED, TINY_PIVOT
 
 
 @njit(cache=True)

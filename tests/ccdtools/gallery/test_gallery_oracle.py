@@ -6,14 +6,7 @@ from pathlib import Path
 import gallery
 import numpy as np
 import pytest
-from gallery.oracle.cost import (
-    highest_linear_return,
-    linear_return,
-    model_step,
-    real_step,
-    saturated_return,
-    simulated,
-)
+from gallery.oracle.cost import highest_linear_return, linear_return, model_step, real_step, saturated_return, simulated
 from gallery.oracle.dynamic_programming import clipped_optimum
 from gallery.oracle.optimum import landscape
 from gallery.oracle.receding_horizon import RecedingHorizon

@@ -4,15 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mpc.optimal_control import (
-    HermiteSimpson,
-    MultipleShooting,
-    OptimalControlProblem,
-    Phase,
-    Radau,
-    build,
-    solve,
-)
+from mpc.optimal_control import HermiteSimpson, MultipleShooting, OptimalControlProblem, Phase, Radau, build, solve
 
 
 def swing(**change):

@@ -5,13 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from active_suspension.detailed_suspension import detailed_active_suspension
-from active_suspension.independent import (
-    damping,
-    rules_along,
-    rules_of_design,
-    simulated,
-    stiffness,
-)  # fmt: skip
+from active_suspension.independent import damping, rules_along, rules_of_design, simulated, stiffness  # fmt: skip
 from active_suspension.roads import SOURCE, recorded_road, recording, synthetic_road
 from active_suspension.run import ramp
 from active_suspension.statement import OF_RAMP, OF_ROUGH, PUBLISHED, STARTS, WEIGHTS, meshes, problem

@@ -5,14 +5,7 @@ import copy
 import numpy as np
 import pytest
 import torch
-from actuated_plants import (
-    X0,
-    in_parts,
-    native,
-    range_of,
-    room,
-    room_of,
-)
+from actuated_plants import X0, in_parts, native, range_of, room, room_of
 
 from ccdtools import InputError, LearnedPolicy, Scenario, codesign, compare, simulate
 from ccdtools.co_design import expert_dataset

@@ -6,7 +6,7 @@ import pytest
 from ccdtools import CVaR, MeanSpread
 from ccdtools.co_design.risk import MEAN, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk
-from ccdtools.evidence.paired_risk import paired_in_risk, paired_over_groups, stretches
+from ccdtools.evidence.evidence import paired_in_risk, paired_over_groups, stretches
 
 RISKS = {
     "spread": (MeanSpread(2.0), lambda r: r.mean() - 2 * r.std()),

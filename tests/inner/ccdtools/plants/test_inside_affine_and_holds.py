@@ -3,13 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from ccdtools import (
-    DesignSpace,
-    LinearFeedback,
-    Plant,
-    discretise,
-    simulate,
-)
+from ccdtools import DesignSpace, LinearFeedback, Plant, discretise, simulate
 from ccdtools.twin.residuals import residuals
 
 BOX = DesignSpace(["k", "d"], [20.0, 0.1], [200.0, 2.0])

@@ -5,13 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ccdtools import (
-    DesignSpace,
-    Gaussian,
-    Plant,
-    QuadraticObjective,
-    Study,
-)
+from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, Study
 from ccdtools.studies import configuration
 from ccdtools.studies.fingerprint import fingerprint
 from ccdtools.studies.loading import LoadedStudy

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from small_runs import tiny
 from spring_run import run_spring
 
-from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective
-from ccdtools import figure_style as style
+from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective, figure_style as style
 from ccdtools.exceptions import InputError
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
 from ccdtools.studies.report import return_plots, set_figure

@@ -13,14 +13,7 @@ from ccdtools.statistics import Summary, summarise
 from ccdtools.studies.account import account
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.report.headline import _brought, _phrase
-from ccdtools.studies.service import (
-    Agreement,
-    Deployed,
-    _agreement,
-    after_deployment,
-    judge_deployment,
-    measured,
-)
+from ccdtools.studies.service import Agreement, Deployed, _agreement, after_deployment, judge_deployment, measured
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 

@@ -14,13 +14,7 @@ from scipy.signal import csd, welch
 from scipy.stats import chi2
 
 from ccdtools.exceptions import InputError
-from ccdtools.vehicles.iso8608 import (
-    BAND,
-    generate_profile,
-    road_roughness,
-    road_spectrum,
-    track_coherency,
-)
+from ccdtools.vehicles.iso8608 import BAND, generate_profile, road_roughness, road_spectrum, track_coherency
 
 CLASSES = "ABCDEFGH"
 SPACING = 0.08
