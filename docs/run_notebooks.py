@@ -10,12 +10,12 @@ from nbclient import NotebookClient
 from PIL import Image
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
-COLOURS = 64  # of a kept figure, which makes it a third as large
+COLOURS = 256  # of a kept figure, which makes it half as large
 
 
 def in_few_colours(png: str) -> str:
     """The picture with a palette."""
-    figure = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+    figure = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB").quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
     kept = io.BytesIO()
     figure.save(kept, "PNG", optimize=True)
     return base64.b64encode(kept.getvalue()).decode()
