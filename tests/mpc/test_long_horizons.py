@@ -10,7 +10,7 @@ from plants import box
 from mpc import LinearMPC, NotStabilisableError, Status
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("block", range(4))
 def test_random_unstable_plants_keep_every_promise_and_agree_with_the_oracles(block):
     solved = 0

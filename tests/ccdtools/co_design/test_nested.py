@@ -34,7 +34,7 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK], ids=["riccati", "lqr"])
 def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
@@ -70,7 +70,7 @@ def test_the_best_valley_is_found_from_any_start(make, start):
     assert found.closed_loop.summary.ci95[0] <= exact_return(problem, found.design) <= found.closed_loop.summary.ci95[1]
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(("x0", "expected"), [((0, 0), (0.66, 0.71)), ((-2, -2), (2.35, 2.55)), ((-3.5, -2), (3, 3))])
 def test_known_optima_of_the_illustrative_example(illustrative, x0, expected):
     problem = illustrative.problem()

@@ -40,7 +40,6 @@ def found():
     return trade_off(priced(), [0.0, 2.0, 8.0], method=NESTED)
 
 
-@pytest.mark.check
 def test_designs_over_a_price_are_the_exact_ones(found):
     np.testing.assert_allclose(found.designs[:, 0], [exact_best(10.0, price) for price in found.values], atol=0.01)
 
@@ -75,7 +74,7 @@ def test_trade_offs_without_a_meaning_are_refused(args, argument):
     assert error.value.argument == argument
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("inner", ["riccati", "lqr"])
 def test_the_slope_of_the_optimum_is_that_of_the_exact_one(inner):
     h = 0.02

@@ -98,7 +98,6 @@ def problem_of(steps=25):
     )  # fmt: skip
 
 
-@pytest.mark.check
 def test_a_problem_with_preview_asks_for_nothing_new(rng):
     problem = problem_of()
     ahead = previewed_problem(problem, 4)

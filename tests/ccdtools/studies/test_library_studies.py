@@ -33,7 +33,6 @@ def mass_chain_of_four():
     return library.mass_chain(4)
 
 
-@pytest.mark.check
 def test_the_variants_of_the_library_have_studies():
     lagging = load_study("quarter_car_actuator_lag").plant
     assert (lagging.nx, lagging.linear) == (5, True)

@@ -43,7 +43,7 @@ def run(controller, plant, sx, su, steps=120, **names):
     return np.array(states)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(2)
 @pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
 @pytest.mark.parametrize("iterations", [None, 1])
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_a_reference_that_no_input_holds_gets_the_nearest_one():
     assert target.input[0] == pytest.approx(1.0)
 
 
-@pytest.mark.check
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("sx", "su"), [(1.0, 1.0), (1e3, 1e-2), (1e-4, 3.6e3)])
 @pytest.mark.parametrize("limits", [{}, {"X": 2.0}], ids=["inputs", "states, too"])
 @pytest.mark.parametrize("reference", [0.27, 0.3, 1.0])

@@ -161,7 +161,6 @@ def test_the_gradient_of_a_policy_is_that_of_differences_and_none_where_it_satur
     assert bound.blind == 1
 
 
-@pytest.mark.check
 @pytest.mark.filterwarnings("ignore::ccdtools.JumpWarning")
 def test_the_gradient_of_a_policy_is_not_trusted_where_the_plant_jumps(problem):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
@@ -186,7 +185,6 @@ def test_a_search_over_the_last_layer_improves_half_a_gain_and_not_a_whole_one(p
     assert whole.mean < 0.1
 
 
-@pytest.mark.check
 def test_learning_from_a_saturated_policy_starts_again_from_one_that_imitates_lqr(problem, clone, monkeypatch):
     from ccdtools.co_design.methods import learned
 

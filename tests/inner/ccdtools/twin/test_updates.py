@@ -16,7 +16,6 @@ from ccdtools.twin.judge import Judge
 from learning.quantile import QuantileConfig
 
 
-@pytest.mark.check
 def test_a_candidate_is_judged_on_held_out_samples_as_one_series_or_on_held_out_runs(illustrative, clone, monkeypatch):
     """Blocks of one run would count what is correlated as independent."""
     training_gives(monkeypatch, weakened(clone(illustrative)))
@@ -148,7 +147,6 @@ def test_a_candidate_is_trained_from_the_log_and_from_the_starts_that_it_will_se
     assert np.ptp(x0[~logged & ~started], axis=0).min() > 1
 
 
-@pytest.mark.check
 def test_a_candidate_is_trained_at_the_deployed_design_whatever_the_rate_of_the_design(illustrative, clone):
     moving = replace(ONLINE, training=replace(TINY, design_rate=0.5))
     frozen, asked = (
