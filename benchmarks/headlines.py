@@ -83,8 +83,8 @@ def faults(results: dict[str, Any]) -> list[str]:
     said = listed[1] if listed else ""
     for name, (change, where) in worse_metrics(results).items():
         told = re.search(rf"{re.escape(name)} ({NUMBER}) %", said)
-        elsewhere = where != results["gains"][0]["place"]
-        if elsewhere and f"({where})" not in said:
+        place = re.search(rf"{re.escape(name)} [^(,]*\({re.escape(where)}\)", said)
+        if where != results["gains"][0]["place"] and place is None:
             wrong.append(f"{name} is worst on {where}, which is not named")
         if told is None:
             wrong.append(f"{name} is worse on {where} and not named")

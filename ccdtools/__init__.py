@@ -1,8 +1,8 @@
 """Control co-design: a plant's physical parameters and its controller, designed together.
 
 What most scripts use is here; `__init__.pyi` lists it. The rest is in groups, each with a list of its own: `plants`,
-`disturbances`, `controllers`, `estimation`, `vehicles`, `co_design`, `twin` and `studies`. All is loaded when it is
-asked for: the command line's --help must not wait for torch.
+`disturbances`, `controllers`, `estimation`, `vehicles`, `co_design`, `twin`, `exceptions`. `ccdtools.studies` runs
+whole case studies. All is loaded when it is asked for: the command line's --help must not wait for torch.
 """
 
 from importlib.metadata import version

@@ -51,7 +51,7 @@ def summarise(values: ArrayLike) -> Summary:
     if len(v) == 0:
         return Summary(np.nan, np.nan, np.nan, 0, (np.nan, np.nan))
     std = float(v.std(ddof=1)) if len(v) > 1 else float("nan")
-    warning = FEW_DECIDE if len(v) > FEWEST_RUNS and _degrees(v) < FEWEST_RUNS else ""
+    warning = FEW_DECIDE if len(v) >= 3 * FEWEST_RUNS and _degrees(v) < FEWEST_RUNS else ""
     return Summary(float(v.mean()), std, float(np.median(v)), len(v), interval_of_parts(v), warning)
 
 
@@ -169,7 +169,7 @@ def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary
     """Statistics of the returns of runs with rewards (n, T).
 
     Of a single run `mean` and `median` are its return, `n` is 1 and `std` is the standard deviation of the return
-    from run to run, as far as one run shows it.
+    from run to run, as far as one run shows it; the interval is that of `mean_interval`.
 
     Parameters
     ----------

@@ -36,4 +36,4 @@ def front_door(
         raise AttributeError(said, name=name, obj=sys.modules[package])  # which Python compares with dir()
 
     names = sorted(homes)
-    return names, load, lambda: names
+    return names, load, lambda: sorted([*names, *groups])

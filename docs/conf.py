@@ -11,7 +11,8 @@ version = release = installed("ccdtools")
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 nb_execution_mode = "off"  # they are kept executed: `make notebooks`
-shutil.copytree(Path(__file__).parents[1] / "notebooks", Path(__file__).parent / "notebooks", dirs_exist_ok=True)
+shutil.rmtree(Path(__file__).parent / "notebooks", ignore_errors=True)
+shutil.copytree(Path(__file__).parents[1] / "notebooks", Path(__file__).parent / "notebooks")
 myst_heading_anchors = 4  # levels of headings that a link can lead to
 suppress_warnings = ["ref.python"]  # a shape such as (nx, nu) in a docstring is no link to one of the attributes nx
 

@@ -24,7 +24,7 @@ class VectorEnv(Protocol):
         ...
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Result of a step: (next observation, successor, reward, terminated, truncated)."""
+        """Result of a step: (next observation, successor before any restart, reward, terminated, truncated)."""
         ...
 
 

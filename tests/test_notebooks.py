@@ -16,7 +16,8 @@ def kept(stem):
 
 
 def printed(notebook):
-    return ["".join(o.get("text", "") for o in cell.get("outputs", [])) for cell in notebook.cells]
+    outputs = [cell.get("outputs", []) for cell in notebook.cells]
+    return ["".join(o.get("text", "") + o.get("data", {}).get("text/plain", "") for o in cell) for cell in outputs]
 
 
 def run_again(stem, folder):

@@ -122,7 +122,7 @@ def _parts(comparison: Any, row: Any) -> str:
 
 
 def _unsound(comparison: Any, rows: list[Any]) -> list[str]:
-    """Methods with lost runs, broken limits or constraints, or no interval."""
+    """Methods with lost runs, broken limits or constraints, or a doubtful interval."""
     lines = []
     for row in rows:
         loop = row.closed_loop

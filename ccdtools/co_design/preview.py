@@ -74,7 +74,7 @@ def previewed_problem(
 
 
 def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits:
-    """Limits X of the state x, and W of each previewed sample.
+    """Limits of (x, w_k, …, w_{k+N−1}): X, and W of each sample.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
 from ccdtools.co_design.risk import measure
-from ccdtools.co_design.risk_intervals import difference_of_parts
+from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, MPC_RUNS, SETTLED_LOSS, SETTLING_RUNS
@@ -123,14 +123,14 @@ class Settling:
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
         """LQR and MPC of the design, and nested LQR from there, within limits.
 
-        MPC is a baseline of a policy, which could be as good.
+        MPC is a baseline of a policy, which could be as good, where its few runs decide the risk.
         """
         found = []
         for name, lqr in self._linear_laws(result.design):
             if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
                 found.append(self._baseline(name, lqr, result.design, loop, None))
-        if isinstance(result.controller, LearnedPolicy):
-            runs = fewer_runs(MPC_RUNS, self.problem.steps)
+        runs = fewer_runs(MPC_RUNS, self.problem.steps)
+        if isinstance(result.controller, LearnedPolicy) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
                 planned = linear_mpc(self.problem, result.design)
                 found.append(self._baseline("MPC of the same design", planned, result.design, loop, None, runs))

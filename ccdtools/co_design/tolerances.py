@@ -29,7 +29,7 @@ STABLE = 1e-6  # Eigenvalues are stable if they are this far inside the unit cir
 # --- state limits and their multipliers -------------------------------------------------------------------------------
 LEAST_TOLERANCE = 0.002  # A tolerance is never less than this part of the states, or this many half-widths.
 BESIDE_MPC = 1.25  # The tolerance is this multiple of what MPC violates: a network in its place has a resolution.
-MPC_RUNS = 32  # The violation by MPC is measured on so many episodes of 100 steps.
+MPC_RUNS = 32  # Violation and return of MPC are measured on so many episodes of 100 steps.
 MEASURED_NEARBY = 0.1  # A design further away than this in the unit box has MPC measured again.
 TOLERANCE_STEP = 0.05  # The change of the tolerance with the design is found by this step in the unit box.
 EXCESS_ERRORS = 2.0  # A measure may exceed its tolerance by so many standard errors.

@@ -22,7 +22,7 @@ TAKEN = ("preview", "reference")  # signals of a horizon, of which a loop knows 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Previewing(Immutable):
-    """Controller of `with_preview(model, N)` on the plant without the register.
+    """Law of (x, w_k, …, w_{k+N−1}) on the plant without the register of `with_preview(model, N)`.
 
     It asks the loop for N samples of preview, and runs in `simulate`, `compare` and `deploy`. Beyond the end of a
     record its last sample is held.

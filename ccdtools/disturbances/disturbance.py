@@ -22,7 +22,7 @@ class Disturbance(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Gaussian(Immutable):
-    """Independent normal noise with `std` and `mean` (nw,), zero by default."""
+    """Independent normal noise of standard deviation `std` and `mean` (nw,), zero by default."""
 
     std: ArrayField
     mean: ArrayField = 0.0

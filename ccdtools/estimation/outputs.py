@@ -30,7 +30,7 @@ class Output(Protocol):
         ...
 
     def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope ∂h/∂x (ny, nx) or (n, ny, nx), with state deviations `spread` (n, nx)."""
+        """Slope ∂h/∂x (ny, nx) or (n, ny, nx), with standard deviations `spread` (n, nx) of x."""
         ...
 
 

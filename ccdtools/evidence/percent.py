@@ -50,7 +50,7 @@ def _finite(value: float | None) -> bool:
 
 
 def _rounded(percent: float, more: int = 0) -> str:
-    """Number with two decimals below 1, one below 10, plus `more`."""
+    """Number with two decimals below 1, one below 10, none above, plus `more`."""
     decimals = more + (2 if abs(percent) < 1 else 1 if abs(percent) < 10 else 0)
     text = f"{percent:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text

@@ -114,8 +114,8 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
     Raises
     ------
     InputError
-        If there is no evidence, the tolerance is no fraction, or a size, price or gain is no number. A gain that nobody
-        knows is NaN.
+        If there is no evidence, the tolerance is no fraction, a size or price is no number, or a gain is infinite; one
+        that nobody knows is NaN.
     """
     records = tuple(evidence)
     deciding = [one for one in records if isinstance(one, Evidence) and one.asked is not Asked.SHOWN]
@@ -123,7 +123,8 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
         raise InputError("evidence", shown(evidence), "at least one Evidence, and one that is not only shown")
     for one in deciding:
         if not np.isfinite([one.size, one.needed]).all() or np.isinf([one.gain.mean, *one.gain.ci95]).any():
-            numbers = f"a gain of {one.gain.mean:g}, a price of {one.needed:g} and a size of {one.size:g}"
+            gain = ", ".join(f"{value:g}" for value in (one.gain.mean, *one.gain.ci95))
+            numbers = f"a gain of {gain}, a price of {one.needed:g} and a size of {one.size:g}"
             raise InputError("evidence", f"{numbers} on {one.distribution}", "finite numbers")
     tolerance = as_number("tolerance", tolerance, expected="a fraction from 0 to 1", low=0.0, high=1.0)
     for test in (_lost, _left_limits, lambda one: _short(one, tolerance)):

@@ -108,7 +108,7 @@ class Options:
         self._check_source()
 
     def _check_source(self) -> None:
-        """Raise unless the disturbance has one complete source."""
+        """Raise unless the disturbance has one source at most."""
         given = self.sources()
         if len(given) > 1:
             raise InputError(f"--{given[1]}", f"it together with --{given[0]}", "one source of the disturbance")

@@ -152,7 +152,7 @@ class TwinPlant(Immutable, PlantOfModel):
         return self.model.nx
 
     def stepper(self, p: Array, *, batch: int) -> TwinStepper:
-        """Stepper (x, u, w) → x⁺ at design `p` (np,), remembering e."""
+        """Stepper (x, u, w) → x⁺ at design `p` (np,), remembering e from 0 or the error given."""
         if self.error is not None and len(self.error) != batch:
             raise InputError("error", f"those of {len(self.error)} runs", f"one for each of the {batch} runs")
         return TwinStepper(self, p, batch)

@@ -11,7 +11,7 @@ from ccdtools.plants.library.elements import Parameters, dry_friction, hardening
 
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
-    """Force c (v + a (√(v² + v₀²) − v₀)): more damping in rebound than in bump."""
+    """Force c (v + a (√(v² + v₀²) − v₀)): slopes (1 + a) c in rebound, v > 0, and (1 − a) c in bump."""
     return damping * (rate + asymmetry * (ca.sqrt(rate**2 + knee**2) - knee))
 
 

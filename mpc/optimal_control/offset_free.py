@@ -21,7 +21,7 @@ from mpc.tracking import OffsetFreeMPC, Target, nearest_target, sizes_of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OffsetFreeNonlinearMPC(OffsetFreeMPC):
-    """Nonlinear MPC whose tracked outputs y = Cx settle on their reference.
+    """Nonlinear MPC whose tracked outputs y = Cx settle on their reference although the model is wrong.
 
     The whole state must be measured: there is no observer of states. The disturbance that explains the last transitions
     is estimated, the steady state of the nonlinear model under it whose outputs come nearest to the reference is found,

@@ -30,7 +30,7 @@ def test_a_misspelt_name_is_told_the_one_that_was_meant():
 
 
 def test_public_names_are_listed():
-    assert dir(ccdtools) == sorted(ccdtools.__all__)
+    assert dir(ccdtools) == sorted([*ccdtools.__all__, *ccdtools.GROUPS])
 
 
 def test_importing_ccdtools_loads_neither_torch_nor_casadi():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 SOURCES = (*Path(__file__).parent.glob("*.py"), Path(__file__).parents[2] / "tolerances.py")
@@ -14,5 +15,6 @@ def forget_stale(cache: str | None) -> None:
     """
     changed = max(source.stat().st_mtime for source in SOURCES)
     for kept in Path(cache).glob("*.nb[ci]") if cache else ():
-        if kept.stat().st_mtime < changed:
-            kept.unlink(missing_ok=True)
+        with suppress(OSError):  # another process may have been quicker
+            if kept.stat().st_mtime < changed:
+                kept.unlink()

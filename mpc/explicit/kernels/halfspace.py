@@ -252,4 +252,5 @@ def across(A, b, facets, count, facet, start, margin, theta):
     return False
 
 
-forget_stale(project.stats.cache_path)  # all kernels keep theirs in one folder
+if hasattr(project, "stats"):  # not where numba is told to compile nothing
+    forget_stale(project.stats.cache_path)  # all kernels keep theirs in one folder

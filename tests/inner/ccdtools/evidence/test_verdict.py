@@ -102,7 +102,8 @@ def test_a_verdict_names_its_evidence_by_distribution():
     [
         (([],), {}, r"evidence: got .*, expected at least one Evidence"),
         (([evidence(-30, -31, -29, Asked.SHOWN)],), {}, r"evidence: got .* one that is not only shown"),
-        (([replace(GAIN, needed=NAN)],), {}, r"evidence: got a gain of 2, a price of nan and a size of 100 on the log"),
+        (([replace(GAIN, needed=NAN)],), {}, r"got a gain of 2, 1, 3, a price of nan and a size of 100 on"),
+        (([evidence(1.0, -np.inf, 2.0)],), {}, r"evidence: got a gain of 1, -inf, 2, .*, expected finite numbers"),
         (([evidence(np.inf, 1.0, np.inf)],), {}, r"evidence: got a gain of inf, .*, expected finite numbers"),
         (([GAIN, evidence(1.0, 0.0, 2.0, Asked.TOLERANCE, size=NAN)],), {}, r"a size of nan on the log"),
         ((["better"],), {}, r"evidence: got .*, expected at least one Evidence"),
