@@ -99,7 +99,7 @@ def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative
     assert found.gradients is None
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
 @pytest.mark.parametrize("method", ["pathwise", "ppo", "pathwise+ppo"])
 def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, method):

@@ -138,6 +138,7 @@ def test_a_notebook_shows_the_picture_that_pyplot_knows_nothing_of(found):
     assert formatters.PNGFormatter()(found.plot()).startswith(b"\x89PNG")
 
 
+@pytest.mark.check
 def test_processes_change_nothing(problem, found):
     names = {name: QUICK[name] for name in ("nested", "plant first")}
     beside = compare_methods(problem, names, seed=3, jobs=2)
