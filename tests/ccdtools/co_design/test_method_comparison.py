@@ -66,6 +66,7 @@ def test_every_method_is_a_row_and_a_refusal_says_why(found):
     assert "refused: " in str(found)
 
 
+@pytest.mark.check
 def test_a_method_with_a_judge_of_its_own_is_measured_on_the_problem_as_the_others_are(problem):
     louder = replace(problem, scenarios=FixedStart([3.0, -3.0], Gaussian([0.5])))
     config = CoDesignConfig(iterations=2, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1, starts=1)

@@ -61,6 +61,7 @@ def test_bands_cover_eighty_per_cent_of_a_log_that_was_never_seen(bands):
     assert ((bands.coverage > low) & (bands.coverage < high)).all()
 
 
+@pytest.mark.check
 def test_the_draws_spread_as_far_as_the_plant(bands):
     np.testing.assert_allclose(bands.spread, 1.0, atol=0.12)
 
