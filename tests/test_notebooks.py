@@ -1,4 +1,4 @@
-"""Notebooks are kept executed, with their figures, and print the same numbers when they are run again."""
+"""Notebooks are kept executed, with their figures; run again, sets and laws print the same numbers, others as much."""
 
 import re
 from pathlib import Path

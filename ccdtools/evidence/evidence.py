@@ -217,7 +217,7 @@ def paired_in_risk(
     if runs == 1:
         one, other = (stretches(rewards, stretch) for rewards in (after, before))
         if len(one) < 2:
-            return PairedDifference(np.nan, (np.nan, np.nan))
+            return NOTHING
         number = after.size / min(stretch, after.shape[1])
         found = mean_interval(number * (parts_of_risk(risk, one) - parts_of_risk(risk, other)))
         few = too_few(risk, np.arange(len(one)))

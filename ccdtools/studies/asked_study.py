@@ -61,20 +61,20 @@ def _check_effect(options: Options, study: Study) -> None:
 def _source(options: Options, study: Study) -> Disturbance | None:
     """Disturbance of the options; None for the study's own."""
     dt = study.plant.dt
-    if options.disturbance is not None:
-        options.check_files()
-        signal = read_disturbance(options.disturbance, dt=dt, column=options.column, argument="--disturbance")
-        return Recorded(signal)
-    if options.sources() and not study.real.road:
+    given = options.sources()
+    if given and given[0] != "disturbance" and not study.real.road:
         cure = "Its real plant takes --disturbance FILE.csv; one on a road is declared by RealPlant(…, road=True)."
         got = f"it for {study.name!r}, whose disturbance is not the road under one wheel"
-        raise InputError(f"--{options.sources()[0]}", got, "a study that declares a road, such as suspension", cure)
+        raise InputError(f"--{given[0]}", got, "a study that declares a road, such as suspension", cure)
     for own, other in (("road", "speed"), ("speed", "road")):
         if getattr(options, own) is not None and getattr(options, other) is None:
             expected = "both: elevation over distance, speed over time"
             raise InputError(f"--{own}", f"it without --{other}", expected)
+    options.check_files()
+    if options.disturbance is not None:
+        signal = read_disturbance(options.disturbance, dt=dt, column=options.column, argument="--disturbance")
+        return Recorded(signal)
     if options.road is not None and options.speed is not None:
-        options.check_files()
         distance, elevation = read_road(options.road, argument="--road")
         time, speed = read_speed(options.speed, argument="--speed")
         with blamed_on_options({"road": "--road", "distance": "--road", "time": "--speed", "speed": "--speed"}):
