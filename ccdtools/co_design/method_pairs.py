@@ -67,11 +67,14 @@ def closed_loop_returns(
     own = Surroundings(np.zeros((len(x0), 0, 0)), None, None, recorded=False)
     driver = Driver(controller, own, len(x0), problem.model.nu)
     sample = iter(range(problem.steps * 2))
+    least, most = problem.input_bounds_at(p.numpy())
+    beyond = [0.0]
 
     def law(x: Tensor) -> Tensor:
         """Inputs (n, nu)."""
         u = np.asarray(driver(next(sample), x.numpy()), dtype=float)
         driver.remember(u)
+        beyond.append(float(np.nanmax(np.maximum(least - u, u - most) / (most - least))) * 2)
         return x.new_tensor(u)
 
     with torch.no_grad():
@@ -79,7 +82,7 @@ def closed_loop_returns(
     limits = measured(seen)
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
     errors = measurement_errors(seen).values()
-    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors)
+    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_floats, has_method, shown
-from ccdtools.disturbances.combinations import as_chances
+from ccdtools.disturbances.combinations import Constant, Mixture, as_chances
 from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
 from invariant_sets import Polytope
@@ -91,14 +91,20 @@ class RandomStarts(Immutable):
                 raise InputError("scenarios.x0", got, "states within X")
             return
         body = self.x0
-        if isinstance(body, Uniform):
-            low, high = body.lower, body.upper
-            worst = np.where(X.A > 0, high, low)  # of the box along each row
-            inside = bool(X.contains(worst).all())
-        else:
-            inside = not isinstance(body, Polytope) or body.is_subset(X)
+        if isinstance(body, Polytope):
+            inside = body.is_subset(X)
+        else:  # each box, by its worst point along each row
+            inside = all(X.contains(np.where(X.A > 0, high, low)).all() for low, high in _boxes(body))
         if not inside:
             raise InputError("scenarios.x0", f"{body!r}, which reaches outside X", "a set within X", "Intersect them.")
+
+
+def _boxes(starts: Disturbance) -> list[tuple[Array, Array]]:
+    """Boxes of the uniform parts of a distribution."""
+    if isinstance(starts, Uniform):
+        return [(starts.lower, starts.upper)]
+    parts = starts.terms if isinstance(starts, Mixture | Constant) else ()
+    return [box for part in parts for box in _boxes(part)]
 
 
 def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:

@@ -100,6 +100,8 @@ class ClosedLoopReturns(Immutable):
         What of the returns counts.
     limit_errors : (float, float)
         Standard errors of both.
+    beyond_inputs : float
+        Furthest that any input is asked for beyond U, in half-widths of U.
     """
 
     values: Array
@@ -108,6 +110,7 @@ class ClosedLoopReturns(Immutable):
     depth: float = 0.0
     risk: Risk = MEAN
     limit_errors: tuple[float, float] = (0.0, 0.0)
+    beyond_inputs: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))

@@ -76,6 +76,9 @@ class Settling:
             return result
         if loop.lost.any():
             return replace(result, status=CoDesignStatus.DIVERGING)
+        if loop.beyond_inputs > LEAST_TOLERANCE:
+            beyond = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
+            return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, beyond))
         if result.limits is not None and not result.limits.kept:
             return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
         if not result.status.settled:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from ccdtools import Search
 from ccdtools.cli import main
 
 CCDTOOLS = [sys.executable, "-m", "ccdtools", "codesign"]
@@ -58,6 +59,19 @@ def test_a_folder_of_something_else_is_not_overwritten(tmp_path):
     assert refused.returncode == 2
     assert "holds no methods.csv" in refused.stderr
     assert [file.name for file in (tmp_path / "thesis").iterdir()] == ["chapter.tex"]
+
+
+@pytest.mark.parametrize(("methods", "said"), [("nested-lqr,cma-es", "have ended:"), ("cma-es", "No method has")])
+def test_an_interrupted_comparison_says_what_has_ended(methods, said, tmp_path, monkeypatch, capsys):
+    def interrupted(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Search, "run", interrupted)
+    assert left(monkeypatch, "illustrative", "--methods", methods, "--out", "kept") == 130
+    out = capsys.readouterr().out
+    assert said in out
+    assert ("Their table: " in out) == ("nested" in methods)
 
 
 @pytest.mark.check

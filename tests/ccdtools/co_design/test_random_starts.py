@@ -21,6 +21,7 @@ from ccdtools.plants.library import mass_chain
 from invariant_sets import Polytope
 
 NOISE = Gaussian([0.1])
+HALF_OUT = Mixture((Gaussian([0.1, 0.1]), Uniform([0, 0], [1, 4.1])))
 
 
 def simplex(n, scale):
@@ -113,6 +114,7 @@ def test_the_feasible_set_of_a_design_is_a_place_to_start(rng):
         (lambda: problem_from(RandomStarts([[0.0, 0.0], [2.0, 0.0]], NOISE)), "x0: got .* as state 2, .* outside X"),
         (lambda: problem_from(RandomStarts(Uniform([0, 0], [1, 4.1]), NOISE)), "scenarios.x0: .* reaches outside X"),
         (lambda: problem_from(RandomStarts(simplex(2, 1.5), NOISE)), "scenarios.x0: .* reaches outside X"),
+        (lambda: problem_from(RandomStarts(HALF_OUT, NOISE)), "scenarios.x0: .* reaches outside X"),
         (lambda: problem_from(RandomStarts(Uniform([0], [1]), NOISE)), r"initial states of shape \(1,\)|dimension"),
     ],
 )

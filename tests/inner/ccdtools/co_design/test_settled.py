@@ -132,6 +132,17 @@ def test_a_claim_falls_where_the_closed_loop_leaves_limits_further_than_was_aske
     assert free.status is CoDesignStatus.CONVERGED
 
 
+def test_a_claim_falls_where_inputs_are_asked_for_beyond_the_actuator(problem):
+    K = gain(problem, BEST)
+    tight = replace(problem, U=(-0.6, 0.6), limit_tolerance="off", scenarios=FixedStart([2.0, -1.0], Gaussian([0.1])))
+    unclipped = codesign(tight, method=Claims(BEST, LinearFeedback(K)), rng=np.random.default_rng(0))
+    assert unclipped.status is CoDesignStatus.LIMITS_BROKEN
+    first = np.abs(K @ tight.scenarios.x0).item()
+    assert unclipped.closed_loop.beyond_inputs == pytest.approx(first / 0.6 - 1)
+    assert any("beyond U" in note for note in unclipped.notes)
+    assert claimed(tight, BEST, K).closed_loop.beyond_inputs <= 0
+
+
 def test_other_statuses_stay_what_the_method_says(problem):
     K = 0.3 * gain(problem, BEST)
     found = claimed(problem, BEST, K, status=CoDesignStatus.BUDGET_SPENT)
