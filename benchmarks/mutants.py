@@ -35,7 +35,7 @@ from reach_of_tests import CHILDREN, PACKAGES, told
 ROOT = Path(__file__).resolve().parents[1]
 STORE = ROOT / "build" / "mutants"
 COPIED = (*PACKAGES, "ccdtools_ground", "tests", "benchmarks", "notebooks", "docs", "pyproject.toml", "README.md",
-          "LICENSE", "Makefile")  # fmt: skip
+          "LICENSE", "Makefile", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")  # fmt: skip
 PATIENCE = 4.0  # times what the tests of a mutant took without it
 FIRST = 25  # tests that are run by themselves, before all others of a mutant
 KERNELS = ROOT / "mpc" / "explicit" / "kernels"

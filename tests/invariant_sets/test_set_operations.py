@@ -98,7 +98,7 @@ def test_difference_then_sum_stays_inside_and_sum_then_difference_returns(family
     assert P.minkowski_sum(W).pontryagin_difference(W).equals(P, 1e-6)
 
 
-@pytest.mark.quick(23)
+@pytest.mark.quick(30)
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 @pytest.mark.parametrize("family", FAMILIES)
 def test_difference_of_a_set_with_itself_is_one_point(family, n, rng):

@@ -8,13 +8,13 @@ import pytest
 from invariant_sets import Status, maximal_control_invariant_set
 
 
-@pytest.mark.quick(19)
+@pytest.mark.quick(21)
 @pytest.mark.parametrize("seed", range(0, 24))
 def test_largest_positively_invariant_sets_are_invariant_bounded_as_said_and_miss_nothing(seed):
     assert adversarial.positive([seed])[0][1] == ""
 
 
-@pytest.mark.quick(3)
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("seed", range(0, 24))
 def test_controllable_and_predecessor_sets_hold_exactly_the_states_with_a_good_input_sequence(seed):
     assert adversarial.controllable([seed])[0][1] == ""

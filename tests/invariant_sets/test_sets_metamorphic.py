@@ -102,7 +102,6 @@ STATES = {
 }
 
 
-@pytest.mark.quick(35)
 @pytest.mark.parametrize("change", STATES)
 @pytest.mark.parametrize("name", RECURSIONS)
 def test_other_state_coordinates_give_the_same_set(name, change, natural):

@@ -34,6 +34,7 @@ def fitted():
 
 
 
+@pytest.mark.check
 def test_quantiles_of_a_fitted_network_never_cross(fitted):
     q = fitted.predict(10 * np.random.default_rng(0).standard_normal((2000, 2)))
     assert (np.diff(q, axis=1) > 0).all()

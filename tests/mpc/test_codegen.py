@@ -68,7 +68,6 @@ def run_c(folder, theta, scalar):
     return np.fromfile(folder / "out.bin")
 
 
-@pytest.mark.quick(4)
 @needs_compiler
 @pytest.mark.parametrize("which", [0, 1, 2, 3])
 @pytest.mark.parametrize("method", ["tree", "sequential"])

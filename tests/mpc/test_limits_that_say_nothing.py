@@ -101,7 +101,7 @@ def test_a_rate_limit_says_how_far_the_inputs_move_beside_any_limit_of_theirs(un
     np.testing.assert_allclose(plan.inputs[:, 0], [-1.0, -2.0], atol=1e-6)
 
 
-@pytest.mark.quick(10)
+@pytest.mark.quick(14)
 @pytest.mark.parametrize("solver", ["daqp", "clarabel", "osqp"])
 @pytest.mark.parametrize("inputs", ["bounded", "free"])
 @pytest.mark.parametrize("small", [1.0, 1e-2, 1e-4])

@@ -10,7 +10,7 @@ from plants import box
 from mpc import LinearMPC, NotStabilisableError, Status
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("block", range(4))
 def test_random_unstable_plants_keep_every_promise_and_agree_with_the_oracles(block):
     solved = 0
@@ -60,7 +60,6 @@ def test_blocks_of_moves_over_a_long_horizon_of_an_unstable_plant(blocks):
         np.testing.assert_array_equal(plan.inputs[start:end], np.tile(plan.inputs[start], (end - start, 1)))
 
 
-@pytest.mark.check
 @pytest.mark.parametrize("solver", ["osqp", "clarabel"])
 def test_the_forms_with_states_kept_agree_with_the_condensed_one(solver):
     compared = 0

@@ -39,7 +39,7 @@ def compared(make, x, found, parameters, signals, step=1e-4):
         assert distance(getattr(found, name), expected) < REQUIRED, name
 
 
-@pytest.mark.quick(7)
+@pytest.mark.quick(9)
 @pytest.mark.parametrize(
     ("limits", "signals", "active"),
     [

@@ -32,7 +32,7 @@ def test_region_counts_agree_with_the_literature_of_solvers(mpc, regions):
     assert len(partition) == regions
 
 
-@pytest.mark.quick(3)
+@pytest.mark.quick(9)
 @pytest.mark.parametrize(
     "mpc", [integrator(3, 0.1), integrator(8, 1.0), scaled_suspension(2), scaled_suspension(5),
             *(random_plant(seed) for seed in (2, 3, 6, 8, 11, 12, 14, 19))],
@@ -45,7 +45,7 @@ def test_compiled_and_numpy_explorations_find_the_same_active_sets(mpc):
     np.testing.assert_allclose(fast.law[order], slow.law, atol=1e-9)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("seed", range(20))
 def test_law_is_optimal_covers_the_feasible_set_and_does_not_overlap(seed):
     mpc = random_plant(seed)
@@ -118,7 +118,7 @@ def symmetric(B, **more):
     return LinearMPC(np.eye(2), B, **data)
 
 
-@pytest.mark.quick(4)
+@pytest.mark.quick(7)
 @pytest.mark.parametrize(
     ("mpc", "theta_set"),
     [

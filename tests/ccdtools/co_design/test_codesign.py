@@ -39,6 +39,7 @@ def same(a, b):
     return all(torch.equal(x, y) for x, y in zip(a.state_dict().values(), b.state_dict().values()))
 
 
+@pytest.mark.check
 def test_the_design_moves_towards_more_authority_and_a_better_return(result):
     assert result.design[0] > 1.8
     assert result.history.model_return[-1] > result.history.model_return[0] + 15  # −73 at p = 1, −25 at the bound
@@ -99,7 +100,7 @@ def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative
     assert found.gradients is None
 
 
-@pytest.mark.quick(1)
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
 @pytest.mark.parametrize("method", ["pathwise", "ppo", "pathwise+ppo"])
 def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, method):
@@ -117,6 +118,7 @@ def test_active_bounds_are_named(problem, illustrative, clone):
     np.testing.assert_array_equal(found.design, [3.0])
 
 
+@pytest.mark.check
 def test_the_generator_decides(problem, illustrative, clone):
     a, b = (run(problem, clone(illustrative), seed=5) for _ in range(2))
     np.testing.assert_array_equal(a.design, b.design)

@@ -29,7 +29,6 @@ def weak(illustrative):
     )  # fmt: skip
 
 
-@pytest.mark.quick(2)
 @pytest.mark.parametrize("method", TRAJECTORIES, ids=lambda method: method.name)
 def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(method, illustrative):
     found = codesigned(weak(illustrative), method, design=[0.5])
@@ -63,7 +62,6 @@ def test_nested_trajectories_leave_a_first_design_that_cannot_keep_the_limits(un
     assert nested.objective == pytest.approx(together.objective, rel=1e-5)
 
 
-@pytest.mark.check
 def test_limits_are_named_as_the_plant_and_the_user_name_them():
     problem = replace(mass(), output_limits=cc.OutputLimits(lambda x, u, p: x[0], -0.2, 0.2, names=["travel [m]"]),
                       scenarios=cc.FixedStart([0.1, 3.0], cc.Gaussian([0.5])), U=([-0.1], [0.1]))  # fmt: skip
@@ -73,7 +71,6 @@ def test_limits_are_named_as_the_plant_and_the_user_name_them():
         assert "travel [m] ≤ 0.2" in "\n".join(found.notes)
 
 
-@pytest.mark.check
 def test_a_design_that_is_infeasible_is_projected_before_it_is_measured(illustrative):
     case = CASES["two budgets"]
     problem = case.problem()

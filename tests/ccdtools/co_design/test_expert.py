@@ -95,6 +95,7 @@ def discounted_returns(study, x, p, runs, gamma, rng):
     return total
 
 
+@pytest.mark.check
 def test_values_agree_with_a_long_monte_carlo_of_the_same_controller(suspension, expert_data):
     # Late visits: near the origin of the suspension the projection is idle, so the controller is clipped LQR.
     rng = np.random.default_rng(5)

@@ -34,7 +34,7 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK], ids=["riccati", "lqr"])
 def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
@@ -80,6 +80,7 @@ def test_known_optima_of_the_illustrative_example(illustrative, x0, expected):
     assert found.status.settled
 
 
+@pytest.mark.check
 def test_known_optimum_of_the_suspension_and_what_holds_it(suspension):
     found = cc.codesign(suspension.problem(), method="nested", rng=np.random.default_rng(0))
     np.testing.assert_allclose(found.design, [1e4, 3000])

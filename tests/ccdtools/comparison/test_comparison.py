@@ -56,6 +56,7 @@ def scores(illustrative, controllers, scenario):
     return scored(illustrative, controllers, scenario)
 
 
+@pytest.mark.check
 def test_the_baselines_are_four(controllers):
     assert list(controllers) == ["passive", "LQR", "PID", "MPC"]
     kinds = [type(c) for c in controllers.values()]
@@ -138,7 +139,6 @@ def test_a_baseline_that_is_not_there_is_refused(illustrative, controllers, scen
         scored(illustrative, {}, scenario)
 
 
-@pytest.mark.check
 def test_any_controller_is_the_baseline_and_without_lqr_the_first(illustrative, controllers, scenario):
     by_lqr = compared(illustrative, controllers, scenario)
     others = {name: controllers[name] for name in ("passive", "MPC")}

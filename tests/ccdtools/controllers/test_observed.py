@@ -108,7 +108,6 @@ class Summing:
         return -K @ x - 0.01 * self.total
 
 
-@pytest.mark.quick(13)
 @pytest.mark.parametrize("estimator", [STEADY, OVER_TIME, EXTENDED], ids=["steady", "over time", "extended"])
 @pytest.mark.parametrize("name", controllers())
 def test_runs_at_once_are_runs_one_by_one_and_start_afresh(name, estimator):

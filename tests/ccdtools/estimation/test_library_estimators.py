@@ -48,7 +48,6 @@ def test_the_gain_is_that_of_python_control(name):
     assert np.abs(steady.poles).max() < 1
 
 
-@pytest.mark.quick(7)
 @pytest.mark.parametrize("name", MEASURED)
 def test_an_extended_filter_of_the_plant_itself_finds_its_state(name):
     make, measured = MEASURED[name]

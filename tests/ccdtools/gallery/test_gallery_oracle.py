@@ -122,6 +122,7 @@ def test_the_optimum_of_the_mass_is_where_a_coarser_search_finds_it():
     np.testing.assert_allclose(found.designs[0], reference("mass_spring_damper")["designs"][0], rtol=1e-4)
 
 
+@pytest.mark.check
 def test_dynamic_programming_is_the_riccati_equation_where_no_input_saturates():
     s = replace(statement("two_unstable_modes"), steps=8, u_max=np.array([6.0]), x0=np.array([0.3, 0.2]))
     p = np.array([0.8])

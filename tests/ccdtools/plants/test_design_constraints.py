@@ -167,7 +167,6 @@ def test_of_many_whole_numbers_the_few_allowed_ones_are_found():
     assert wide.project([3000, 2000]).tolist() == [3, 0]
 
 
-@pytest.mark.quick(8)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -17,7 +17,7 @@ from ccdtools.studies import load_study, study_names
 PLANTS = [name for name in library.__all__ if inspect.isfunction(getattr(library, name))]
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_plant_of_the_library_has_a_study_of_its_name(name):
     plant = load_study(name).plant

@@ -46,6 +46,7 @@ def real(plant, **changes) -> RealPlant:
     return RealPlant(**({"plant": plant, "disturbance": NOISE, "x0": [0.0, 0.5], "runs": 20, "steps": 50} | changes))
 
 
+@pytest.mark.check
 def test_without_a_real_plant_the_steps_are_those_of_the_model():
     """The plant's own ten Runge–Kutta steps diverge in the first sample."""
     own = study(tank())
@@ -61,7 +62,6 @@ def test_without_a_real_plant_the_steps_are_those_of_the_model():
     assert not study(tank(rate=30.0), real=real(tank(rate=30.0))).real_is_model
 
 
-@pytest.mark.check
 @pytest.mark.parametrize("cubic", [0.0, 0.2])
 def test_a_real_plant_that_its_steps_do_not_follow_is_refused_with_steps_that_do(cubic):
     nominal = tank(rate=30.0)

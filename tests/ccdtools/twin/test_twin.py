@@ -61,6 +61,7 @@ def test_an_update_is_a_new_twin_and_the_old_one_is_unchanged(illustrative, log)
     assert newer.discrepancy is not new.discrepancy
 
 
+@pytest.mark.check
 def test_the_one_step_error_falls_on_a_held_out_stretch(twin):
     scores = twin.scores
     assert (np.array(scores.rmse) < 0.8 * np.array(scores.nominal_rmse)).all()

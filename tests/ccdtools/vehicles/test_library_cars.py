@@ -100,6 +100,7 @@ def test_the_half_car_has_the_natural_frequencies_of_its_masses_and_springs():
     assert ((own[2:] / HZ > 9) & (own[2:] / HZ < 12)).all()
 
 
+@pytest.mark.check
 def test_the_half_car_without_dampers_keeps_its_energy():
     def energy(x):
         springs_ = 28e3 * x[2] ** 2 + 21e3 * x[3] ** 2 + 2e5 * (x[0] ** 2 + x[1] ** 2)

@@ -77,6 +77,7 @@ def test_a_network_without_training_data_has_no_range():
     assert not np.allclose(net.predict([[1.0]]), net.predict([[100.0]]))
 
 
+@pytest.mark.check
 def test_pinball_falls_below_that_of_constant_quantiles(fitted):
     x, y = heteroscedastic(2000, 9)
     constant = np.broadcast_to(np.quantile(heteroscedastic(6000, 0)[1], LEVELS, axis=0)[None], (2000, 3, 2))

@@ -286,7 +286,7 @@ def online_feasible(problem, theta):
     return np.array([program.status == 0 for program in room])
 
 
-@pytest.mark.quick(13)
+@pytest.mark.quick(14)
 @pytest.mark.parametrize(
     ("seed", "opposite"),
     [*((seed, False) for seed in (73, 357, 1134, 1569, 1721, 1781, 3156, 3773, 580, 3660)),

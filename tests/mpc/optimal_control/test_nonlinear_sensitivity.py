@@ -38,7 +38,6 @@ def compared(found, plain, step, x, p, sizes, weights, part=1e-3):
     assert distance(found.inputs_by_state.reshape(-1, nx), by_state[1:]) < REQUIRED
 
 
-@pytest.mark.quick(2)
 @pytest.mark.parametrize(
     ("x", "changes", "kinds"),
     [

@@ -110,6 +110,7 @@ def test_without_saturation_the_lqr_region_is_the_maximal_positively_invariant_s
     assert 0.2 < expected.mean() < 0.95
 
 
+@pytest.mark.check
 def test_the_lqr_region_does_not_depend_on_units():
     near, far = (chain(3, unit=unit) for unit in (1.0, 1e-6))
     x, p = box_samples(near, 200)
@@ -260,6 +261,7 @@ def test_runs_that_share_a_design_are_filtered_as_each_would_be_alone():
 # --- progress without a terminal -----------------------------------------------------------------------------
 
 
+@pytest.mark.check
 def test_what_takes_long_says_how_far_it_is(illustrative, monkeypatch):
     monkeypatch.setattr(progress, "SECONDS_BETWEEN_LINES", 0.001)
     lines = []

@@ -39,7 +39,7 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
-@pytest.mark.quick(4)
+@pytest.mark.quick(5)
 @pytest.mark.parametrize("risk", [cc.Mean(), cc.MeanSpread(0.5), cc.CVaR(0.3)])
 @pytest.mark.parametrize("unit", [1.0, 1000.0])
 def test_slope_of_a_closed_loop_is_that_of_central_differences(unit, risk):

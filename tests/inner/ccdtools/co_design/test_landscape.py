@@ -34,6 +34,7 @@ def test_designs_that_lqr_cannot_stabilise_are_the_lowest(illustrative):
     assert np.isfinite(J[1])
 
 
+@pytest.mark.check
 def test_a_landscape_of_one_valley_has_one():
     problem = mass()
     design, _ = best_design(problem)
@@ -53,6 +54,7 @@ def test_both_valleys_are_found_the_better_first():
     assert [valley.given for valley in valleys(problem, [0.75], rng=np.random.default_rng(0))] == [True, False]
 
 
+@pytest.mark.check
 def test_of_the_suspension_the_only_valley_is_the_corner(suspension):
     (valley,) = valleys(suspension.problem(), suspension.p0, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(valley.design, [1e4, 3000])

@@ -98,6 +98,7 @@ def test_a_claim_stands_at_the_optimum_and_falls_below_lqr_of_its_own_design(pro
     assert any("LQR of the same design: +" in line for line in weak.describe())
 
 
+@pytest.mark.check
 def test_a_policy_falls_below_mpc_of_its_own_design_where_the_input_saturates(problem):
     tight = replace(problem, U=(-0.6, 0.6), scenarios=FixedStart([2.0, -1.0], Gaussian([0.1])))
     found = codesign(tight, method=Claims(BEST, LearnedPolicy(clone_of(tight), [BEST])), rng=np.random.default_rng(0))

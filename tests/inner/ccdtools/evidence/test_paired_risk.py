@@ -50,7 +50,6 @@ def test_fewer_than_ten_runs_in_the_tail_have_no_interval():
     assert np.isnan(few.ci95).all()
 
 
-@pytest.mark.quick(1)
 @pytest.mark.parametrize("name", RISKS)
 def test_the_interval_covers_the_true_gain(name):
     risk, value = RISKS[name]

@@ -66,6 +66,7 @@ def test_slopes_of_any_number_of_runs_are_those_of_casadi(n, own, rng):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.check
 def test_several_threads_may_step_one_model_with_many_numbers_of_runs(rng):
     model = SampledModel(winding(), 0.1)
     p = np.array([1.0, 2.0])

@@ -156,7 +156,6 @@ DAMAGES = {
 }  # fmt: skip
 
 
-@pytest.mark.quick(22)
 @pytest.mark.parametrize("name", DAMAGES)
 def test_a_damaged_run_is_refused_in_one_line(copy, capsys, name):
     damage, message = DAMAGES[name]

@@ -93,7 +93,6 @@ def test_training_waits_for_a_slow_loop_and_not_for_a_fast_one():
     assert waits["fast"] <= 20
 
 
-@pytest.mark.quick(1)
 @pytest.mark.parametrize("design", [0.5, 8.0])
 def test_after_the_warm_up_windows_rank_designs_as_whole_runs_do(design):
     evaluation, log = logged(tank(wall="slow", unit=1.0, runs=1, steps=3000), [design])

@@ -111,7 +111,6 @@ def test_a_design_costs_half_a_per_cent_and_a_policy_a_tenth_by_default(evaluati
     assert (moved["price"], stays["price"]) == ("0.5 %", "0.1 %")
 
 
-@pytest.mark.check
 def test_a_gain_beyond_chance_below_its_price_is_not_taken_and_says_so(evaluation, agent, noisy):
     free, _ = judged(evaluation, at(agent, 2.2), at(agent, 1.2), noisy)
     study = replace(evaluation.study, redesign_price=f"{1.01 * free['gain']['mean']} return")

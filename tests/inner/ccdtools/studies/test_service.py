@@ -186,6 +186,7 @@ def test_predicted_and_measured_returns_are_of_the_policy_as_designed():
     assert delivery.returns.mean == pytest.approx(-STEPS)
 
 
+@pytest.mark.check
 def test_a_prediction_that_is_right_is_called_wrong_in_one_deployment_of_five_hundred():
     rng = np.random.default_rng(0)
     told = {"many": 0, "few": 0}

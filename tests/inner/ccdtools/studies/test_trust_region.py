@@ -45,6 +45,7 @@ def taught(real, model=None):
     return twin.update(log, weight=np.eye(2), rng=np.random.default_rng(0), config=QuantileConfig(steps=600))
 
 
+@pytest.mark.check
 def test_where_the_real_plant_is_the_model_a_redesign_is_free():
     doubt = attribute_errors(taught(mass()), SCALE)
     assert doubt.rest < 1e-6
@@ -52,6 +53,7 @@ def test_where_the_real_plant_is_the_model_a_redesign_is_free():
     assert not doubt.limits
 
 
+@pytest.mark.check
 def test_what_does_not_enter_through_E_limits_a_redesign():
     doubt = attribute_errors(taught(mass(push=0.5)), SCALE)
     assert doubt.rest > 0.1

@@ -17,7 +17,6 @@ def simulated(v, A, B, gains, weights):
     return cost + x @ P @ x
 
 
-@pytest.mark.check
 @pytest.mark.parametrize("unit", [1.0, 1e4])
 @pytest.mark.parametrize("S", [0.0, 0.1])
 @pytest.mark.parametrize(("nx", "nu", "N", "radius"), [(1, 1, 1, 0.9), (2, 1, 6, 1.3), (6, 2, 12, 1.0), (3, 3, 2, 0.5)])

@@ -52,7 +52,6 @@ LIMITS = {
 }
 
 
-@pytest.mark.quick(1)
 @pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
 @pytest.mark.parametrize("limits", LIMITS.values(), ids=LIMITS)
 def test_its_program_is_that_of_python(limits, sx, su, cost):
