@@ -15,6 +15,7 @@ def random_polytope(rng, n, rows=None):
                     np.r_[rng.uniform(0.3, 1, len(A)) * np.linalg.norm(A, axis=1), np.ones(2 * n)])
 
 
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("n", [2, 3, 4, 5, 6])
 def test_vertices_reconstruct_the_set(n, rng):
     P = random_polytope(rng, n)

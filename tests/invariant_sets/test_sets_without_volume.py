@@ -28,7 +28,7 @@ DIFFERENCE = "(P + Q) - Q = P"
 NO_LIMIT_ROW = "bounds of 1e6 to 1e300 and inf"
 
 
-@pytest.mark.quick(7)
+@pytest.mark.quick(6)
 @pytest.mark.parametrize(("name", "seed", "k"), [
     (DIFFERENCE, 1, 1065), (DIFFERENCE, 1, 9930), (DIFFERENCE, 2, 2782),  # rounding of far points was taken for a width
     (DIFFERENCE, 1, 6188), (DIFFERENCE, 1, 9349), ("reach of known starts", 1, 2632),  # rows nearly parallel to a hull

@@ -40,6 +40,7 @@ def test_quantiles_of_a_fitted_network_never_cross(fitted):
     assert (np.diff(q, axis=1) > 0).all()
 
 
+@pytest.mark.check
 def test_five_calibrated_levels_never_cross():
     # The fit sees two peaks for x < 0 and a bell for x > 0; what calibrates it has two peaks at x > 0.
     rng = np.random.default_rng(3)
@@ -90,6 +91,7 @@ def test_coverage_on_fresh_samples_lies_in_a_binomial_interval(fitted):
     assert ((inside > low) & (inside < high)).all()
 
 
+@pytest.mark.check
 def test_calibration_mends_a_scale_that_changes_at_the_end():
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 1, (3000, 1))

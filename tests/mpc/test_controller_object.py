@@ -43,7 +43,7 @@ def test_errors_pickle_with_their_data(error):
     assert vars(twin) == vars(error)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("solver", ["daqp", "osqp"])
 def test_one_controller_answers_many_threads(solver):
     controller = LinearMPC(A, B, **DATA, solver=solver)

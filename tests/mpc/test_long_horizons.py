@@ -78,6 +78,7 @@ def test_the_forms_with_states_kept_agree_with_the_condensed_one(solver):
     assert repr(kept) == f"LinearMPC({kept.nx} states, {kept.nu} inputs, N={kept.horizon}, {solver})"
 
 
+@pytest.mark.check
 def test_a_horizon_too_long_for_dense_matrices_is_solved_with_the_states_kept():
     data = dict(Q=np.eye(2), R=[[0.1]], horizon=2000, X=box([5, 5]), U=box([1]))
     kept = LinearMPC([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]], **data, solver="osqp")

@@ -84,6 +84,7 @@ def test_a_design_that_only_gets_worse_gives_back_the_start(problem, illustrativ
     np.testing.assert_allclose(wrecked.design, [3.0])
 
 
+@pytest.mark.check
 def test_the_agent_passed_in_is_not_changed(problem, illustrative, clone):
     agent = clone(illustrative)
     before = copy.deepcopy(agent)
@@ -100,7 +101,7 @@ def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative
     assert found.gradients is None
 
 
-@pytest.mark.quick(3)
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
 @pytest.mark.parametrize("method", ["pathwise", "ppo", "pathwise+ppo"])
 def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, method):
@@ -126,12 +127,14 @@ def test_the_generator_decides(problem, illustrative, clone):
     assert same(a.agent, b.agent)
 
 
+@pytest.mark.check
 def test_iterates_are_scored_on_the_judge(problem, illustrative, clone):
     calm = replace(problem, scenarios=type(problem.scenarios)([0.0, 0.0], illustrative.disturbance))
     found = run(problem, clone(illustrative), judge=calm, iterations=1)
     assert (found.history.model_return > -10).all()  # −73 from the problem's own start
 
 
+@pytest.mark.check
 def test_the_front_door_passes_everything_on(problem, illustrative, clone):
     config = replace(TINY, iterations=1)
     a = codesign(problem, agent=clone(illustrative), design=[1.0], rng=np.random.default_rng(1), config=config)

@@ -154,6 +154,7 @@ def test_a_search_that_has_looked_at_random_whole_numbers_of_an_odd_range_goes_o
     assert set(asked) == {1.0, 2.0}
 
 
+@pytest.mark.check
 def test_a_result_is_ready_for_json():
     lqr = codesigned(mass(), cc.Nested(runs=50))
     assert lqr.valleys

@@ -26,6 +26,7 @@ def first_visits(study, data):
     return data.inputs[:n, :nx], data.inputs[:n, nx:], data.actions[:n], data.values[:n]
 
 
+@pytest.mark.check
 def test_every_accepted_sample_lies_in_the_feasible_set_of_its_own_design(study, expert_data):
     x, p, _, _ = first_visits(study, expert_data(study))
     sets = feasible_sets(study.problem())
@@ -34,6 +35,7 @@ def test_every_accepted_sample_lies_in_the_feasible_set_of_its_own_design(study,
     assert len(np.unique(p, axis=0)) == len(p)
 
 
+@pytest.mark.quick(1)
 def test_the_next_nominal_state_stays_in_the_feasible_set(study, expert_data):
     x, p, u, _ = first_visits(study, expert_data(study))
     sets, (A, B, _) = feasible_sets(study.problem()), study.model.matrices(p)
@@ -48,6 +50,7 @@ def test_inputs_lie_within_their_bounds(study, expert_data):
     assert (u <= upper + 1e-9).all()
 
 
+@pytest.mark.check
 def test_where_lqr_keeps_the_next_state_feasible_the_expert_is_lqr(study, expert_data):
     problem = study.problem()
     x, p, u, _ = first_visits(study, expert_data(study))

@@ -31,6 +31,7 @@ def test_states_that_the_model_carries_out_of_a_set_of_its_linearisation_are_cou
     assert "leave it in a step of the model itself" in str(sets)
 
 
+@pytest.mark.check
 def test_a_nearly_linear_model_leaves_no_set_of_its_linearisation():
     assert sets_of(1e-6).leaving == 0.0
 

@@ -59,7 +59,7 @@ def test_a_multiplier_is_what_more_of_the_budget_brings():
     assert found.multipliers[name] == pytest.approx((more.objective - found.objective) / 0.01, rel=0.02)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("make", [mass, two_valleys])
 @pytest.mark.parametrize("start", [0.02, 0.3, 0.97])
 def test_the_best_valley_is_found_from_any_start(make, start):
@@ -70,7 +70,7 @@ def test_the_best_valley_is_found_from_any_start(make, start):
     assert found.closed_loop.summary.ci95[0] <= exact_return(problem, found.design) <= found.closed_loop.summary.ci95[1]
 
 
-@pytest.mark.quick(2)
+@pytest.mark.check
 @pytest.mark.parametrize(("x0", "expected"), [((0, 0), (0.66, 0.71)), ((-2, -2), (2.35, 2.55)), ((-3.5, -2), (3, 3))])
 def test_known_optima_of_the_illustrative_example(illustrative, x0, expected):
     problem = illustrative.problem()

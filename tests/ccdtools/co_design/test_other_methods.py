@@ -165,6 +165,7 @@ def test_limits_that_no_inputs_keep_are_told(illustrative):
     assert "limit" in found.status.advice
 
 
+@pytest.mark.check
 def test_a_result_is_pickled_and_told():
     found = codesigned(mass(), "nested")
     again = pickle.loads(pickle.dumps(found))

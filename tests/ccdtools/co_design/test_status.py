@@ -87,6 +87,7 @@ def test_a_design_at_a_bound_says_so(illustrative, clone):
     assert found.convergence.slope[0] == 0.0  # what remains points out of the box
 
 
+@pytest.mark.check
 def test_a_budget_that_ends_while_the_return_rises_says_so(mass_and_clone):
     problem, agent = mass_and_clone
     found = run(problem, agent, [3.0], iterations=3, starts=1)
@@ -151,6 +152,7 @@ def test_a_design_that_the_judge_finds_level_has_settled_whatever_the_training_m
     np.testing.assert_allclose(found.design, first.design, atol=0.05)
 
 
+@pytest.mark.check
 def test_along_the_gradient_through_the_model_nothing_is_explored(mass_and_clone):
     problem, agent = mass_and_clone
     found = run(problem, agent, [1.0], iterations=10, block=10, starts=1)

@@ -83,6 +83,7 @@ SETS = {
 }
 
 
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("name", SETS)
 def test_no_point_of_a_dense_cloud_is_feasible_and_nearer_than_the_projection(name, rng):
     size, g = SETS[name]
@@ -210,7 +211,7 @@ REWRITTEN = {
 }
 
 
-@pytest.mark.quick(5)
+@pytest.mark.quick(4)
 @pytest.mark.parametrize("name", ["a disc", "around a disc", "a wedge"])
 @pytest.mark.parametrize("rewritten", REWRITTEN)
 def test_a_growing_function_of_a_constraint_leaves_the_same_designs(rewritten, name, rng):

@@ -143,6 +143,7 @@ def test_what_does_not_rest_is_refused_by_name(call, message):
         call()
 
 
+@pytest.mark.check
 def test_no_equilibrium_is_said_with_the_least_rate():
     x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
     plant = Plant(x, u, None, p, ca.vertcat(x[1], p + x[0] ** 2), DesignSpace(["p"], [1.0], [2.0]), dt=0.1)

@@ -102,6 +102,7 @@ def test_small_and_large_batches_agree(n, rng):
     np.testing.assert_allclose(whole, rows, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.check
 def test_the_stepper_of_one_run_is_the_step_itself_and_outlives_its_plant(rng):
     x, u, w = (rng.standard_normal((1, size)) for size in (2, 1, 1))
     single = pendulum().stepper(one([1.2]), batch=1)

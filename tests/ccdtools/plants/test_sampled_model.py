@@ -36,6 +36,7 @@ def drawn(model, limits, n, rng):
     return (*parts, rng.uniform(model.design.lower, model.design.upper, (n, model.design.dim)))
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(("method", "order"), [("rk4", 4), ("collocation", 5)])
 def test_a_method_has_its_order(method, order):
     x, u, w, p = np.array([2.0, 1.0]), np.array([0.5]), np.array([-0.3]), np.array([0.8])
@@ -164,6 +165,7 @@ def test_a_point_at_which_newton_does_not_converge_is_named_with_it():
         discretise(blows_up, method="collocation", X=(-6.0, 6.0))
 
 
+@pytest.mark.check
 def test_a_sampled_model_simulates_as_its_plant_does():
     model = discretise(swing(), accuracy=1e-9, **SWING)
     K = [[8.0, 3.0]]

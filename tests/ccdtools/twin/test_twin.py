@@ -50,6 +50,7 @@ def twin(illustrative, log):
 # ── the update ──
 
 
+@pytest.mark.check
 def test_an_update_is_a_new_twin_and_the_old_one_is_unchanged(illustrative, log):
     old = DigitalTwin(illustrative.model)
     quick = replace(SHORT, steps=5)

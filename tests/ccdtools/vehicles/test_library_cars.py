@@ -28,6 +28,7 @@ def test_body_bounce_and_wheel_hop_are_where_textbooks_have_them():
     assert 9.0 < hop < 11.0
 
 
+@pytest.mark.check
 def test_the_nonlinear_quarter_car_without_damper_keeps_its_energy():
     def energy(x):
         tyre, wheel, travel, body = x

@@ -26,6 +26,7 @@ def test_a_summary_of_values_that_are_not_skewed_agrees_with_students_t():
     )
 
 
+@pytest.mark.check
 def test_the_interval_covers_the_mean_as_often_as_it_promises():
     rng = np.random.default_rng(1)
     covered = 0

@@ -26,6 +26,7 @@ def test_programs_in_rationals_agree_with_highs():
             np.testing.assert_allclose(c + dual @ A, 0, atol=1e-12)
 
 
+@pytest.mark.check
 def test_linear_programs_are_right_in_columns_of_any_size():
     wrong = []
     for k in range(150):

@@ -52,6 +52,7 @@ def test_pinball_of_tensors_equals_pinball_of_arrays():
 
 
 
+@pytest.mark.check
 def test_a_median_alone_is_fitted_without_a_word_and_kept():
     x, y = heteroscedastic(2000, 0)
     config = QuantileConfig(levels=(0.5,), hidden=(16,), steps=400)

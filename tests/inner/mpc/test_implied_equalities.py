@@ -127,7 +127,7 @@ def test_neither_the_unit_of_the_cost_nor_a_bound_near_zero_makes_a_linear_progr
     assert solve_mpqp(problem, box([5, 5])).status is MPQPStatus.COMPLETE
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("limit", [0.3, 3.0])
 def test_the_time_limit_of_a_law_holds_for_its_equalities(limit):
     problem, X = corner(60)

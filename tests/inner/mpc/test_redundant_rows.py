@@ -82,6 +82,7 @@ def test_at_a_time_limit_the_regions_found_are_handed_back(touched, solve):
     assert len(ExplicitMPC.from_partition(partition, method="sequential")) == len(partition)
 
 
+@pytest.mark.check
 def test_the_slow_exploration_keeps_what_it_found_when_its_restart_is_late(touched, monkeypatch):
     import slow_exploration as reference
 

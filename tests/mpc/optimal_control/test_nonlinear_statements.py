@@ -88,6 +88,7 @@ def test_plan_is_the_optimum_of_the_whole_statement(case, sx, su, cost):
     assert plan.states / sx == pytest.approx(states, abs=2e-4)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
 def test_a_long_horizon_of_an_unstable_model_keeps_its_digits(sx, su, cost):
     horizon, limits = 150, {"U": [5.0], "X": [1.5, 1.3]}  # what is disturbed grows by 1e10

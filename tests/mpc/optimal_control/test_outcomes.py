@@ -245,6 +245,7 @@ def test_a_guess_in_seconds_is_not_taken_for_fractions():
         Phase(dynamics=lambda u: u, states=1, inputs=1, start=[0.0], end=[1.0], duration=2.0, guess=guess)
 
 
+@pytest.mark.check
 def test_a_bound_of_the_duration_that_is_far_away_costs_no_iterations():
     from classical_problems import CLASSICAL
 

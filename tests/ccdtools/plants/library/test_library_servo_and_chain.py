@@ -75,6 +75,7 @@ def test_every_mode_of_the_chain_is_damped_in_proportion_to_its_square():
     np.testing.assert_allclose(-2 * modes.real, 0.5 / 100.0 * np.abs(modes) ** 2, rtol=1e-8)
 
 
+@pytest.mark.check
 def test_the_real_chain_without_friction_keeps_its_energy(monkeypatch):
     monkeypatch.setattr(import_module("ccdtools.plants.library.mass_chain"), "DRY_FRICTION", 0.0)
 

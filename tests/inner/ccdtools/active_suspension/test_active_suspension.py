@@ -92,7 +92,7 @@ def test_equal_costs_are_those_of_one_stiffness_and_damping_in_different_dimensi
     assert damping(designs[1]) == pytest.approx(damping(designs[0]), rel=1e-3)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("strategy", [simultaneous, nested], ids=["simultaneous", "nested"])
 def test_rules_and_cost_hold_in_a_simulation_that_shares_no_code(strategy):
     one = found(strategy, "theirs, 1")

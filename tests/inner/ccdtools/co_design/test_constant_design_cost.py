@@ -57,6 +57,7 @@ def test_limits_cost_the_same_whatever_every_design_costs():
     np.testing.assert_allclose(others, returns, rtol=1e-3)
 
 
+@pytest.mark.check
 def test_the_landscape_has_the_same_hills_whatever_every_design_costs():
     tops = [[valley.design for valley in valleys(priced(two_valleys(), price), [0.2], rng=np.random.default_rng(0))]
             for price in PRICES]  # fmt: skip

@@ -52,6 +52,7 @@ def test_a_long_episode_has_the_gradient_of_one_that_is_held_in_memory_at_once(s
         torch.testing.assert_close(own, expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.check
 def test_a_long_episode_returns_what_a_simulation_in_double_precision_returns(suspension, clone):
     problem, agent = replace(suspension.problem(), steps=5000), clone(suspension)
     x0, w = problem.scenarios.sample(4, 5000, np.random.default_rng(0))

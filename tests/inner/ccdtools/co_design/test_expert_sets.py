@@ -89,7 +89,7 @@ def no_sets(monkeypatch):
 # --- the region that saturated LQR keeps ---------------------------------------------------------------------
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 def test_the_lqr_region_is_part_of_the_maximal_set_and_nearly_all_of_it(study):
     problem = study.problem()
     x, p = box_samples(problem, 300)
@@ -99,6 +99,7 @@ def test_the_lqr_region_is_part_of_the_maximal_set_and_nearly_all_of_it(study):
     assert region.sum() > 0.95 * largest.sum()
 
 
+@pytest.mark.check
 def test_without_saturation_the_lqr_region_is_the_maximal_positively_invariant_set(suspension):
     problem = replace(suspension.problem(), U=Polytope.from_bounds([-1e6], [1e6]))
     x, p = box_samples(problem, 400)
@@ -232,6 +233,7 @@ def test_designs_that_an_abort_does_not_reach_get_no_set_and_the_reason_is_said(
     assert "another machine may get further" in str(counts)
 
 
+@pytest.mark.check
 def test_cheap_sets_do_not_depend_on_the_time_limit(illustrative):
     problem = illustrative.problem()
     a, b = (expert_dataset(problem, samples=40, rng=np.random.default_rng(1), time_limit=t) for t in (20.0, None))

@@ -115,6 +115,7 @@ def test_mpc_is_no_baseline_where_fewer_than_ten_of_its_runs_decide_the_risk(pro
     assert "MPC of the same design" not in [one.name for one in found.baselines]
 
 
+@pytest.mark.check
 def test_a_claim_falls_at_a_design_that_nested_lqr_leaves_for_a_better_one(problem):
     found = claimed(problem, 2.0, gain(problem, 2.0))
     assert found.status is CoDesignStatus.WORSE_THAN_BASELINE

@@ -71,7 +71,7 @@ def test_the_generator_decides(illustrative):
     assert gains[0].ki == pytest.approx(gains[1].ki)
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize(("unit", "weight", "hardly"), [(1.0, 0.01, True), (1e4, 0.01, True), (1.0, 30.0, False)])
 def test_a_pid_that_sees_hardly_any_of_the_cost_says_what_part_of_lqr_s_gain_it_recovers(unit, weight, hardly):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w", 2), ca.SX.sym("p")

@@ -72,6 +72,7 @@ def test_a_trust_region_keeps_what_a_design_has_to_keep():
     np.testing.assert_allclose(near.project([2.75, 5, 2]), [2, 4, 2])  # five would leave a k of one
 
 
+@pytest.mark.check
 def test_a_network_observes_a_fixed_entry_as_zero():
     lower, upper = problem().observation_bounds
     assert (lower < upper).all()

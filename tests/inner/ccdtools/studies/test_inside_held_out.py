@@ -99,6 +99,7 @@ def test_a_generation_that_was_taken_back_brings_nothing(study, evaluation, agen
     assert gains["redesign"] == gains["updates"] == {"mean": 0.0, "ci95": (0.0, 0.0)}
 
 
+@pytest.mark.check
 def test_a_deployed_redesign_and_its_updates_are_told_apart(study, evaluation, agents):
     first = Deployable(agents[0], np.array([2.0]))
     redesigned = Deployable(agents[1], np.array([3.0]))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+import pytest
 
 from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, Study
 from ccdtools.studies import configuration
@@ -30,6 +31,7 @@ def study(plant, **changes) -> Study:
     return Study(**(fields | changes))
 
 
+@pytest.mark.check
 def test_another_accuracy_is_another_run():
     one = study(tank(rate=30.0))
     config = configuration(one)

@@ -65,7 +65,7 @@ def driven(evaluation, design):
                     design=design, limit=evaluation.problem.limit)  # fmt: skip
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize(("wall", "unit", "runs", "steps"), CASES)
 @pytest.mark.parametrize("design", [0.5, 8.0])
 def test_the_judge_has_the_sign_and_the_size_of_the_truth_from_either_end_of_the_box(wall, unit, runs, steps, design):

@@ -73,6 +73,7 @@ def test_one_signal_is_drawn_as_one(illustrative, twin):
     assert np.corrcoef(residuals(illustrative.model, alone).e_next.reshape(-1, 2).T)[0, 1] > -0.9
 
 
+@pytest.mark.check
 def test_a_generation_measures_its_own_held_out_stretches_or_says_that_they_are_too_short(illustrative, twin, log):
     bands = held_out_bands(twin, log, law(illustrative), rng=np.random.default_rng(0))
     assert bands.steps.tolist() == [10, 50]
