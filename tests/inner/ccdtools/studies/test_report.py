@@ -379,6 +379,14 @@ def test_no_projection_is_drawn_of_sets_in_many_dimensions():
     assert [title for _, title in set_figure._cuts(8)] == ["slice, other states 0"]
 
 
+@pytest.mark.parametrize(("nx", "pairs"), [(3, [(0, 2), (1, 2)]), (6, [(0, 1), (4, 5)])])
+def test_sets_are_drawn_on_the_states_in_which_they_differ_most(nx, pairs):
+    wider = np.ones(nx)
+    wider[-1], wider[0] = 3.0, 1.5
+    sets = {name: Polytope.from_bounds(-half, half) for name, half in (("one", np.ones(nx)), ("other", wider))}
+    assert sorted(set_figure._most_different_pairs(sets, nx)) == pairs
+
+
 def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
     """As the same run of another study would have it: the page is made of the study and its results."""
     folder, results = masses
