@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, frozen
-from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, shown  # noqa: F401 (handed on)
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, shown
 from ccdtools_ground.errors import InputError
 
+__all__ = ["TOLERANCES", "as_array", "as_choice", "as_count", "as_flag", "as_floats", "as_generator", "as_instance",
+           "as_limit_tolerance", "as_mapping", "as_names", "as_number", "as_positive", "as_share", "as_vector",
+           "as_weight", "finite", "has_method", "nearest", "shown", "writable_path"]  # fmt: skip
 TOLERANCES = ("mpc", "off")  # of the state limits, in words
 
 

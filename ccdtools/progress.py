@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 _where: list[Any] = ["", 0.0, 0.0, 0.0]  # what the computation is at, and how far; when it was first told, and how far
 
 
-class Lines(tqdm):  # type: ignore[type-arg]
+class Lines(tqdm):  # type: ignore[misc]
     """Progress bar as lines of text, for a file or a notebook."""
 
     def display(self, msg: str | None = None, pos: int | None = None) -> bool:
@@ -31,7 +31,7 @@ class Lines(tqdm):  # type: ignore[type-arg]
         return False
 
 
-def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:  # type: ignore[type-arg]
+def bar(items: Any = None, *, label: str, total: int, progress: bool) -> tqdm:
     """Progress bar on a terminal, lines elsewhere; nothing without `progress`."""
     if not progress or sys.stderr.isatty():
         return tqdm(items, desc=label, total=total, disable=not progress, leave=False)

@@ -78,7 +78,7 @@ class Scenario(Immutable):
     @property
     def steps(self) -> int:
         """Length of the runs."""
-        return self.disturbance.shape[1]
+        return int(self.disturbance.shape[1])
 
     def sensor(self, p: ArrayLike = ()) -> Sensor | None:
         """Sensor of the first run, at a design (np,)."""

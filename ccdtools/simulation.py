@@ -163,12 +163,12 @@ def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
         raise InputError("controller", got, f"inputs ({len(x)}, {nu})", BATCHED) from error
 
 
-def _checked_inputs(u: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
+def _checked_inputs(given: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
     """Inputs that a controller returned, finite for running runs."""
     try:
-        u = np.asarray(u, dtype=float)
+        u: Array = np.asarray(given, dtype=float)
     except (TypeError, ValueError, RuntimeError):
-        raise InputError("controller", f"{shown(u)} as its inputs", f"an array ({len(running)}, {nu})") from None
+        raise InputError("controller", f"{shown(given)} as its inputs", f"an array ({len(running)}, {nu})") from None
     if u.shape != (len(running), nu):
         raise InputError("controller", f"inputs of shape {u.shape}", f"({len(running)}, {nu})", BATCHED)
     if not np.isfinite(u[running]).all():
@@ -181,7 +181,8 @@ def as_simulable(plant: Any) -> Simulable:
     if isinstance(plant, type):
         raise InputError("plant", shown(plant), "an object of it")
     if hasattr(plant, "stepper"):
-        return plant
+        simulable: Simulable = plant
+        return simulable
     if not all(hasattr(plant, name) for name in ("A", "B", "dt")):
         cure = "Convert it with control.ss." if hasattr(plant, "num") else ""
         raise InputError("plant", shown(plant), "a Plant, a LinearModel, a TwinPlant or a control.StateSpace", cure)

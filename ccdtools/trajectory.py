@@ -112,11 +112,11 @@ class Trajectory(Immutable):
             rewards[:, -1] += np.where(self.diverged, 0.0, final)
         steps = np.arange(rewards.shape[1])
         over = self.diverged[:, None] & (steps > self.diverged_at[:, None])
-        return np.where(over, 0.0, rewards) - objective.cost_of_design(self.design, len(steps)) / len(steps)
+        return np.asarray(np.where(over, 0.0, rewards) - objective.cost_of_design(self.design, len(steps)) / len(steps))
 
     def returns(self, objective: Objective) -> Array:
         """Undiscounted returns (n,), less the cost of the design; see `diverged`."""
-        return self.rewards(objective).sum(axis=1)
+        return np.asarray(self.rewards(objective).sum(axis=1))
 
     def size_of(self, value: float, objective: Objective) -> float:
         """Size of a return of such runs, without the design cost."""

@@ -6,13 +6,14 @@ import math
 import numbers
 import os
 import warnings
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ccdtools_ground.errors import InputError
 
 Array = np.ndarray
+T = TypeVar("T")
 
 
 def shown(value: Any) -> str:
@@ -71,7 +72,7 @@ def check_finite(array: Array, name: str) -> None:
         raise InputError(name, f"{array[index]} at index {index}", "finite numbers")
 
 
-def frozen(value: Any) -> Any:
+def frozen(value: T) -> T:
     """`value`, read-only if it is an array."""
     if isinstance(value, np.ndarray):
         value.setflags(write=False)

@@ -220,12 +220,12 @@ class _LocalRows:
         """Room (k, m) of each row of S before the input acts."""
         with np.errstate(over="ignore", invalid="ignore"):
             rooms = self.room + states @ self.after.T
-        return np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM)
+        return np.asarray(np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM))
 
     def local(self, u: Array) -> Array:
         """Inputs (k, nu) as v (k, q)."""
         with np.errstate(over="ignore"):
-            return np.clip((u - self.middle) @ self.back.T, -LARGEST_ROOM, LARGEST_ROOM)
+            return np.asarray(np.clip((u - self.middle) @ self.back.T, -LARGEST_ROOM, LARGEST_ROOM))
 
 
 def _local_rows(system: CheckedSystem) -> _LocalRows:

@@ -186,7 +186,7 @@ def _tightest(rows: Array, right: Array, sign: Array) -> Array:
     below = np.where(sign > 0, np.inf, reach).min(axis=0, initial=np.inf)
     above[above == np.inf] = 0.0
     below[below == np.inf] = 0.0
-    return np.maximum(above, below)
+    return np.asarray(np.maximum(above, below))
 
 
 def _middle(values: Array) -> float:

@@ -114,7 +114,7 @@ def _of_length_one(R: Array) -> Array:
     """Directions with norm one, without rounded zeros."""
     norms = row_norms(R)
     kept = norms > FLAT * norms.max(initial=0.0)
-    return R[kept] / norms[kept, None]
+    return np.asarray(R[kept] / norms[kept, None])
 
 
 def _spanned(R: Array) -> tuple[Array, Array]:

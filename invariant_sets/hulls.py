@@ -160,7 +160,7 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
 
 def merge_points(points: Array, tol: float = SAME) -> Array:
     """Points without those within `tol` of an earlier one, by coordinates."""
-    return points[distinct(points, tol)]
+    return np.asarray(points[distinct(points, tol)])
 
 
 def distinct(points: Array, tol: float = SAME) -> Array:

@@ -53,7 +53,8 @@ class Intervals:
 
     def violation(self, v: Array) -> Array:
         """Violation of the worst row by each input; negative inside."""
-        return (self.slope * v[:, None] - self.room).max(axis=1, initial=-np.inf)
+        worst: Array = (self.slope * v[:, None] - self.room).max(axis=1, initial=-np.inf)
+        return worst
 
     def _at_level(self, level: Array) -> tuple[Array, Array]:
         """Ends of {v : slope v <= room + level}, lower above upper if empty."""
@@ -68,7 +69,7 @@ class Intervals:
         """Least violation of the moving rows by some input, by bisection."""
         middle = np.reshape(np.asarray(self.lower + self.upper) / 2, (-1, 1))
         moving = np.where(np.abs(self.slope) > UNMOVED, self.slope * middle - self.room, -np.inf)
-        top = np.maximum(moving.max(axis=1, initial=0.0), 0.0)
+        top: Array = np.maximum(moving.max(axis=1, initial=0.0), 0.0)
         bottom = np.zeros(len(top))
         for _ in range(110):  # from the largest double that is used down to rounding
             middle = (bottom + top) / 2

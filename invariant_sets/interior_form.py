@@ -51,7 +51,7 @@ class Body:
         n = len(self.centre)
         tied = np.ones(n, bool)
         tied[self.free] = False
-        return (np.eye(n) - self.basis @ self.inverse)[tied]
+        return np.asarray((np.eye(n) - self.basis @ self.inverse)[tied])
 
     @property
     def rows(self) -> Stated:

@@ -42,7 +42,7 @@ def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float
     if most is None:
         most = b + _allowed(A, b, slack, rounding, _largest(points))
     least = b + np.maximum(slack, rounding * np.abs(b))
-    answer = np.less_equal(values, least[:, None]).all(axis=0)
+    answer: Array = np.less_equal(values, least[:, None]).all(axis=0)
     near = np.flatnonzero(np.less_equal(values, most[:, None]).all(axis=0) & ~answer)
     if len(near):
         limit = b + _allowed(A, b, slack, rounding, np.abs(points[near]))
@@ -53,10 +53,12 @@ def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float
 def _largest(points: Array) -> Array:
     """Largest finite |x| (n,) of the points (k, n)."""
     size = np.abs(points)
-    return size[np.isfinite(size).all(axis=1)].max(axis=0, initial=0.0)
+    largest: Array = size[np.isfinite(size).all(axis=1)].max(axis=0, initial=0.0)
+    return largest
 
 
 def _allowed(A: Array, b: Array, slack: Array, rounding: float, size: Array) -> Array:
     """Allowed violation (m,) or (k, m) at sizes |x| (n,) or (k, n)."""
     terms = np.abs(b) + size @ np.abs(A).T
-    return np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0))
+    allowed: Array = np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0))
+    return allowed

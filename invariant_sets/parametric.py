@@ -272,7 +272,8 @@ def _varies(S: Any) -> bool:
 
 def _set_at(S: Any, p: Array) -> Set:
     """Set at one design (np,), given itself or as a function."""
-    return S(p) if _varies(S) else S
+    there: Set = S(p) if _varies(S) else S
+    return there
 
 
 def _designs(p: Any) -> tuple[Array, bool]:

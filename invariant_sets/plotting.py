@@ -103,7 +103,7 @@ def _family_colours(numbers: Array) -> Array:
     from matplotlib import colormaps
 
     spread = np.ptp(numbers) or 1.0
-    return colormaps["viridis"](0.85 * (numbers - numbers.min()) / spread)[:, :3]
+    return np.asarray(colormaps["viridis"](0.85 * (numbers - numbers.min()) / spread)[:, :3])
 
 
 def _fill(colour: Array, dim: int) -> dict[str, Any]:

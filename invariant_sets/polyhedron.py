@@ -179,14 +179,15 @@ class Polyhedron:
     @property
     def dim(self) -> int:
         """Dimension n of the space."""
-        return self.A.shape[1]
+        return int(self.A.shape[1])
 
     @cached_property
     def _body(self) -> Body | None:
         """Set in well-scaled coordinates; None if empty."""
         unsettled = self.__dict__.get("_unsettled")
         if unsettled is not None:
-            return unsettled.settled()
+            body: Body | None = unsettled.settled()
+            return body
         if self._vertices is not None and not len(self.b_eq) and len(self._vertices) > self.dim:
             body = body_of_vertices(self.A, self.b, self._vertices)
             if body is not None:
@@ -220,7 +221,7 @@ class Polyhedron:
             NO_DEADLINE.check_hull(len(body.g), body.basis.shape[1])
         except LimitReached as limit:
             raise TimeLimitError("vertices", None, str(limit)) from None
-        V = frozen(body.centre + self._offsets[1])
+        V: Array = frozen(body.centre + self._offsets[1])
         object.__setattr__(self, "_enumerated", V)
         return V
 
@@ -241,7 +242,7 @@ class Polyhedron:
         if self._vertices is None and self._enumerated is None:
             return None
         anchor, Y = self._offsets
-        return Y + (anchor - self._require_point("vertices").centre)
+        return np.asarray(Y + (anchor - self._require_point("vertices").centre))
 
     @cached_property
     def volume(self) -> float:
@@ -322,20 +323,20 @@ class Polyhedron:
         A, b = self._one_sided
         if self._solid_vertices is not None or self._body is None:
             return np.zeros(len(b))
-        return 2 * np.maximum(A @ self._body.centre - b, 0.0)
+        return np.asarray(2 * np.maximum(A @ self._body.centre - b, 0.0))
 
     @cached_property
     def _reach(self) -> Array | None:
         """Size |x| (n,) that no point exceeds; None if unbounded or empty."""
         if self._solid_vertices is not None:
-            return 1.01 * np.abs(self._solid_vertices).max(axis=0)
+            return np.asarray(1.01 * np.abs(self._solid_vertices).max(axis=0))
         if self._body is None or not self._body.bounded:
             return None
-        return 1.01 * np.abs(self._body.centre) + 2.02 * self._body.half_widths
+        return np.asarray(1.01 * np.abs(self._body.centre) + 2.02 * self._body.half_widths)
 
     def _ranges_of(self, A: Array) -> Array:
         """Range of each row of A (m, n) over the bounding box."""
-        return np.abs(A) @ self._widths
+        return np.asarray(np.abs(A) @ self._widths)
 
     def _covers(self, other: Polyhedron, tol: float) -> bool:
         """Whether nonempty `other` lies in this nonempty set."""
@@ -366,7 +367,7 @@ class Polyhedron:
     def _widths(self) -> Array:
         """Widths (n,) of the bounding box; 0 where it is flat."""
         if self._solid_vertices is not None:
-            return self._solid_vertices.max(axis=0) - self._solid_vertices.min(axis=0)
+            return np.asarray(self._solid_vertices.max(axis=0) - self._solid_vertices.min(axis=0))
         return np.zeros(self.dim) if self._body is None else 2 * self._body.half_widths
 
     @cached_property
@@ -411,5 +412,5 @@ class Polyhedron:
         if self._body is None:
             return np.full(len(D), -np.inf)
         if self._enumerated is not None or (self._body.bounded and self.dim <= 4):
-            return (D @ self.vertices.T).max(axis=1)
+            return np.asarray((D @ self.vertices.T).max(axis=1))
         return support(self._body, D)

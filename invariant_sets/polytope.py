@@ -95,7 +95,7 @@ class Polytope(SetOperations):
         body = self._require_bounded("sample")
         if body.basis.shape[1] == 0:
             return np.repeat(body.centre[None], n, axis=0)
-        return body.centre + hit_and_run(body, n, rng) @ body.basis.T
+        return np.asarray(body.centre + hit_and_run(body, n, rng) @ body.basis.T)
 
     def __repr__(self) -> str:
         equalities = f", {len(self.b_eq)} equalities" if len(self.b_eq) else ""

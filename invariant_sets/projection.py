@@ -101,7 +101,8 @@ def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
     larger = np.maximum(above[:, None], below[None, :])
     first = below[None, :] / larger
     second = above[:, None] / larger
-    return (first[:, :, None] * high[:, None, :] + second[:, :, None] * low[None, :, :]).reshape(-1, high.shape[1])
+    combined: Array = first[:, :, None] * high[:, None, :] + second[:, :, None] * low[None, :, :]
+    return combined.reshape(-1, high.shape[1])
 
 
 def _without_zero_rows(rows: Array) -> tuple[Array, Array]:

@@ -39,18 +39,18 @@ class CheckedSystem:
 
 def checked_state_matrix(A: Any) -> Array:
     """Square matrix A (nx, nx), or raise `InputError`."""
-    A = as_matrix(A, "A")
-    if A.shape[0] != A.shape[1] or A.shape[0] == 0:
-        raise InputError("A", f"shape {A.shape}", "a square matrix (nx, nx)")
-    return A
+    matrix = as_matrix(A, "A")
+    if matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
+        raise InputError("A", f"shape {matrix.shape}", "a square matrix (nx, nx)")
+    return matrix
 
 
 def checked_input_matrix(B: Any, nx: int) -> Array:
     """Matrix B (nx, nu), or raise `InputError`."""
-    B = as_matrix(B, "B", rows=nx)
-    if B.shape[1] == 0:
-        raise InputError("B", f"shape {B.shape}", "at least one column", "Use a zero column for no input.")
-    return B
+    matrix = as_matrix(B, "B", rows=nx)
+    if matrix.shape[1] == 0:
+        raise InputError("B", f"shape {matrix.shape}", "at least one column", "Use a zero column for no input.")
+    return matrix
 
 
 def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tuple[None, None]:

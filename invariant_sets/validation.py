@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, check_finite, frozen, shown  # noqa: F401 (handed on)
+from ccdtools_ground.door import as_count, as_floats, as_generator, check_finite, frozen, shown
 from invariant_sets.exceptions import InputError
 
+__all__ = ["as_batch", "as_bounds", "as_count", "as_floats", "as_generator", "as_matrix", "as_vector", "check_finite",
+           "check_tolerance", "frozen", "shown"]  # fmt: skip
 Array = np.ndarray
 
 

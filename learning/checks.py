@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number  # noqa: F401 (handed on)
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number
 from learning.exceptions import InputError
 
+__all__ = ["as_bounds", "as_count", "as_floats", "as_generator", "as_lengths", "as_samples", "as_sizes",
+           "check_instance", "check_number"]  # fmt: skip
 Array = np.ndarray
 
 

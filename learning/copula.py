@@ -17,6 +17,8 @@ Joe, "Dependence Modeling with Copulas", CRC Press 2014 (Gaussian copula of norm
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -161,15 +163,15 @@ class InnovationCopula(nn.Module):
             low = torch.where(beyond, middle, low)
             high = torch.where(beyond, high, middle)
         edge = knots[:2].mean().item(), knots[-2:].mean().item()
-        return ndtri(np.clip(((low + high) / 2).numpy(), *edge))
+        return np.asarray(ndtri(np.clip(((low + high) / 2).numpy(), *edge)))
 
-    def shape(self) -> dict:
+    def shape(self) -> dict[str, Any]:
         """Sizes for `from_shape`."""
         widths, knots, outputs = self.positions.shape
         return {"inputs": self.inputs, "outputs": outputs, "knots": knots, "widths": widths}
 
     @classmethod
-    def from_shape(cls, shape: dict) -> InnovationCopula:
+    def from_shape(cls, shape: dict[str, Any]) -> InnovationCopula:
         """Copula of a given `shape()`, not yet fitted."""
         return cls(**shape)
 
@@ -179,7 +181,7 @@ def positions(quantiles: Array, targets: Array) -> Array:
     last = quantiles.shape[1] - 2
     k = np.clip((targets[:, None] >= quantiles).sum(axis=1) - 1, 0, last)[:, None]
     low, high = (np.take_along_axis(quantiles, i, axis=1)[:, 0] for i in (k, k + 1))
-    return k[:, 0] + (targets - low) / np.maximum(high - low, np.finfo(np.float32).tiny)
+    return np.asarray(k[:, 0] + (targets - low) / np.maximum(high - low, np.finfo(np.float32).tiny))
 
 
 def log_width(quantiles: Tensor) -> Tensor:

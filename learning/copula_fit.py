@@ -126,10 +126,10 @@ def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
 def _standard(scores: Array) -> Array:
     """Return scores (n, m) of mean 0 and variance 1; 0 for a constant output."""
     deviation = scores.std(axis=0)
-    return (scores - scores.mean(axis=0)) / np.where(deviation > ROUNDING, deviation, np.inf)
+    return np.asarray((scores - scores.mean(axis=0)) / np.where(deviation > ROUNDING, deviation, np.inf))
 
 
 def _root(covariance: Array) -> Array:
     """Return the symmetric square root of a positive semidefinite matrix."""
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

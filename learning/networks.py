@@ -128,7 +128,7 @@ class FeedForward(nn.Module):
 
     def forward(self, inputs: Tensor) -> Tensor:
         """Outputs (..., n_out)."""
-        out = self.head(self.body(inputs))
+        out: Tensor = self.head(self.body(inputs))
         return out if self.skip is None else out + self.skip(inputs)
 
 
@@ -205,13 +205,15 @@ class ActorCritic(nn.Module):
 
     def latent(self, observations: Tensor) -> Tensor:
         """Mean latent actions (..., nu), not clipped."""
-        return self.mean_network(self.normalise(observations))
+        mean: Tensor = self.mean_network(self.normalise(observations))
+        return mean
 
     def std(self, observations: Tensor) -> Tensor:
         """Standard deviation of the latent actions, broadcastable to (..., nu)."""
         if self.std_network is None:
             return self.log_std.exp()
-        return self.std_network(self.normalise(observations)).clamp(*LOG_STD).exp()
+        std: Tensor = self.std_network(self.normalise(observations)).clamp(*LOG_STD).exp()
+        return std
 
     def action_range(self, observations: Tensor | None) -> tuple[Tensor, Tensor]:
         """Middle and half-width of the actions, (nu,), or (..., nu) by observations (..., n_obs).
@@ -235,7 +237,8 @@ class ActorCritic(nn.Module):
 
     def value(self, observations: Tensor) -> Tensor:
         """Values (...,) in the units of the return."""
-        return self.value_offset + self.value_scale * self.value_network(self.normalise(observations)).squeeze(-1)
+        values: Tensor = self.value_network(self.normalise(observations)).squeeze(-1)
+        return self.value_offset + self.value_scale * values
 
     def distribution(self, observations: Tensor) -> torch.distributions.Normal:
         """Policy as a distribution over latent actions."""
@@ -252,7 +255,7 @@ class ActorCritic(nn.Module):
         sizes = f"{len(self.observation_offset)} observations, {len(self.action_offset)} actions"
         return f"ActorCritic({sizes}, hidden layers {self.config.hidden})"
 
-    def shape(self) -> dict:
+    def shape(self) -> dict[str, Any]:
         """Sizes and action limits for `from_shape`."""
         ranges = ((self.observation_offset, self.observation_scale), (self.action_offset, self.action_scale))
         bounds = [(middle + sign * half).tolist() for middle, half in ranges for sign in (-1, 1)]
@@ -260,7 +263,7 @@ class ActorCritic(nn.Module):
         return {"bounds": bounds, "config": asdict(self.config), **limits}
 
     @classmethod
-    def from_shape(cls, shape: dict) -> ActorCritic:
+    def from_shape(cls, shape: dict[str, Any]) -> ActorCritic:
         """Untrained network of a given `shape()`, without action limits."""
         return cls(*shape["bounds"], config=NetworkConfig(**shape["config"]))
 

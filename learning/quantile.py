@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -114,7 +115,7 @@ class QuantileNetwork(nn.Module):
     def forward(self, inputs: Tensor) -> Tensor:
         """Quantiles (..., levels, m), lowest level first, in the units of the targets."""
         z = (self.clipped(inputs) - self.input_offset) / self.input_scale
-        median = self.median_network(z).unsqueeze(-2)
+        median: Tensor = self.median_network(z).unsqueeze(-2)
         if self.gap_network is None:
             return self.output_offset + self.output_scale * median
         gaps = nn.functional.softplus(self.gap_network(z)).unflatten(-1, (len(self.levels) - 1, self.outputs))
@@ -141,9 +142,9 @@ class QuantileNetwork(nn.Module):
         if x.shape[-1:] != (len(self.input_offset),):
             raise InputError("inputs", f"shape {x.shape}", f"(..., {len(self.input_offset)}), as in the fit")
         with torch.no_grad():
-            return self(torch.tensor(x, dtype=torch.float32)).double().numpy()
+            return np.asarray(self(torch.tensor(x, dtype=torch.float32)).double().numpy())
 
-    def shape(self) -> dict:
+    def shape(self) -> dict[str, Any]:
         """Sizes for `from_shape`."""
         return {
             "inputs": len(self.input_offset), "outputs": self.outputs,
@@ -151,12 +152,12 @@ class QuantileNetwork(nn.Module):
         }  # fmt: skip
 
     @classmethod
-    def from_shape(cls, shape: dict) -> QuantileNetwork:
+    def from_shape(cls, shape: dict[str, Any]) -> QuantileNetwork:
         """Untrained network of a given `shape()`."""
         return cls(**shape)
 
 
-def pinball(targets, quantiles, levels: Sequence[float]):
+def pinball(targets: Any, quantiles: Any, levels: Sequence[float]) -> Any:
     """Mean pinball loss (m,) of quantiles (n, levels, m) against targets (n, m)."""
     error = targets[:, None, :] - quantiles
     q = np.asarray(levels, dtype=float)[None, :, None]
@@ -232,7 +233,8 @@ def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
         getattr(network, name).copy_(torch.tensor(value, dtype=torch.float32))
 
 
-def _descend(network, train, validation, config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:
+def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: tuple[Array, Array],
+             config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:  # fmt: skip
     """Minimise the pinball loss by Adam; keep the best validated weights."""
     (X, Y), (Xv, Yv) = ([torch.tensor(a, dtype=torch.float32) for a in pair] for pair in (train, validation))
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccdtools_ground import door
-from ccdtools_ground.door import as_floats, check_finite, frozen, shown
+from ccdtools_ground.door import as_floats as as_floats, check_finite, frozen, shown
 from mpc.exceptions import InputError, NotConvexError
 from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
 

@@ -86,7 +86,7 @@ class ParametricQP:
     @property
     def nt(self) -> int:
         """Number of parameters."""
-        return self.F.shape[1]
+        return int(self.F.shape[1])
 
     @property
     def horizon(self) -> int:

@@ -88,7 +88,7 @@ class Ascent:
         self.longer = 1
         self.step = FINER_STEPS[0]  # of the finite differences, where the design follows them
         self.prices: Prices | None = None  # of leaving X, at the last cost
-        self.rows: list[tuple] = []
+        self.rows: list[tuple[int, int, Array, float, float, float]] = []
         self.best = self.evaluated()
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
         self.slope = Slope.none(len(self.v))
@@ -254,7 +254,7 @@ class Ascent:
     def cost(self, v: Tensor, scenarios: ScenarioTensors) -> Tensor:
         """Differentiable mean cost at a unit-box point, including the cost of leaving X."""
         seen = episode_at(self.task.problem, self.agent, v, scenarios, depths=self.limited)
-        cost = -self.task.problem.risk.values(seen.total).mean()
+        cost: Tensor = -self.task.problem.risk.values(seen.total).mean()
         if self.limits is None or not self.limited:
             self.prices = None
             return cost
@@ -313,7 +313,7 @@ class Ascent:
         scenarios = self.drawn(task.config.pathwise_runs)
         self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
         cost = self.cost(self.v, scenarios)
-        paid = task.problem.cost_of_design(self._p())
+        paid: Tensor = task.problem.cost_of_design(self._p())
         size = (cost.detach() - paid).abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
         parameters = list(self.agent.mean_network.parameters()) if task.pathwise else []
         *gradients, design_gradient = torch.autograd.grad(cost / size, [*parameters, self.v])

@@ -169,11 +169,11 @@ class _Pool:
         lower, upper = self.X.bounds(self.p[runs])
         bound = np.where(x > 0, upper, lower)
         parts = np.divide(x, bound, out=np.where(x == 0, 0.0, np.inf), where=bound != 0)
-        return np.maximum(parts.max(axis=1), np.finfo(float).tiny)
+        return np.asarray(np.maximum(parts.max(axis=1), np.finfo(float).tiny))
 
 
 def _gauge(S: Polytope, x: Array) -> Array:
     """Least factors (k,) by which S holds states (k, nx); inf without interior 0."""
     if S.is_empty or len(S.b_eq) or not (S.b > 0).all():
         return np.full(len(x), np.inf)
-    return np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny)
+    return np.asarray(np.maximum((x @ (S.A / S.b[:, None]).T).max(axis=1), np.finfo(float).tiny))

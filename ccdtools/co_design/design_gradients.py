@@ -86,7 +86,7 @@ class Differences:
     def _returns(self, v: Tensor) -> Tensor:
         """Returns (n,) less the cost of leaving X."""
         seen = episode_at(self.problem, self.agent, v, self.scenarios, depths=self.prices is not None)
-        values = self.problem.risk.values(seen.total)
+        values: Tensor = self.problem.risk.values(seen.total)
         if self.prices is None:
             return values
         paid = self.prices.depth * seen.depth + self.prices.peak * seen.peak
@@ -104,7 +104,8 @@ def standard_error(by_run: Tensor) -> Tensor:
     """Standard error (np,) of the mean over runs; infinite for one."""
     if len(by_run) < 2:
         return torch.full_like(by_run[0], float("inf"))
-    return by_run.std(0) / len(by_run) ** 0.5
+    error: Tensor = by_run.std(0) / len(by_run) ** 0.5
+    return error
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ class _Matrices(torch.autograd.Function):
     """[A B E](p) and its exact derivative, by CasADi in float64."""
 
     @staticmethod
-    def forward(ctx, p: Tensor, model: Model) -> Tensor:
+    def forward(ctx: Any, p: Tensor, model: Model) -> Tensor:
         """Flattened by columns, (nx·(nx + nu + nw),)."""
         at = p.detach().double().numpy()
         ctx.jacobian = np.asarray(model.jacobian(at), dtype=float) if ctx.needs_input_grad[0] else None
@@ -32,7 +32,7 @@ class _Matrices(torch.autograd.Function):
         return torch.as_tensor(value, dtype=p.dtype)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor):
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         """∂/∂p by the chain rule."""
         jacobian = torch.as_tensor(ctx.jacobian, dtype=gradient.dtype)
         return gradient @ jacobian, None
@@ -130,7 +130,8 @@ class Stepper:
         """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu), present states."""
         p = self.p if self.p.ndim == 1 else self.p.expand(len(x), *self.p.shape).flatten(0, 1)
         rewards = self.problem.objective.rewards(x_next.flatten(0, 1), u.flatten(0, 1), x.flatten(0, 1), p)
-        return rewards.unflatten(0, x_next.shape[:2])
+        by_step: Tensor = rewards.unflatten(0, x_next.shape[:2])
+        return by_step
 
     def final_rewards(self, x: Tensor) -> Tensor | None:
         """Rewards (n,) of final states (n, nx); None if nothing counts."""
@@ -147,7 +148,7 @@ class Stepper:
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """
         if isinstance(self.problem.X, DesignLimits):
-            depth = self.problem.X.depths(x_next, self.p).amax(-1)
+            depth: Tensor = self.problem.X.depths(x_next, self.p).amax(-1)
         else:
             F, g = self._facets
             depth = (x_next @ F.T - g).amax(-1)

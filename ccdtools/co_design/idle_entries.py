@@ -146,7 +146,7 @@ def _rows(slopes: ca.Function, p: Array, extents: dict[str, Any], rng: np.random
     rows = np.concatenate(np.split(found, count, axis=1))
     rows = rows[np.isfinite(rows).all(axis=1)]
     size = np.abs(rows).max(axis=1, initial=0.0)
-    return rows[size > TERM_ROUNDING * size.max(initial=0.0)]
+    return np.asarray(rows[size > TERM_ROUNDING * size.max(initial=0.0)])
 
 
 def _without_effect(rows: Array) -> Array:

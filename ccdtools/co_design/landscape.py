@@ -89,7 +89,8 @@ class Landscape:
             return torch.clamp(-torch.bmm(gains, x[:, :, None])[:, :, 0], low, high)
 
         scenarios = (self._x0.repeat(len(V), 1), self._w.repeat(len(V), 1, 1))
-        return self.problem.risk.values(simulated(step, law, scenarios).total.reshape(len(V), runs)).mean(1).numpy()
+        values = self.problem.risk.values(simulated(step, law, scenarios).total.reshape(len(V), runs))
+        return np.asarray(values.mean(1).numpy())
 
 
 def valleys(problem: CoDesignProblem, design: ArrayLike, *, rng: np.random.Generator) -> tuple[Valley, ...]:

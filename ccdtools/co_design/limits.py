@@ -149,7 +149,8 @@ class StateLimitPenalty:
         means = torch.stack([episode.depth.mean() / self.spread, episode.peak.mean()])
         means = means + means.new_tensor(measurement_errors(episode).values())
         multipliers = torch.tensor(self.multipliers.values(), dtype=torch.float64)
-        return size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
+        cost: Tensor = size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
+        return cost
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
         """Prices of depths and design for episodes such as these."""

@@ -158,7 +158,8 @@ def times(M: Array, x: Array) -> Array:
     """
     if M.shape[2] != x.shape[1]:
         raise InputError("x", f"{x.shape[1]} columns", f"{M.shape[2]}, as the matrices have")
-    return np.einsum("nij,nj->ni", M, x)
+    products: Array = np.einsum("nij,nj->ni", M, x)
+    return products
 
 
 def _quadratic(M: Array, x: Array) -> Array:
@@ -197,7 +198,7 @@ def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
     room = problem.X.b / (np.abs(problem.X.A) @ problem.state_scale)
     if len(problem.X.b_eq) or not (room > ON_LIMIT).all():
         return None
-    return problem.X.A / problem.X.b[:, None]
+    return np.asarray(problem.X.A / problem.X.b[:, None])
 
 
 def _ellipsoid(closed: Array, limits: Array, scale: Array) -> Array:

@@ -200,7 +200,8 @@ def as_objective(argument: str, value: Any) -> Objective:
     InputError
         If it is none.
     """
-    return as_instance(argument, value, Objective, "a QuadraticObjective or a CustomObjective")
+    objective: Objective = as_instance(argument, value, Objective, "a QuadraticObjective or a CustomObjective")
+    return objective
 
 
 def is_semidefinite(H: Array) -> bool:

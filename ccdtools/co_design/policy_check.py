@@ -68,7 +68,8 @@ class Retuned:
 
     def values(self, r: Tensor) -> Tensor:
         """Values (n,) of the returns by the risk."""
-        return self._stepper.problem.risk.values(self.episode(r).total)
+        values: Tensor = self._stepper.problem.risk.values(self.episode(r).total)
+        return values
 
     def on(self, scenarios: ScenarioTensors) -> Retuned:
         """This policy in other scenarios."""

@@ -329,7 +329,7 @@ class CoDesignProblem(Immutable):
     @property
     def state_scale(self) -> Array:
         """Largest |x| within X, at any design, (nx,)."""
-        return np.max(np.abs(widest(self.X).bounding_box()), axis=0)
+        return np.asarray(np.max(np.abs(widest(self.X).bounding_box()), axis=0))
 
     @property
     def limit(self) -> Array:

@@ -124,7 +124,7 @@ def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:
     """
     lower, upper = S.bounding_box()
     tried = rng.uniform(lower, upper, (40 * n, S.dim))  # for each wanted; if few lie in S, hit and run takes over
-    found = tried[S.contains(tried)]
+    found: Array = tried[S.contains(tried)]
     if len(found) >= n:
         return found[:n]
     return np.asarray(S.sample(n, rng=rng))

@@ -229,7 +229,8 @@ def _least(means: Any) -> tuple[Any, Any]:
 
 def as_risk(argument: str, value: Any) -> Risk:
     """`value`, if it is a risk."""
-    return has_method(argument, value, "values", "Mean(), MeanSpread(weight), CVaR(share) or WorstCase()")
+    risk: Risk = has_method(argument, value, "values", "Mean(), MeanSpread(weight), CVaR(share) or WorstCase()")
+    return risk
 
 
 def measure(risk: Risk) -> str:

@@ -55,7 +55,7 @@ def parts_of_risk(
         return np.asarray(alone[np.argsort(own)])
     kept = (own != group for group in groups)
     rest = np.array([risk_of(risk, returns[others], numbers[others]) for others in kept])
-    return risk_of(risk, returns, numbers) + (len(groups) - 1) * (rest.mean() - rest)
+    return np.asarray(risk_of(risk, returns, numbers) + (len(groups) - 1) * (rest.mean() - rest))
 
 
 def in_tail(risk: Risk, runs: Indices) -> int:
@@ -130,7 +130,7 @@ def _parts_of_case(risk: WorstCase, returns: Array, runs: Indices) -> Array:
     assert risk.cases is not None
     means = [case.mean() if len(case) else np.nan for case in _by_case(risk, returns, runs)]
     worst = runs % risk.cases == np.argmin(means)
-    return np.min(means) + worst * (len(returns) / max(worst.sum(), 1)) * (returns - np.min(means))
+    return np.asarray(np.min(means) + worst * (len(returns) / max(worst.sum(), 1)) * (returns - np.min(means)))
 
 
 def _by_case(risk: WorstCase, values: Array, runs: Indices) -> list[Array]:

@@ -191,7 +191,7 @@ def is_stable(A: Array, B: Array, pid: PID) -> bool:
 
 def _default_outputs(B: Array) -> Array:
     """Candidate outputs (k, nu, nx): each state for one input, and what inputs push."""
-    pushed = B.T / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)[:, None]
+    pushed: Array = B.T / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)[:, None]
     if B.shape[1] > 1:
         return pushed[None]
     return np.concatenate([np.eye(len(B))[:, None, :], pushed[None]])

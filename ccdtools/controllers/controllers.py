@@ -89,7 +89,8 @@ class LinearFeedback(Immutable):
 
     def __call__(self, x: ArrayLike) -> Array:
         """Saturated inputs (n, nu) or (nu,)."""
-        return np.clip(-as_states(x, self.K.shape[1]) @ self.K.T, self.lower, self.upper)
+        u: Array = np.clip(-as_states(x, self.K.shape[1]) @ self.K.T, self.lower, self.upper)
+        return u
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ class PID(Immutable):
         rate = np.zeros_like(y) if memory.last is None else (y - memory.last) / self.dt
         integral = memory.integral + self.dt * y
         wanted = -(self.kp * y + self.ki * integral + self.kd * rate)
-        u = np.clip(wanted, self.lower, self.upper)
+        u: Array = np.clip(wanted, self.lower, self.upper)
         memory.integral = np.where(wanted == u, integral, memory.integral)
         memory.last = y
         return u if states.ndim == 2 else u[0]

@@ -168,7 +168,8 @@ class _Forward:
         if rng is not None:
             log_std = self.log_std if self.std is None else np.clip(self.std(x, np.tanh), *LOG_STD)
             latent = latent + np.exp(log_std) * rng.standard_normal(latent.shape)
-        return self.middle + self.half * np.clip(latent, -1.0, 1.0)
+        u: Array = self.middle + self.half * np.clip(latent, -1.0, 1.0)
+        return u
 
 
 def _array(tensor: torch.Tensor) -> Array:

@@ -246,5 +246,6 @@ def _window(rows: ArrayLike, k: int, length: int | None) -> Array:
     """Row k, or `length` rows from k; the last row is held."""
     rows = np.asarray(rows)
     if length is None:
-        return rows[min(k, len(rows) - 1)]
+        row: Array = rows[min(k, len(rows) - 1)]
+        return row
     return rows[np.minimum(np.arange(k, k + length), len(rows) - 1)]

@@ -43,7 +43,7 @@ class Sum(Combination):
         check_draw(runs, steps, rng)
         drawn = [term.sample(runs, steps, rng) for term in self.terms]
         _check_alike([w.shape[-1] for w in drawn])
-        return np.sum(drawn, axis=0)
+        return np.asarray(np.sum(drawn, axis=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ class Gaussian(Immutable):
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
         check_draw(runs, steps, rng)
-        return self.mean + self.std * rng.standard_normal((runs, steps, len(self.std)))
+        return np.asarray(self.mean + self.std * rng.standard_normal((runs, steps, len(self.std))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Recorded(Immutable):
     @property
     def nw(self) -> int:
         """Number of channels."""
-        return self.signal.shape[1]
+        return int(self.signal.shape[1])
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw).
@@ -106,7 +106,7 @@ class Recorded(Immutable):
         if spare < 0:
             raise InputError("steps", steps, f"at most {len(self.signal)}, the samples of the recording")
         starts = np.zeros(1, dtype=int) if runs == 1 else rng.integers(0, spare + 1, runs)
-        return self.signal[starts[:, None] + np.arange(steps)]
+        return np.asarray(self.signal[starts[:, None] + np.arange(steps)])
 
 
 def check_draw(runs: int, steps: int, rng: np.random.Generator) -> None:

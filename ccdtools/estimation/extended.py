@@ -124,7 +124,7 @@ class ExtendedKalmanFilter(Immutable):
             return np.zeros(0)
         if self.design is None:
             raise InputError("design", "nothing", f"values for {', '.join(space.names)}")
-        return space.check_one(self.design)
+        return np.asarray(space.check_one(self.design))
 
     def __deepcopy__(self, memory: Any) -> ExtendedKalmanFilter:
         """This object itself, as it is constant and costly to build."""
@@ -147,12 +147,13 @@ class ExtendedKalmanFilter(Immutable):
     @cached_property
     def ny(self) -> int:
         """Number of outputs."""
-        return self._h(self.x0[None], np.zeros((1, self.nu))).shape[1]
+        return int(self._h(self.x0[None], np.zeros((1, self.nu))).shape[1])
 
     @cached_property
     def _h(self) -> Output:
         """Measured output at the design."""
-        return self.output.at(self.nx, self.nu, self.design)
+        output: Output = self.output.at(self.nx, self.nu, self.design)
+        return output
 
     @cached_property
     def _f(self) -> Transition:

@@ -159,7 +159,7 @@ class KalmanFilter(Immutable):
     @property
     def nu(self) -> int:
         """Number of inputs."""
-        return self.B.shape[1]
+        return int(self.B.shape[1])
 
     @property
     def ny(self) -> int:

@@ -230,7 +230,7 @@ def stretches(rewards: Array, stretch: int) -> Array:
     """Returns (m,) of whole stretches in consecutive rewards (k, T)."""
     length = min(stretch, rewards.shape[1])
     count = rewards.shape[1] // length
-    return rewards[:, : count * length].reshape(-1, length).sum(axis=1)
+    return np.asarray(rewards[:, : count * length].reshape(-1, length).sum(axis=1))
 
 
 def paired_over_groups(after: Array, before: Array, labels: Indices, *, runs: int) -> PairedDifference:

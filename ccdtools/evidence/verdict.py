@@ -87,7 +87,7 @@ class Verdict:
         return next((one for one in self.evidence if one.distribution == distribution), None)
 
     def __str__(self) -> str:
-        return self.status.value + (f": {self.reason}" if self.reason else "")
+        return str(self.status.value) + (f": {self.reason}" if self.reason else "")
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""

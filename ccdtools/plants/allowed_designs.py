@@ -95,10 +95,10 @@ class AllowedDesigns:
     def known(self) -> Array:
         """Allowed points (n, np) to search from; empty if none is found."""
         samples = self.rounded(self._samples)
-        inside = samples[self.violation(samples) <= EXACT]
+        inside: Array = samples[self.violation(samples) <= EXACT]
         if len(inside):
             return inside[:64]  # kept to search from
-        return self.least_violated[None][self.violation(self.least_violated[None]) <= EXACT]
+        return np.asarray(self.least_violated[None][self.violation(self.least_violated[None]) <= EXACT])
 
     @cached_property
     def least_violated(self) -> Array:
@@ -118,7 +118,7 @@ class AllowedDesigns:
                 least, violation = u, broken
             if violation <= EXACT:
                 break
-        return least
+        return np.asarray(least)
 
     def _by_whole_numbers(self, v: Array) -> Array:
         """Copies (n, np) of `v` with other whole numbers, nearest first."""

@@ -247,12 +247,12 @@ class DesignSpace(Immutable):
     def to_unit(self, p: ArrayLike) -> Array:
         """Designs in the unit box, same shape; fixed entries at 0."""
         width = self.upper - self.lower
-        return (self._sized(p, "p") - self.lower) / np.where(width > 0, width, 1.0)
+        return np.asarray((self._sized(p, "p") - self.lower) / np.where(width > 0, width, 1.0))
 
     def from_unit(self, v: ArrayLike) -> Array:
         """Designs of unit-box points, same shape, clipped to the bounds."""
         v = np.clip(self._sized(v, "v"), 0.0, 1.0)
-        return np.clip(self.lower + v * (self.upper - self.lower), self.lower, self.upper)
+        return np.asarray(np.clip(self.lower + v * (self.upper - self.lower), self.lower, self.upper))
 
     @property
     def centre(self) -> Array:

@@ -197,7 +197,7 @@ class LinearModel:
         p = self._checked(p) if self.design is None else self.design.check_one(p)
         return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
-    def state_space(self, p: ArrayLike = ()):
+    def state_space(self, p: ArrayLike = ()) -> Any:
         """Model at one design as a `control.StateSpace` with outputs x.
 
         Raises

@@ -150,7 +150,7 @@ class Plant:
     @property
     def ny(self) -> int:
         """Number of outputs."""
-        return self.outputs.numel()
+        return int(self.outputs.numel())
 
     @cached_property
     def output(self) -> ca.Function:
@@ -201,7 +201,7 @@ class Plant:
         """
         return self._sampled.function
 
-    def stepper(self, p, *, batch: int) -> Callable:
+    def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p`."""
         step = self._sampled
         return lambda x, u, w: step(x, u, w, p)

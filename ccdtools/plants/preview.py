@@ -149,7 +149,7 @@ def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> Sampled
 
 def _padded(w: Array, size: int) -> Array:
     """Disturbance with zeros appended."""
-    return np.r_[w, np.zeros(size - len(w))]
+    return np.asarray(np.r_[w, np.zeros(size - len(w))])
 
 
 def _plant(plant: Plant, step: ca.Function, nw: int, steps: int, known: tuple[int, ...]) -> Plant:

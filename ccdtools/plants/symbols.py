@@ -99,7 +99,8 @@ def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
     tape = Tape(function)
     operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
     (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
-    return ca.vertcat(*(size for _, size in rows))
+    sizes: ca.SX = ca.vertcat(*(size for _, size in rows))
+    return sizes
 
 
 @cache

@@ -62,7 +62,7 @@ class Deployed:
     @property
     def samples(self) -> int:
         """Number of samples of all runs."""
-        return self.log.inputs.shape[0] * self.log.inputs.shape[1]
+        return int(self.log.inputs.shape[0] * self.log.inputs.shape[1])
 
     def stretch(self, one: Deployable) -> tuple[int, int]:
         """First sample that a policy drove alone, and the one after its last."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, jsonable
+from ccdtools.arrays import Array, jsonable as jsonable
 
 Network = Any
 MANIFEST = "manifest.json"

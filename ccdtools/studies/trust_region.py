@@ -10,9 +10,9 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.evidence.percent import share
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.studies.report.formatting import share
 from ccdtools.studies.tolerances import CONSTANT_E, FIRST_RADIUS, LEAST_RADIUS, UNATTRIBUTED, WHOLE_NUMBER
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit, Transport, full_rank

@@ -62,7 +62,7 @@ def _designs(space: DesignSpace) -> Array:
     spread = space.spread()
     if 2**space.dim < WARM_UP_DESIGNS:
         return spread[:WARM_UP_DESIGNS]
-    return spread[np.linspace(0, len(spread) - 1, WARM_UP_DESIGNS).astype(int)]
+    return np.asarray(spread[np.linspace(0, len(spread) - 1, WARM_UP_DESIGNS).astype(int)])
 
 
 def _return(problem: CoDesignProblem, scenario: Scenario, design: Array, before: int) -> float:

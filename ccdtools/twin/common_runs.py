@@ -12,7 +12,8 @@ from ccdtools.twin.residuals import Residuals
 
 def is_common(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether runs of these numbers meet the same disturbance in every deployment."""
-    return numbers % 2 == 0  # every second run, from the first on
+    common: NDArray[np.bool_] = numbers % 2 == 0  # every second run, from the first on
+    return common
 
 
 def groups(logs: Sequence[Residuals]) -> NDArray[np.int64]:

@@ -87,7 +87,8 @@ class Discrepancy(Immutable):
         """Predicted median of e⁺ along a log (n, T, nx), in network coordinates."""
         e, x, u, p = (torch.tensor(a, dtype=torch.float32) for a in (log.e, log.x, log.u, log.p))
         with torch.no_grad():
-            return self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :].double().numpy()
+            median = self.network(self.features(e, x, u, p))[..., len(self.network.levels) // 2, :]
+            return np.asarray(median.double().numpy())
 
     def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
         """Error e⁺ (n, nx), with the memory of correlated draws, and width penalty (n,).

@@ -76,7 +76,7 @@ class ServedDistributions:
         except MPCError:
             return x0[:0]
         kept = ~run.diverged & X.contains(run.states.reshape(-1, X.dim)).reshape(run.states.shape[:2]).all(axis=1)
-        return x0[kept][: self.runs]
+        return np.asarray(x0[kept][: self.runs])
 
     def trained_from(self, design: Array, rng: np.random.Generator) -> Array:
         """Training starts (n, nx) beside the log: half the study's, half its box's."""

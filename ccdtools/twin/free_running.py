@@ -183,7 +183,7 @@ def _fitting(steps: Sequence[int], spans: Sequence[Span]) -> NDArray[np.int64]:
 def _starts(spans: Sequence[Span], length: int, windows: int) -> NDArray[np.int64]:
     """Run and first sample (n, 2) of windows, spread evenly over the spans."""
     every = np.array([(run, k) for run, first, end in spans for k in range(first, end - length + 1)])
-    return every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))]
+    return np.asarray(every[np.unique(np.linspace(0, len(every) - 1, min(windows, len(every))).round().astype(int))])
 
 
 def _draws(

@@ -56,7 +56,7 @@ class _LeastSquares:
 
     def distance(self, w: Array) -> Array:
         """Distance (N,) between modelled and logged next states."""
-        return np.linalg.norm(self._residual(w, self._everyone), axis=1)
+        return np.asarray(np.linalg.norm(self._residual(w, self._everyone), axis=1))
 
     def improved(self, w: Array) -> Array:
         """Improved disturbances (N, nw), none farther from the log than before."""
@@ -101,7 +101,7 @@ class _LeastSquares:
         """Move (k, m) of scaled next states by disturbances (k, 1, nw)."""
         with np.errstate(all="ignore"):
             moved = (self._next_states(w, some) - self._next_states(np.zeros_like(w[:1]), some)) / self._scale
-            return np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf)
+            return np.asarray(np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf))
 
     def _next_states(self, w: Array, some: Indices) -> Array:
         """Next states of the model."""

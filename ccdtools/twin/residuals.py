@@ -53,12 +53,12 @@ class Residuals(Immutable):
     @property
     def runs(self) -> int:
         """Number of runs n."""
-        return self.x.shape[0]
+        return int(self.x.shape[0])
 
     @property
     def steps(self) -> int:
         """Length T of a run."""
-        return self.x.shape[1]
+        return int(self.x.shape[1])
 
     def part(self, runs: slice | NDArray[np.bool_], steps: slice) -> Residuals:
         """Stretch of all or some runs of the log."""

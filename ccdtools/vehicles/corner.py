@@ -92,4 +92,5 @@ class Corner:
         rounding = 0.1 * self.load  # of the corner at which the tyre leaves the road
         contact = self.load - self.tyre * deflection
         at_rest = (self.load + (self.load**2 + rounding**2) ** 0.5) / 2
-        return (contact + ca.sqrt(contact**2 + rounding**2)) / 2 - at_rest
+        force: ca.SX = (contact + ca.sqrt(contact**2 + rounding**2)) / 2 - at_rest
+        return force

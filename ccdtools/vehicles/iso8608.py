@@ -198,4 +198,4 @@ def _cells(step: float, low: float, high: float) -> tuple[Array, Array]:
 def _waves(power: Array, rng: np.random.Generator) -> NDArray[np.complex128]:
     """Complex normal amplitudes c of cosines with these variances [m²]."""
     parts = rng.standard_normal((2, len(power)))
-    return np.sqrt(power) * (parts[0] + 1j * parts[1])
+    return np.asarray(np.sqrt(power) * (parts[0] + 1j * parts[1]))

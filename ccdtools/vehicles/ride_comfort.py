@@ -149,4 +149,5 @@ def as_signal(argument: str, value: ArrayLike) -> Array:
 
 def root_mean_square(signal: Array) -> Array:
     """Root mean square along the last axis."""
-    return np.sqrt(np.mean(signal**2, axis=-1))
+    size: Array = np.sqrt(np.mean(signal**2, axis=-1))
+    return size

@@ -71,7 +71,7 @@ def road_disturbance(
         driven = f"at least the {travelled[-1] - distance[0]:.6g} m of the drive of {len(instants) - 1} steps"
         cure = "Take a longer road, or fewer steps."
         raise InputError("distance", f"a road of {distance[-1] - distance[0]:.6g} m", driven, cure)
-    return np.diff(np.interp(travelled, distance, elevation)) / dt
+    return np.asarray(np.diff(np.interp(travelled, distance, elevation)) / dt)
 
 
 def _curve(x_name: str, x: ArrayLike, y_name: str, y: ArrayLike) -> tuple[Array, Array]:
@@ -103,13 +103,13 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
     if steps > available:
         most = f"at most {available}, as many as the {duration:.6g} s of speed cover"
         raise InputError("steps", f"{steps} of {dt:g} s", most, "Take a longer speed record, or fewer steps.")
-    return np.minimum(time[0] + dt * np.arange(steps + 1), time[-1])
+    return np.asarray(np.minimum(time[0] + dt * np.arange(steps + 1), time[-1]))
 
 
 def _travelled(time: Array, speed: Array, instants: Array) -> Array:
     """Distance covered at the instants [m], exact for linear speed."""
     knots = np.union1d(time, instants)
-    covered = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
+    covered: Array = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
     return covered[np.searchsorted(knots, instants)]
 
 
@@ -192,7 +192,7 @@ def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
     gain = sigma * math.sqrt((1 - decay**2) / (2 * alpha))
     noise = gain * rng.standard_normal(samples)
     noise[0] = 0.0
-    return lfilter([1.0], [1.0, -decay], noise)
+    return np.asarray(lfilter([1.0], [1.0, -decay], noise))
 
 
 def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:

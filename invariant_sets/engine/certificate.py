@@ -259,7 +259,7 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
             dual[i] = info["lam"]
             solved[i] = True
     dual = np.maximum(dual, 0.0)
-    bounds = dual @ right
+    bounds: Array = dual @ right
     for row in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= DUAL_RESIDUAL))):
         bounds[row] = -minimise(costs[row], rows, right)[0]
     return bounds

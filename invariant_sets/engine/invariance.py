@@ -34,12 +34,12 @@ from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterat
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
-from invariant_sets.interior_form import FLAT, unit_rows
+from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import inscribed_ball
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import GAP_ROUNDING, INVARIANT, MISSING, STOP
+from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING, STOP
 
 Array = np.ndarray
 

@@ -40,7 +40,7 @@ def left_inverse(basis: Array) -> Array:
     rows = np.abs(basis).max(axis=1, initial=0.0)
     rows[rows == 0.0] = 1.0
     columns = np.abs(basis / rows[:, None]).max(axis=0)
-    return np.linalg.pinv(basis / rows[:, None] / columns) / rows / columns[:, None]
+    return np.asarray(np.linalg.pinv(basis / rows[:, None] / columns) / rows / columns[:, None])
 
 
 @dataclass(frozen=True)
@@ -256,6 +256,6 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     if (room[~moving] < -NEGLIGIBLE).any():
         return None
     if not moving.any():
-        return scale * z
+        return np.asarray(scale * z)
     radius, t = inscribed_ball(slope[moving] / norms[moving, None], room[moving] / norms[moving], cap=1.0)
     return None if radius < -NEGLIGIBLE else scale * (z + null @ t)

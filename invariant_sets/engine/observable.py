@@ -66,7 +66,7 @@ def cylinder(P: Polytope, Q: Array) -> Polytope:
 
 def _product(F: Array, back: Array) -> Array:
     """Product F back with zeros where terms have cancelled."""
-    rows = F @ back
+    rows: Array = F @ back
     rows[np.abs(rows) <= CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
     return rows
 
@@ -75,4 +75,4 @@ def _right_inverse(Q: Array) -> Array:
     """Right inverse R (n, k) with Q R = 1, in any units."""
     columns = np.abs(Q).max(axis=0)
     columns[columns == 0.0] = 1.0
-    return np.linalg.pinv(Q / columns) / columns[:, None]
+    return np.asarray(np.linalg.pinv(Q / columns) / columns[:, None])

@@ -10,12 +10,12 @@ import numpy as np
 
 from invariant_sets import hulls
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.interior_form import FLAT, unit_rows
+from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, LEAST_RIGHT, SMALL, UNRESOLVED
+from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, FLAT, LEAST_RIGHT, SMALL, UNRESOLVED
 
 Array = np.ndarray
 Rows = tuple[Array, Array]

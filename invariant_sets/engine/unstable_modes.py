@@ -126,7 +126,7 @@ def _edge_normals(moves: Array) -> Array:
     edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
     length = np.linalg.norm(edges, axis=1)
     edges = edges[length > EDGE * length.max(initial=0.0)][:400]  # barely unstable: the recursion finds more
-    return np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
+    return np.asarray(np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None])
 
 
 def _tail(block: Array, inverse: Array, reach: float) -> float:

@@ -127,12 +127,12 @@ class ExplicitMPC:
     @property
     def nu(self) -> int:
         """Number of inputs."""
-        return self.law.shape[1]
+        return int(self.law.shape[1])
 
     @property
     def nt(self) -> int:
         """Number of parameters."""
-        return self.law.shape[2] - 1
+        return int(self.law.shape[2] - 1)
 
     def __len__(self) -> int:
         return len(self.partition)

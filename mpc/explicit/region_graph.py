@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.kernels.data import DONE, FULL, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.kernels.data import DONE, FULL, GROW, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
 from mpc.explicit.partition import Ints, MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import INSIDE
@@ -69,7 +69,7 @@ class RegionGraph:
 
     def explore(self, regions: int) -> None:
         """Find facets and neighbours of at most so many more regions."""
-        from mpc.explicit.kernels.exploration import GROW, explore
+        from mpc.explicit.kernels.exploration import explore
 
         if explore(self.data, self.graph, self.facets, regions) == GROW:
             self._grow()

@@ -202,7 +202,7 @@ def widths(gram: Array, sizes: Array) -> Array:
 
 def _waves(n: int) -> Array:
     """Frequencies for the tie-breaking shift of each row."""
-    return np.sqrt(2.0 + np.arange(n))
+    return np.asarray(np.sqrt(2.0 + np.arange(n)))
 
 
 def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
@@ -225,7 +225,7 @@ def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.
     reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)
     theta = np.abs(right[:, :-1]).max(axis=1, initial=0.0)
-    return (length == 0) | (length * typical < VANISHING_ROW * theta)
+    return np.asarray((length == 0) | (length * typical < VANISHING_ROW * theta))
 
 
 def with_parameter_rows(TA: Array, Tb: Array, right: Array, nothing: float = 0.0) -> tuple[Array, Array]:
@@ -268,7 +268,7 @@ def _typical(D: Array) -> float:
 def _beyond_rounding(D: Array) -> Array:
     """Sizes of the bounds beyond zero and rounding."""
     sizes = np.abs(D).sum(axis=1)
-    return sizes[sizes > ROUNDED * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)]
+    return np.asarray(sizes[sizes > ROUNDED * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)])
 
 
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:

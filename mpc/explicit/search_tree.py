@@ -231,7 +231,8 @@ def _grow(
     partition: Partition, laws: Ints, points: RegionPoints, deadline: float
 ) -> tuple[Array, Ints, Ints, TreeStatus]:
     """Planes, nodes, leaf regions and status of a grown tree."""
-    from mpc.explicit.kernels.growth import FINISHED, GROW, LEAF, NEXT, NODES, POOL, Growth, Regions, grow
+    from mpc.explicit.kernels.data import FINISHED, GROW
+    from mpc.explicit.kernels.growth import LEAF, NEXT, NODES, POOL, Growth, Regions, grow
 
     count = len(partition)
     regions = Regions(partition.scaled_rows, partition.offsets, *points, laws)

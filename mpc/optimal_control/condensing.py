@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
+from mpc.checks import Array
 from mpc.tolerances import GAIN_REGULARISATION
 
 
@@ -23,7 +24,7 @@ def compile_kernels() -> None:
 
 
 @njit(cache=True)
-def gains_along(A, B, Q, R, S, P):
+def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> tuple[Array, Array]:
     """Gains (N, nu, nx) and prices of the regulator of dx⁺ = A dx + B du.
 
     A (N, nx, nx) and B (N, nx, nu); weights as of a quadratic cost x'Qx + 2 x'Su + u'Ru. With them what a deviation v
@@ -49,7 +50,7 @@ def gains_along(A, B, Q, R, S, P):
 
 
 @njit(cache=True)
-def responses(A, B, gains, gaps, first):
+def responses(A: Array, B: Array, gains: Array, gaps: Array, first: Array) -> tuple[Array, Array, Array, Array]:
     """Responses (N + 1, nx, N nu), (N, nu, N nu) to v, du = v - K dx, and v = 0.
 
     Parameters
@@ -87,7 +88,7 @@ def responses(A, B, gains, gaps, first):
 
 
 @njit(cache=True)
-def costates_along(A, B, gains, by_state, by_input):
+def costates_along(A: Array, B: Array, gains: Array, by_state: Array, by_input: Array) -> Array:
     """Costates (N + 1, nx) from slopes by states (N + 1, nx) and inputs (N, nu).
 
     Backwards along the closed loop: what the inputs' slopes leave, zero at an optimum, keeps the digits.
@@ -110,7 +111,7 @@ def costates_along(A, B, gains, by_state, by_input):
 
 
 @njit(cache=True)
-def _product(M, L):
+def _product(M: Array, L: Array) -> Array:
     """Matrix product of small matrices."""
     found = np.zeros((M.shape[0], L.shape[1]))
     for i in range(M.shape[0]):
@@ -121,7 +122,7 @@ def _product(M, L):
 
 
 @njit(cache=True)
-def _divided(M, right):
+def _divided(M: Array, right: Array) -> Array:
     """Product M⁻¹ right for M ⪰ 0 (nu, nu), by scaled Cholesky."""
     n = len(M)
     scale = np.zeros(n)

@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import brief as brief
 from ccdtools_ground.user_functions import stopped
 from mpc.exceptions import InputError
 

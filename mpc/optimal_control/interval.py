@@ -176,7 +176,7 @@ def at_points(layout: Layout, x: Any, v: Any, own: Any, x_next: Any, v_next: Any
 
 def times_of(points: Sequence[float], mesh: Array) -> Array:
     """Fractions (N, points) of a phase for a mesh (N + 1,)."""
-    return mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(points)
+    return np.asarray(mesh[:-1, None] + np.diff(mesh)[:, None] * np.asarray(points))
 
 
 def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:

@@ -117,7 +117,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
     return solver, watch
 
 
-class BestIterate(ca.Callback):  # type: ignore[misc]
+class BestIterate(ca.Callback):
     """Callback that keeps the cheapest feasible iterate, else the least infeasible."""
 
     def __init__(self, unknowns: int, rows: int) -> None:

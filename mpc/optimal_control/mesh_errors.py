@@ -237,7 +237,7 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
     x, u, times = _along(phase, places)
     own = _bounded(phase)
     low, high = (side[own, None] for side in part.phase.x_bounds)
-    of_states = np.maximum(x.T[own] - high, low - x.T[own])
+    of_states: Array = np.maximum(x.T[own] - high, low - x.T[own])
     path = part.functions.path
     if path is None:
         return of_states

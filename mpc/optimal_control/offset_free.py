@@ -62,7 +62,8 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     @property
     def _problem(self) -> MPCProblem:
         """Sizes, weights and sets."""
-        return self.mpc.linear
+        problem: MPCProblem = self.mpc.linear
+        return problem
 
     def _alone(self) -> OffsetFreeNonlinearMPC:
         """Controller of one run among others, with its own memory."""

@@ -151,7 +151,7 @@ class Phase:
     @property
     def free_duration(self) -> bool:
         """Whether the duration is unknown."""
-        return self.duration[0] < self.duration[1]
+        return bool(self.duration[0] < self.duration[1])
 
 
 class PhaseFunctions:
@@ -205,7 +205,7 @@ def _width(phase: Phase) -> int:
         return 0
     if not callable(phase.signal):
         return int(np.shape(phase.signal)[1])
-    return signal_at(phase, np.array([phase.start_time])).shape[1]
+    return int(signal_at(phase, np.array([phase.start_time])).shape[1])
 
 
 def signal_at(phase: Phase, times: Array) -> Array:

@@ -83,7 +83,7 @@ class PhaseSolution:
         """States (n, nx) at fractions (n,) of intervals k (n,)."""
         h = np.diff(self.times)[k][:, None]
         if self.part.phase.discrete:
-            return self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)]
+            return np.asarray(self.states[np.minimum(np.round(k + tau).astype(int), len(self.states) - 1)])
         if isinstance(self.part.scheme, Collocation):
             weights = self.part.scheme.integrals(tau)
             return np.asarray(self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k]))
@@ -95,7 +95,7 @@ class PhaseSolution:
         inputs = self.stages.inputs[k]
         if not isinstance(self.part.scheme, Collocation) or self.part.phase.discrete:
             return np.asarray(inputs[:, 0])
-        return np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs)
+        return np.asarray(np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs))
 
     def at_fractions(self, at: Array) -> tuple[Array, Array]:
         """States and inputs at fractions (n,) of the phase."""

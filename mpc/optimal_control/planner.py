@@ -198,7 +198,7 @@ class Planner:
     def _admissible(self, wanted: Array, last: Array) -> Array:
         """Admissible input nearest to `wanted`, after `last`."""
         if not self._in_box:
-            return admissible(self.law, wanted[None], {"u_prev": last})[0]
+            return np.asarray(admissible(self.law, wanted[None], {"u_prev": last})[0])
         low, high, rate = self._limits
         return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
 

@@ -56,7 +56,7 @@ class Collocation:
         away = np.asarray(tau, dtype=float)[..., None] - c
         others = ~np.eye(len(c), dtype=bool)
         over = np.array([np.prod(c[j] - c[own]) for j, own in enumerate(others)])
-        return np.stack([np.prod(away[..., own], axis=-1) for own in others], axis=-1) / over
+        return np.asarray(np.stack([np.prod(away[..., own], axis=-1) for own in others], axis=-1) / over)
 
     def integrals(self, tau: Any) -> Array:
         """Integrals (n, stages) of the polynomials from 0 to fractions (n,)."""

@@ -85,7 +85,7 @@ class Linearised:
         problem, at = self.conditions.problem, self.conditions.columns
         free = slice(at["z"].start, at["z"].stop)
         weighted = (curvature @ forms).reshape(-1, forms.shape[-1])
-        H = forms[:, :, free].reshape(len(weighted), -1).T @ weighted + self.X[-1][:, free].T @ (
+        H: Array = forms[:, :, free].reshape(len(weighted), -1).T @ weighted + self.X[-1][:, free].T @ (
             2 * problem.P @ self.X[-1]
         )
         if problem.soft is None:
@@ -171,7 +171,7 @@ class Linearised:
             if label.kind in SOFTENED and value >= -ACTIVE * unit
         }
         idle = [label.kind == "slack" and label.step not in near for label in self.labels]
-        return pushing | np.array(idle, dtype=bool)
+        return np.asarray(pushing | np.array(idle, dtype=bool))
 
     @property
     def on_bound(self) -> Mask:

@@ -48,7 +48,7 @@ class LQRSensitivity:
 
     def input_by_parameters(self, x: ArrayLike) -> Array:
         """Derivative ∂u/∂p (nu, np) at a state (nx,)."""
-        return -np.einsum("uxp,x->up", self.dK, self._state(x))
+        return np.asarray(-np.einsum("uxp,x->up", self.dK, self._state(x)))
 
     def cost(self, x: ArrayLike) -> float:
         """Cost J* = x'Px from a state (nx,)."""
@@ -62,7 +62,7 @@ class LQRSensitivity:
     def cost_by_parameters(self, x: ArrayLike) -> Array:
         """Derivative ∂J*/∂p (np,) from a state (nx,)."""
         x = self._state(x)
-        return np.einsum("x,xyp,y->p", x, self.dP, x)
+        return np.asarray(np.einsum("x,xyp,y->p", x, self.dP, x))
 
     def noise_cost(self, W: ArrayLike) -> float:
         """Cost tr(PW) a step under noise covariance W (nx, nx)."""
@@ -71,10 +71,10 @@ class LQRSensitivity:
     def noise_cost_by_parameters(self, W: ArrayLike, dW: ArrayLike | None = None) -> Array:
         """Derivative ∂tr(PW)/∂p (np,) for W (nx, nx), dW (nx, nx, np)."""
         W = as_weight("W", W, len(self.P))
-        gradient = np.einsum("xyp,xy->p", self.dP, W)
+        gradient: Array = np.einsum("xyp,xy->p", self.dP, W)
         if dW is None:
             return gradient
-        return gradient + np.einsum("xy,xyp->p", self.P, as_array("dW", dW, self.dP.shape))
+        return np.asarray(gradient + np.einsum("xy,xyp->p", self.P, as_array("dW", dW, self.dP.shape)))
 
     def _state(self, x: ArrayLike) -> Array:
         """State, checked."""

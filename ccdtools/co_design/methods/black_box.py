@@ -85,7 +85,7 @@ class BlackBox:
         self.free = problem.design.free
         self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
         self.best_v = self.start
-        self.rows: list[tuple] = []
+        self.rows: list[tuple[int, int, Array, float, float, float]] = []
         self.looks: list[Evaluation] = []
 
     @property

@@ -43,7 +43,8 @@ class Descent:
 
 def value_of(cost: Any, v: Array) -> float:
     """Cost at a point, without its slope where that is expensive."""
-    return cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
+    value: float = cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
+    return value
 
 
 def compressed(relative: float) -> float:
@@ -140,7 +141,7 @@ class _Watched:
         slope = self._slope(point)[self.free]
         if not np.isfinite(slope).all():
             return np.zeros(len(z))
-        return slope / self.size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0)
+        return np.asarray(slope / self.size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0))
 
     def complete(self) -> None:
         """Have the slope at the best point."""

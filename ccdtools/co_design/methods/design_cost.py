@@ -16,6 +16,8 @@ from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 
+HistoryRow = tuple[int, int, Array, float, float, float]
+
 
 @dataclass(frozen=True, eq=False)
 class End:
@@ -62,7 +64,7 @@ class DesignCost(ABC):
     """
 
     problem: CoDesignProblem
-    rows: list[tuple]
+    rows: list[HistoryRow]
     slope_is_expensive = False
     repeatable = True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -116,7 +117,7 @@ class _Gain(torch.autograd.Function):
     """K(p) (nu, nx) of the regulator, with its exact derivative."""
 
     @staticmethod
-    def forward(ctx, p: Tensor, problem: CoDesignProblem) -> Tensor:
+    def forward(ctx: Any, p: Tensor, problem: CoDesignProblem) -> Tensor:
         """Gain."""
         at = p.detach().numpy()
         if not ctx.needs_input_grad[0]:
@@ -126,6 +127,6 @@ class _Gain(torch.autograd.Function):
         return torch.tensor(found.K)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor):
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         """Gradient (np,) by the design, by the chain rule."""
         return torch.einsum("ux,uxp->p", gradient, ctx.slopes), None

@@ -19,7 +19,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import episode_at
-from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import POLICY_ITERATIONS
@@ -48,7 +48,7 @@ class LearnedCost(DesignCost):
     scenarios: ScenarioTensors
     rng: np.random.Generator
     by: str = "pathwise"
-    rows: list[tuple] = field(default_factory=list)
+    rows: list[HistoryRow] = field(default_factory=list)
     _trained: list[tuple[Array, ActorCritic]] = field(default_factory=list)
     repeatable = False
 

@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
 from ccdtools.co_design.episodes import Episode, simulated
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk_intervals import of_kept_runs
@@ -44,7 +44,7 @@ class LoopCost(DesignCost):
     law: DesignLaw
     scenarios: ScenarioTensors
     penalty: LimitPenalty | None = None
-    rows: list[tuple] = field(default_factory=list)  # of the history: one for every evaluation
+    rows: list[HistoryRow] = field(default_factory=list)  # of the history: one for every evaluation
     evaluations: int = 0  # closed loops on all scenarios, those of differences included
 
     def __post_init__(self) -> None:
@@ -77,7 +77,7 @@ class LoopCost(DesignCost):
 
     def slope(self, v: Array) -> Array:
         """Slopes (np,) by differences of whole closed loops."""
-        return self._differences(v, lambda at: np.array([self.value(at, remember=False)]), 1)[0]
+        return np.asarray(self._differences(v, lambda at: np.array([self.value(at, remember=False)]), 1)[0])
 
     def _differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
         """Slopes (count, np) of values (count,), central or one-sided at a bound."""
@@ -102,7 +102,7 @@ class LoopCost(DesignCost):
         values = self.problem.risk.values(seen.total)
         if v is not None:
             self._remember(v, seen)
-        cost = -values.mean()
+        cost: Tensor = -values.mean()
         if self.penalty is not None and self.penalty.active and not bool(seen.diverged.any()):
             cost = cost + self.penalty.cost(seen, point)
         return cost

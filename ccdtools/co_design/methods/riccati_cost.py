@@ -11,7 +11,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
-from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Mean
@@ -36,7 +36,7 @@ class RiccatiCost(DesignCost):
     """
 
     problem: CoDesignProblem
-    rows: list[tuple] = field(default_factory=list)
+    rows: list[HistoryRow] = field(default_factory=list)
     words = "LQR without saturation, by the Riccati equation"
 
     def __post_init__(self) -> None:

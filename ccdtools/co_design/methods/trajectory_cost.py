@@ -12,7 +12,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
-from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
 from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
@@ -44,7 +44,7 @@ class TrajectoryCost(DesignCost):
     scenarios: tuple[Array, Array]
     start: Array
     control: str = "lqr"
-    rows: list[tuple] = field(default_factory=list)  # of the history: one for every design with trajectories
+    rows: list[HistoryRow] = field(default_factory=list)  # of the history: one for every design with trajectories
     evaluations: int = 0  # how many designs were looked at
     failed: Solution | None = None  # of the program that looked for a design within the limits and found none
 

@@ -117,7 +117,8 @@ def operating_point(tanks: Tanks, p: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 def _torricelli(tanks: Tanks, level: ca.SX) -> ca.SX:
     """Outflow speed [cm/s] at a level [cm]."""
-    return (2 * tanks.gravity) ** 0.5 * level / (level**2 + tanks.near_empty**2) ** 0.25
+    speed: ca.SX = (2 * tanks.gravity) ** 0.5 * level / (level**2 + tanks.near_empty**2) ** 0.25
+    return speed
 
 
 def _dynamics(x: ca.SX, u: ca.SX, w: ca.SX, p: ca.SX, tanks: Tanks, *, real: bool) -> ca.SX:

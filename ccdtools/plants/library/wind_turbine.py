@@ -135,4 +135,4 @@ def operating_pitch(turbine: Turbine) -> float:
     if surplus(PITCHES[0]) < 0 or surplus(PITCHES[1]) > 0:
         got = f"{turbine.power:g} W in wind of {turbine.wind:g} m/s at {turbine.speed:g} rad/s"
         raise InputError("turbine", got, f"an operating point for some pitch from {PITCHES[0]:g}° to {PITCHES[1]:g}°")
-    return brentq(surplus, *PITCHES, xtol=1e-13, rtol=1e-14)
+    return float(brentq(surplus, *PITCHES, xtol=1e-13, rtol=1e-14))

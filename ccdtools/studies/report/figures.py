@@ -12,9 +12,10 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import load_policy
+from ccdtools.evidence.percent import share
 from ccdtools.studies.report import plotting, return_plots
 from ccdtools.studies.report.finished_run import FinishedRun
-from ccdtools.studies.report.formatting import generation_name, place, share
+from ccdtools.studies.report.formatting import generation_name, place
 from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.report_figure import ReportFigure
 from ccdtools.studies.report.set_figure import feasible_set_figure

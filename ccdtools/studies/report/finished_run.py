@@ -35,7 +35,7 @@ class FinishedRun:
     @property
     def quick(self) -> bool:
         """Whether the run took fewer samples."""
-        return self.results["quick"]
+        return bool(self.results["quick"])
 
     @cached_property
     def problem(self) -> CoDesignProblem:

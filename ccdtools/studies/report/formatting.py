@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ccdtools.evidence.percent import in_measure, percent_interval, share, signed_percent, with_minus  # noqa: F401  (re-exported)
-
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLACES = {"nominal": "nominal model", "real": "real plant"}
 FORMER = "return to "  # begins the name of a proposal that was deployed before, or is the start
@@ -45,7 +43,7 @@ def duration(seconds: float) -> str:
 
 def place(row: Mapping[str, Any]) -> str:
     """Place where a row's or a generation's returns were measured."""
-    return PLACES.get(row["model"], row["model"])
+    return str(PLACES.get(row["model"], row["model"]))
 
 
 def generation_name(generation: int) -> str:

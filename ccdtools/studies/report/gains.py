@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ccdtools.evidence.percent import percent_interval, signed_percent, with_minus
 from ccdtools.studies.gains import SOURCES
-from ccdtools.studies.report.formatting import generation_name, number, percent_interval, signed_percent, with_minus
+from ccdtools.studies.report.formatting import generation_name, number
 from ccdtools.studies.report.verdicts import on_same_runs, reference_of, saw_fewer_runs, size_of, verdict
 
 Values = Mapping[str, Any]

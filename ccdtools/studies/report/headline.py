@@ -5,17 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from ccdtools.evidence.percent import share, signed_percent, with_minus
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.studies.report.formatting import (
-    FORMER,
-    capitalised,
-    design_text,
-    limits_of,
-    number,
-    share,
-    signed_percent,
-    with_minus,
-)
+from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, limits_of, number
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
 from ccdtools.studies.report.verdicts import outside_text, percent_of_reference, reference_of, size_of, verdict
@@ -82,7 +74,7 @@ def _no_further_gain(results: Results) -> str:
     if not later or any(_brought(generation) for generation in later):
         return ""
     several = f"generations 2 to {len(later) + 1} brought nothing; " if len(later) > 1 else ""
-    return several + later[-1]["account"].split(": ")[0]
+    return several + str(later[-1]["account"]).split(": ")[0]
 
 
 def _brought(generation: Mapping[str, Any]) -> bool:

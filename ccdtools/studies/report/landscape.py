@@ -8,11 +8,12 @@ from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.risk import Mean, measure
+from ccdtools.evidence.percent import share, with_minus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.simulation import simulate
 from ccdtools.studies.report import return_plots
 from ccdtools.studies.report.finished_run import FinishedRun
-from ccdtools.studies.report.formatting import axis_label, number, share, with_minus
+from ccdtools.studies.report.formatting import axis_label, number
 from ccdtools.studies.report.report_figure import ReportFigure
 from ccdtools.studies.tolerances import DIVERGED_RUNS, LANDSCAPE
 from mpc import MPCError

@@ -15,6 +15,7 @@ from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Mean, measure
 from ccdtools.design_limits import DesignLimits, limits_at
+from ccdtools.evidence.percent import share, with_minus
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report.figures import figures
 from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
@@ -28,8 +29,6 @@ from ccdtools.studies.report.formatting import (
     limits_of,
     number,
     place,
-    share,
-    with_minus,
 )
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
 from ccdtools.studies.report.metric_tables import held_out_metrics, metric_table

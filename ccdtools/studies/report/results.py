@@ -83,4 +83,4 @@ def results(
         "configuration": config.as_dict(),
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
     }  # fmt: skip
-    return jsonable(contents | {"headline": headline(contents)})
+    return dict(jsonable(contents | {"headline": headline(contents)}))

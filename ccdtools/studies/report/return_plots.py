@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.result import History
+from ccdtools.evidence.percent import share, signed_percent
 from ccdtools.figure_style import (
     BOUND,
     CHOSEN,
@@ -24,7 +25,7 @@ from ccdtools.figure_style import (
 )
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.studies.gains import SOURCES
-from ccdtools.studies.report.formatting import axis_label, generation_name, place, share, signed_percent
+from ccdtools.studies.report.formatting import axis_label, generation_name, place
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.report.summary import COST, Change
 from ccdtools.studies.report.verdicts import percent_of_reference

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ccdtools.studies.report.formatting import number, percent_interval, with_minus
+from ccdtools.evidence.percent import percent_interval, with_minus
+from ccdtools.studies.report.formatting import number
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
@@ -145,7 +146,7 @@ def _metrics(place: Values) -> Iterator[Change]:
         before = metric["before"]
         ends = (metric["change"]["mean"], *metric["change"]["ci95"])
         percent = None if not before or None in ends else tuple(100 * end / abs(before) for end in ends)
-        yield Change(metric["name"], place["place"], before, metric["after"], percent, metric["word"])  # type: ignore[arg-type]
+        yield Change(metric["name"], place["place"], before, metric["after"], percent, metric["word"])
 
 
 def _word(percent: tuple[float, float, float] | None) -> str:

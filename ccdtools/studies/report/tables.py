@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ccdtools.evidence.percent import share
 from ccdtools.studies.gains import SOURCES
 from ccdtools.studies.report.formatting import (
     active_bounds_text,
@@ -15,7 +16,6 @@ from ccdtools.studies.report.formatting import (
     limits_of,
     number,
     place,
-    share,
 )
 from ccdtools.studies.report.gains import console_lines
 from ccdtools.studies.report.metric_tables import metrics_in

@@ -52,7 +52,7 @@ def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float,
 
 def size_of(row: Row, name: str = "mean") -> float:
     """Size of a row's return, without the cost of its design."""
-    return abs((row[name] or 0.0) + row.get("design_cost", 0.0))
+    return float(abs((row[name] or 0.0) + row.get("design_cost", 0.0)))
 
 
 def verdict(row: Row, reference: Row | None) -> str:

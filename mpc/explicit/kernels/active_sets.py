@@ -8,14 +8,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mpc.explicit.kernels.data import FLAT, FULL, INFEASIBLE, KNOWN, QUEUED
+from mpc.checks import Array
+from mpc.explicit.kernels.data import FLAT, FULL, INFEASIBLE, KNOWN, QUEUED, Bits, Graph, Ints, QPData
 from mpc.explicit.kernels.halfspace import interior_point
 from mpc.explicit.kernels.region import optimal_set, region_rows
 from mpc.tolerances import TIE
 
 
 @njit(cache=True)
-def to_mask(act, k, mask):
+def to_mask(act: Ints, k: int, mask: Bits) -> None:
     """Write the active set as bits."""
     for q in range(len(mask)):
         mask[q] = np.uint64(0)
@@ -24,13 +25,13 @@ def to_mask(act, k, mask):
 
 
 @njit(cache=True)
-def flip(mask, i):
+def flip(mask: Bits, i: int) -> None:
     """Exchange the membership of row i."""
     mask[i >> 6] ^= np.uint64(1) << np.uint64(i & 63)
 
 
 @njit(cache=True)
-def from_mask(mask, act):
+def from_mask(mask: Bits, act: Ints) -> int:
     """Write the members of a bit mask in increasing order. Returns their number."""
     k = 0
     for q in range(len(mask)):
@@ -43,7 +44,7 @@ def from_mask(mask, act):
 
 
 @njit(cache=True)
-def find(masks, table, mask):
+def find(masks: Bits, table: Ints, mask: Bits) -> np.int64:
     """Slot of a mask in the hash table: where it is, or where it would go."""
     h = np.uint64(14695981039346656037)
     for q in range(len(mask)):
@@ -64,18 +65,19 @@ def find(masks, table, mask):
 
 
 @njit(cache=True)
-def rehash(masks, table, count):
+def rehash(masks: Bits, table: Ints, count: int) -> None:
     """Fill an empty hash table with the masks known so far."""
     for index in range(count):
         table[find(masks, table, masks[index])] = index
 
 
 @njit(cache=True)
-def consider(qp, graph, mask):
+def consider(qp: QPData, graph: Graph, mask: Bits) -> int:
     """Kind of an active set: looked up, or found out and, when FULL, queued."""
     slot = find(graph.masks, graph.table, mask)
     if graph.table[slot] >= 0:
-        return graph.kinds[graph.table[slot]]
+        known: int = graph.kinds[graph.table[slot]]
+        return known
     m = len(qp.D)
     n = qp.D.shape[1] - 1
     act = np.empty(m, np.int64)
@@ -98,7 +100,7 @@ def consider(qp, graph, mask):
 
 
 @njit(cache=True)
-def consider_parameter(qp, graph, theta, mask):
+def consider_parameter(qp: QPData, graph: Graph, theta: Array, mask: Bits) -> int:
     """Kind of the active set of the QP at θ, of several the one that counts; INFEASIBLE where there is none."""
     kind = INFEASIBLE
     act = np.empty(len(qp.D) + 1, np.int64)

@@ -9,6 +9,8 @@ import numpy as np
 from mpc.checks import Array
 
 Ints = np.ndarray[Any, np.dtype[np.int64]]
+Bits = np.ndarray[Any, np.dtype[np.uint64]]
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
 FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
@@ -43,12 +45,12 @@ class Graph(NamedTuple):
     DONE, facet ROWS stored; tied : (m,) rows that were active, or not, without any effect on a region.
     """
 
-    masks: np.ndarray[Any, np.dtype[np.uint64]]
+    masks: Bits
     kinds: np.ndarray[Any, np.dtype[np.int8]]
     table: Ints
     queue: Ints
     counts: Ints
-    tied: np.ndarray[Any, np.dtype[np.bool_]]
+    tied: Flags
 
 
 class Facets(NamedTuple):
@@ -72,7 +74,7 @@ class RegionData(NamedTuple):
     the interior met each of them; centre, radius : a ball inside.
     """
 
-    mask: np.ndarray[Any, np.dtype[np.uint64]]
+    mask: Bits
     members: Ints
     A: Array
     b: Array

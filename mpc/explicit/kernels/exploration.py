@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider, consider_parameter, flip, from_mask
 from mpc.explicit.kernels.data import (
     BORDER,
@@ -25,6 +26,11 @@ from mpc.explicit.kernels.data import (
     PAUSED,
     QUEUED,
     ROWS,
+    Bits,
+    Facets,
+    Graph,
+    Ints,
+    QPData,
     RegionData,
 )
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind
@@ -33,7 +39,7 @@ from mpc.tolerances import CLEARANCE, EXCHANGE, EXCLUDED, SAME_PLANE
 
 
 @njit(cache=True)
-def explore(qp, graph, facets, budget):
+def explore(qp: QPData, graph: Graph, facets: Facets, budget: int) -> int:
     """Process so many queued regions: store the facets of each, and queue the regions behind them.
 
     Returns FINISHED when none is left, PAUSED when the budget is spent, GROW when memory is.
@@ -70,7 +76,7 @@ def explore(qp, graph, facets, budget):
 
 
 @njit(cache=True)
-def store(facets, counts, region):
+def store(facets: Facets, counts: Ints, region: RegionData) -> None:
     """Append the facets and the centre of the next region done. There is room for them."""
     n = region.A.shape[1]
     for number, facet in enumerate(region.facets):
@@ -87,7 +93,7 @@ def store(facets, counts, region):
 
 
 @njit(cache=True)
-def cross(qp, graph, region, number):
+def cross(qp: QPData, graph: Graph, region: RegionData, number: int) -> int:
     """Queue what lies behind one facet of a region; OPEN when that is not known afterwards.
 
     A neighbour that differs in the row of the facet alone is found by algebra. Otherwise a point just behind the facet
@@ -114,7 +120,7 @@ def cross(qp, graph, region, number):
 
 
 @njit(cache=True)
-def behind(qp, graph, A, b, mask, facet, work):
+def behind(qp: QPData, graph: Graph, A: Array, b: Array, mask: Bits, facet: int, work: Bits) -> int:
     """Consider the sets that differ in the rows on the hyperplane of a facet.
 
     Returns the kind of the set which differs in one row alone, the neighbour when it is FULL; FLAT where several rows
@@ -144,7 +150,7 @@ def behind(qp, graph, A, b, mask, facet, work):
 
 
 @njit(cache=True)
-def exchange(qp, graph, act, k, entering, mask, theta):
+def exchange(qp: QPData, graph: Graph, act: Ints, k: int, entering: int, mask: Bits, theta: Array) -> int:
     """Consider sets in which the entering row replaces another. One with a positive coefficient has to leave.
 
     Returns FULL when one of them that has a region is optimal at θ, a point behind the facet, INFEASIBLE when θ is,
@@ -173,14 +179,14 @@ def exchange(qp, graph, act, k, entering, mask, theta):
 
 
 @njit(cache=True)
-def excluded(qp, act, k, entering, coefficient, theta):
+def excluded(qp: QPData, act: Ints, k: int, entering: int, coefficient: Array, theta: Array) -> bool:
     """Whether no v holds the entering row and the active ones at θ: Farkas multipliers, with room for their rounding.
 
     What is left of the entering row, times any v that is not EXCLUDED times larger than the bounds, does not count.
     """
     n = len(theta)
     left = qp.M[entering].copy()
-    total = qp.D[entering, n]
+    total: float = qp.D[entering, n]
     for j in range(n):
         total += qp.D[entering, j] * theta[j]
     size = 1.0 + abs(total)
@@ -198,4 +204,5 @@ def excluded(qp, act, k, entering, coefficient, theta):
     length = 0.0
     for j in range(len(left)):
         length += left[j] * left[j]
-    return total < -EXCLUDED * size * np.sqrt(length)
+    least: float = -EXCLUDED * size * np.sqrt(length)
+    return total < least

@@ -6,20 +6,19 @@ of a hyperplane the region lies. Where they do not say it, a projection decides,
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from mpc.checks import Array
-from mpc.explicit.kernels.data import FINISHED, GROW, PAUSED
+from mpc.explicit.kernels.data import FINISHED, GROW, PAUSED, Bits, Ints
 from mpc.explicit.kernels.halfspace import interior_point, project
 from mpc.tolerances import POINTS_OF_REGION, PROJECTION, SAME_HYPERPLANE_DIGITS, SIDE, TRIES
 
 NODES, NEXT, POOL, LEAF = 0, 1, 2, 3  # positions in `Growth.counts`
 SAME_HYPERPLANE = 0.1**SAME_HYPERPLANE_DIGITS
 
-Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class Regions(NamedTuple):
@@ -46,13 +45,13 @@ class Growth(NamedTuple):
     first: Ints
     last: Ints
     pool: Ints
-    inside: np.ndarray[Any, np.dtype[np.uint64]]
+    inside: Bits
     leaf: Ints
     counts: Ints
 
 
 @njit(cache=True)
-def points_of(rows, offsets, points, starts):
+def points_of(rows: Array, offsets: Ints, points: Array, starts: Ints) -> None:
     """Fill in the centre of every region and one point on each of its facets."""
     n = rows.shape[1] - 1
     point = np.empty(n)
@@ -82,17 +81,17 @@ def points_of(rows, offsets, points, starts):
 
 
 @njit(cache=True)
-def side_of(rows, i, points, q):
+def side_of(rows: Array, i: int, points: Array, q: int) -> float:
     """Distance of point q above the hyperplane [a, b] of row i."""
     n = points.shape[1]
-    s = -rows[i, n]
+    s: float = -rows[i, n]
     for j in range(n):
         s += rows[i, j] * points[q, j]
     return s
 
 
 @njit(cache=True)
-def score(regions, members, inside, row):
+def score(regions: Regions, members: Ints, inside: Bits, row: int) -> float:
     """Score of a hyperplane that divides a node's members by their points: the fewer on the fuller side the better."""
     low = 0
     high = 0
@@ -114,13 +113,14 @@ def score(regions, members, inside, row):
 
 
 @njit(cache=True)
-def same_plane(rows, i, j):
+def same_plane(rows: Array, i: int, j: int) -> bool:
     """Whether two rows are one hyperplane, up to sign."""
-    return min(np.abs(rows[i] - rows[j]).max(), np.abs(rows[i] + rows[j]).max()) < SAME_HYPERPLANE
+    gap: float = min(np.abs(rows[i] - rows[j]).max(), np.abs(rows[i] + rows[j]).max())
+    return gap < SAME_HYPERPLANE
 
 
 @njit(cache=True)
-def best_rows(regions, members, inside, node, best):
+def best_rows(regions: Regions, members: Ints, inside: Bits, node: int, best: Ints) -> int:
     """Write the facet rows that divide the members best into `best`, the best first. Returns their number."""
     scores = np.empty(len(best))
     found = 0
@@ -165,7 +165,7 @@ def best_rows(regions, members, inside, node, best):
 
 
 @njit(cache=True)
-def reaches(regions, r, inside, row, sign, A, b, depth):
+def reaches(regions: Regions, r: int, inside: np.uint64, row: int, sign: float, A: Array, b: Array, depth: int) -> bool:
     """Whether region r, within the cell given by the first `depth` rows of A, b, has a part where sign * side <= 0."""
     n = A.shape[1]
     nearest = np.inf
@@ -195,7 +195,7 @@ def reaches(regions, r, inside, row, sign, A, b, depth):
 
 
 @njit(cache=True)
-def cell_of(regions, growth, node, A, b):
+def cell_of(regions: Regions, growth: Growth, node: int, A: Array, b: Array) -> int:
     """Write the half-spaces on the path to a node into A, b, drawn in by SIDE. Returns their number."""
     n = A.shape[1]
     depth = 0
@@ -212,7 +212,7 @@ def cell_of(regions, growth, node, A, b):
 
 
 @njit(cache=True)
-def depth_of(growth, node):
+def depth_of(growth: Growth, node: int) -> int:
     """Number of hyperplanes above a node."""
     depth = 0
     while growth.parents[node] >= 0:
@@ -222,7 +222,8 @@ def depth_of(growth, node):
 
 
 @njit(cache=True)
-def divide(regions, growth, members, inside, row, A, b, depth, start):
+def divide(regions: Regions, growth: Growth, members: Ints, inside: Bits, row: int, A: Array, b: Array,
+           depth: int, start: int) -> tuple[int, int]:  # fmt: skip
     """Write the members below and then above a hyperplane into the pool from `start`. Returns the two numbers."""
     filled = start
     for bit in range(2):
@@ -245,7 +246,7 @@ def divide(regions, growth, members, inside, row, A, b, depth, start):
 
 
 @njit(cache=True)
-def grow(regions, growth, bucket, budget):
+def grow(regions: Regions, growth: Growth, bucket: int, budget: int) -> int:
     """Look at nodes in turn, until none is left, the budget of region tests is spent, or memory has to grow.
 
     A node becomes a leaf when its regions share one law, are not more than `bucket`, or no hyperplane divides them.

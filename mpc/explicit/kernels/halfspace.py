@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.checks import Array
 from mpc.explicit.kernels import forget_stale
+from mpc.explicit.kernels.data import Ints
 from mpc.tolerances import CROSSING, NO_STEP, PARALLEL, PROJECTION, REDUNDANT, REGION_RADIUS, SPANNED, TINY_PIVOT
 
 
 @njit(cache=True)
-def project(A, b, m, c, tol, theta, work, lam):
+def project(A: Array, b: Array, m: int, c: Array, tol: float, theta: Array, work: Ints, lam: Array) -> int:
     """Nearest point of {Aθ <= b} to c, by the dual active-set method of Goldfarb and Idnani (1983), unit rows.
 
     Writes θ into `theta`, the active rows into `work` and their multipliers into `lam`. Returns the number of active
@@ -95,7 +97,7 @@ def project(A, b, m, c, tol, theta, work, lam):
 
 
 @njit(cache=True)
-def _factor(A, work, k, start, L):
+def _factor(A: Array, work: Ints, k: int, start: int, L: Array) -> None:
     """Cholesky factor of the Gram matrix of the active rows, from row `start` on."""
     n = A.shape[1]
     for a in range(start, k):
@@ -109,7 +111,7 @@ def _factor(A, work, k, start, L):
 
 
 @njit(cache=True)
-def margin_at(A, b, theta):
+def margin_at(A: Array, b: Array, theta: Array) -> float:
     """Least distance of a point from the rows of {Aθ <= b}, negative outside."""
     least = np.inf
     for i in range(len(b)):
@@ -121,7 +123,7 @@ def margin_at(A, b, theta):
 
 
 @njit(cache=True)
-def interior_point(A, b, wanted, centre):
+def interior_point(A: Array, b: Array, wanted: float, centre: Array) -> float:
     """Write a point inside {Aθ <= b} into `centre`. Returns a radius around it, 0 when there is none >= REGION_RADIUS.
 
     Larger radii are tried until one above `wanted` is found or none is left.
@@ -152,7 +154,7 @@ def interior_point(A, b, wanted, centre):
 
 
 @njit(cache=True)
-def irredundant(A, b, centre, facets, hits):
+def irredundant(A: Array, b: Array, centre: Array, facets: Ints, hits: Array) -> int:
     """Rows of {Aθ <= b} that are facets, by Clarkson's method (1994) from an interior point. Returns their number.
 
     Writes the point where a ray from the interior has hit each facet into `hits`, the interior point where none did.
@@ -210,7 +212,7 @@ def irredundant(A, b, centre, facets, hits):
 
 
 @njit(cache=True)
-def just_behind(A, b, facets, count, number, hit, theta):
+def just_behind(A: Array, b: Array, facets: Ints, count: int, number: int, hit: Array, theta: Array) -> bool:
     """Write the point just behind `hit` into θ; False when `hit` is not on the facet, or not clear of the others."""
     for a in range(count):
         slack = b[facets[a]]
@@ -226,7 +228,7 @@ def just_behind(A, b, facets, count, number, hit, theta):
 
 
 @njit(cache=True)
-def across(A, b, facets, count, facet, start, margin, theta):
+def across(A: Array, b: Array, facets: Ints, count: int, facet: int, start: Array, margin: float, theta: Array) -> bool:
     """Write a point just across one facet, away from the others, into θ; False when the facet is too small.
 
     It is the one nearest to `start` with the largest margin to the others, of the given one and smaller ones.

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider_parameter
-from mpc.explicit.kernels.data import DONE, INFEASIBLE
+from mpc.explicit.kernels.data import DONE, INFEASIBLE, Facets, Flags, Graph, Ints, QPData
 from mpc.explicit.kernels.halfspace import margin_at, project
 from mpc.tolerances import INSETS, PARALLEL, PROJECTION
 
 
 @njit(cache=True)
-def seed(qp, graph, J, h, targets, found):
+def seed(qp: QPData, graph: Graph, J: Array, h: Array, targets: Array, found: Array) -> int:
     """Queue the active sets at feasible parameters near the targets; J [t; v] <= h is the joint set with unit rows.
 
     Writes the parameters with an interior around them into `found`; returns their number.
@@ -42,7 +43,7 @@ def seed(qp, graph, J, h, targets, found):
 
 
 @njit(cache=True)
-def look_at(qp, graph, targets):
+def look_at(qp: QPData, graph: Graph, targets: Array) -> Flags:
     """Queue the active sets at the targets. Return which targets lie in the parameter set and are feasible."""
     mask = np.empty(graph.masks.shape[1], np.uint64)
     feasible = np.zeros(len(targets), np.bool_)
@@ -53,7 +54,7 @@ def look_at(qp, graph, targets):
 
 
 @njit(cache=True)
-def between_facets(facets, rows, draws, points):
+def between_facets(facets: Facets, rows: int, draws: Array, points: Array) -> None:
     """Points between two facets. Each draw in [0, 1) holds the two and a share of the way."""
     for p in range(len(points)):
         first = int(rows * draws[p, 0])
@@ -63,7 +64,8 @@ def between_facets(facets, rows, draws, points):
 
 
 @njit(cache=True)
-def behind_facets(facets, chosen, owners, draws, nearest, farthest, points):
+def behind_facets(facets: Facets, chosen: Ints, owners: Ints, draws: Array, nearest: float, farthest: float,
+                  points: Array) -> None:  # fmt: skip
     """Points behind the chosen facets of their owners, half of them at the nearest distance, others up to the farthest.
 
     Each draw in [0, 1) holds a direction along the facet from the point hit, a share of the way to its end, and a
@@ -105,7 +107,7 @@ def behind_facets(facets, chosen, owners, draws, nearest, farthest, points):
 
 
 @njit(cache=True)
-def covered(facets, counts, points, distance):
+def covered(facets: Facets, counts: Ints, points: Array, distance: float) -> Flags:
     """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
     n = points.shape[1]
     inside = np.zeros(len(points), np.bool_)

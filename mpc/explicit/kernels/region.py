@@ -19,13 +19,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL
+from mpc.checks import Array
+from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL, Flags, Ints, QPData
 from mpc.explicit.kernels.halfspace import project
 from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, REFINED_ROW, ROUNDING, ZERO_ROW
 
 
 @njit(cache=True)
-def gram_factor(gram, act, k, L):
+def gram_factor(gram: Array, act: Ints, k: int, L: Array) -> bool:
     """Cholesky factor of gram[act, act]; False when a pivot shows that the active rows are dependent.
 
     The factor is that of a matrix within rounding of the Gram matrix, however small its pivots are. Rows can be
@@ -46,7 +47,7 @@ def gram_factor(gram, act, k, L):
 
 
 @njit(cache=True)
-def gram_solve(L, k, x):
+def gram_solve(L: Array, k: int, x: Array) -> None:
     """Solve LL'y = x in place."""
     for a in range(k):
         s = x[a]
@@ -61,7 +62,7 @@ def gram_solve(L, k, x):
 
 
 @njit(cache=True)
-def multipliers(qp, act, k, L):
+def multipliers(qp: QPData, act: Ints, k: int, L: Array) -> Array:
     """Multiplier law (k, n + 2): λ(t) = law [t; 1; δ]."""
     n = qp.D.shape[1] - 1
     law = np.empty((k, n + 2))
@@ -76,7 +77,7 @@ def multipliers(qp, act, k, L):
 
 
 @njit(cache=True)
-def refine(qp, act, k, L, law):
+def refine(qp: QPData, act: Ints, k: int, L: Array, law: Array) -> None:
     """Take the rounding of a nearly singular Gram matrix out of a multiplier law. What v = M_a' λ misses is solved for.
 
     The error of v falls from that of the Gram matrix magnified by its condition to that magnified by the root of it.
@@ -100,7 +101,7 @@ def refine(qp, act, k, L, law):
 
 
 @njit(cache=True)
-def variable_size(qp, act, k, law):
+def variable_size(qp: QPData, act: Ints, k: int, law: Array) -> float:
     """Size of v(t) = M_a' λ(t) over the coefficients of t: |M_a' λ_c|² = -λ_c' d_c, also where multipliers are huge."""
     size = 0.0
     for c in range(qp.D.shape[1]):
@@ -112,7 +113,7 @@ def variable_size(qp, act, k, law):
 
 
 @njit(cache=True)
-def row_levers(L, k):
+def row_levers(L: Array, k: int) -> Array:
     """Largest multipliers for a unit v: lengths of the rows of the pseudo-inverse, sqrt of diag (LL')⁻¹."""
     inverse = np.zeros((k, k))
     lever = np.zeros(k)
@@ -129,7 +130,7 @@ def row_levers(L, k):
 
 
 @njit(cache=True)
-def region_rows(qp, act, k, tied, A, b):
+def region_rows(qp: QPData, act: Ints, k: int, tied: Flags, A: Array, b: Array) -> int:
     """Unit half-spaces of the critical region of an active set, row i for constraint i, then the parameter set.
 
     Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT. Rows whose
@@ -203,7 +204,7 @@ def region_rows(qp, act, k, tied, A, b):
 
 
 @njit(cache=True)
-def optimal_at(qp, act, k, theta):
+def optimal_at(qp: QPData, act: Ints, k: int, theta: Array) -> bool:
     """Whether independent active rows are optimal at θ: they hold, no multiplier is negative, no row is violated."""
     m = len(qp.D)
     n = len(theta)
@@ -236,7 +237,7 @@ def optimal_at(qp, act, k, theta):
 
 
 @njit(cache=True)
-def optimal_set(qp, theta, shift, act):
+def optimal_set(qp: QPData, theta: Array, shift: float, act: Ints) -> int:
     """Active set with positive multipliers of the QP at θ, bounds moved by shift * tie. Negative when infeasible."""
     m, nz = qp.M.shape
     n = len(theta)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from mpc.checks import Array
+from mpc.explicit.kernels.data import Flags, Ints
 from mpc.explicit.kernels.growth import side_of
 from mpc.tolerances import CROSSING, CUT_OFF, FAR_AWAY, INSIDE
-
-Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class Locator(NamedTuple):
@@ -35,21 +34,21 @@ class Found(NamedTuple):
     """Region of every point, whether the point lies outside, and its input. All to be filled in."""
 
     region: Ints
-    outside: np.ndarray[Any, np.dtype[np.bool_]]
+    outside: Flags
     u: Array
 
 
 @njit(cache=True)
-def side(rows, i, t):
+def side(rows: Array, i: int, t: Array) -> float:
     """Distance of the point t above the hyperplane [a, b] of row i."""
-    s = -rows[i, len(t)]
+    s: float = -rows[i, len(t)]
     for j in range(len(t)):
         s += rows[i, j] * t[j]
     return s
 
 
 @njit(cache=True)
-def leaf_of(planes, nodes, t):
+def leaf_of(planes: Array, nodes: Ints, t: Array) -> int:
     """Leaf of the tree in which t lies."""
     node = 0
     while nodes[node, 0] >= 0:
@@ -58,7 +57,7 @@ def leaf_of(planes, nodes, t):
 
 
 @njit(cache=True)
-def violation(facets, t, most):
+def violation(facets: tuple[Array, int, int], t: Array, most: float) -> float:
     """Largest distance of t above the facets of a region. Not searched further once it exceeds `most`."""
     rows, first, end = facets
     worst = -np.inf
@@ -70,8 +69,9 @@ def violation(facets, t, most):
 
 
 @njit(cache=True)
-def holder(rows, offsets, members, t):
+def holder(rows: Array, offsets: Ints, members: Ints, t: Array) -> int:
     """First of the member regions that holds t, to the tolerance INSIDE; -1 where none does."""
+    r: int
     for r in members:
         if violation((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
             return r
@@ -79,7 +79,7 @@ def holder(rows, offsets, members, t):
 
 
 @njit(cache=True)
-def of_one_law(number, members):
+def of_one_law(number: Ints, members: Ints) -> int:
     """First of the member regions if all have the same law; -1 where they do not, or there is none."""
     for r in members:
         if number[r] != number[members[0]]:
@@ -88,7 +88,7 @@ def of_one_law(number, members):
 
 
 @njit(cache=True)
-def nearest(rows, offsets, t):
+def nearest(rows: Array, offsets: Ints, t: Array) -> tuple[int, float]:
     """First of all regions that holds t, and 0. Where none does, the one it lies least far outside of, and how far."""
     region, distance = -1, np.inf
     for r in range(len(offsets) - 1):
@@ -101,7 +101,7 @@ def nearest(rows, offsets, t):
 
 
 @njit(cache=True)
-def is_beyond(columns, height, t):
+def is_beyond(columns: Array, height: Array, t: Array) -> bool:
     """Whether t lies beyond the border, given by its columns. All rows at once is faster than one after another."""
     for i in range(len(height)):
         height[i] = -columns[len(t), i]
@@ -115,7 +115,7 @@ def is_beyond(columns, height, t):
 
 
 @njit(cache=True)
-def pull_back(columns, room, inner, t):
+def pull_back(columns: Array, room: Array, inner: Array, t: Array) -> None:
     """Move t, which lies beyond the border, along the line to `inner` until it is on the border.
 
     room : distance of `inner` from each row of the border.
@@ -139,7 +139,7 @@ def pull_back(columns, room, inner, t):
 
 
 @njit(cache=True, error_model="numpy")
-def search(where, points, laws, found):
+def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array], found: Found) -> None:
     """Region, outside and input of every point: law[region] [point; 1], outside at the border and within the limits.
 
     The arrays are taken out of their tuples first: inside the loop that would cost more than the search.
@@ -185,7 +185,7 @@ def search(where, points, laws, found):
 
 
 @njit(cache=True)
-def supporting(rows, points, kept):
+def supporting(rows: Array, points: Array, kept: Flags) -> None:
     """Note in `kept` which hyperplanes have every point below them, to the tolerance CROSSING."""
     for i in range(len(rows)):
         kept[i] = True
