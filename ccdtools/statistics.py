@@ -256,9 +256,7 @@ def _degrees(values: Array) -> float:
     return 2 * len(values) / excess if excess > 0 else float("inf")
 
 
-def _skewed(
-    mean: float, error: float, skewness: float, degrees: float, level: float = 0.95
-) -> tuple[float, float]:  # fmt: skip
+def _skewed(mean: float, error: float, skewness: float, degrees: float, level: float = 0.95) -> tuple[float, float]:
     """Student's t interval of a skewed mean (Hall's cubic, inverted)."""
     quantile = float(stats.t.ppf((1 + level) / 2, degrees))
     if abs(skewness) < 1e-6:

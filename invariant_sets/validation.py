@@ -38,8 +38,7 @@ def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = 
     return array
 
 
-def as_batch(value: Any, name: str, columns: int, *, finite: bool = True,
-             copy: bool = True) -> tuple[Array, bool]:
+def as_batch(value: Any, name: str, columns: int, *, finite: bool = True, copy: bool = True) -> tuple[Array, bool]:
     """Array (k, columns), and whether it was one point (columns,)."""
     plain = isinstance(value, np.ndarray) and value.dtype == np.float64 and not copy
     array = value if plain else as_floats(name, value)

@@ -113,9 +113,7 @@ class _Pool:
     by_region: bool  # whether a design without a set is limited to the region of LQR
 
     @classmethod
-    def of(
-        cls, problem: CoDesignProblem, p: Array, family: ParametricSet, budget: SetBudget, reason: str
-    ) -> _Pool:  # fmt: skip
+    def of(cls, problem: CoDesignProblem, p: Array, family: ParametricSet, budget: SetBudget, reason: str) -> _Pool:
         """Candidates with designs p (n, np), without sets if a reason is given."""
         regions = LQRRegions.of(problem, p)
         by_region = budget.option != "none" and regions.rows is not None

@@ -139,9 +139,7 @@ def _curve(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any]
     ax.set(xlabel=_axis_label(space, i), ylabel="return of saturated LQR", title="The designs on the landscape of LQR")
 
 
-def _map(
-    ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]
-) -> None:
+def _map(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]) -> None:
     """Landscape over two parameters, with the paths of the methods."""
     space = comparison.problem.design
     (x, y), returns = _landscape(comparison, shown)
@@ -159,9 +157,7 @@ def _map(
            title="The ways of the designs on the landscape of LQR")  # fmt: skip
 
 
-def _ranges(
-    ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]
-) -> None:
+def _ranges(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]) -> None:
     """Draw where in its range each parameter ended, one row each."""
     space = comparison.problem.design
     middle = (len(rows) - 1) / 2

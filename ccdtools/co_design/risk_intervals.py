@@ -30,9 +30,7 @@ def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
     return float(risk.values(returns).mean()) if len(returns) else float("nan")
 
 
-def parts_of_risk(
-    risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None
-) -> Array:  # fmt: skip
+def parts_of_risk(risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None) -> Array:
     """Part (g,) of each group in a risk of returns (n,); the risk is their mean.
 
     The part of a group is how far the risk moves when it is left out; of runs that are groups of their own, and a risk

@@ -65,9 +65,7 @@ class Linearisation(Immutable):
         )
 
 
-def stochastic_linearisation(
-    problem: CoDesignProblem, design: ArrayLike, rng: np.random.Generator
-) -> Linearisation:  # fmt: skip
+def stochastic_linearisation(problem: CoDesignProblem, design: ArrayLike, rng: np.random.Generator) -> Linearisation:
     """Linearisation at a design over the states visited by its LQR.
 
     Of four rounds, each fitted over the loop of the one before, the best in closed loop is returned.

@@ -92,9 +92,7 @@ class Settling:
         """Returns of a controller on the fresh scenarios."""
         return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios), runs=runs)
 
-    def _limits(
-        self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None
-    ) -> LimitsOutcome | None:  # fmt: skip
+    def _limits(self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None) -> LimitsOutcome | None:
         """Violations of a closed loop beside the tolerance; None without one.
 
         What a method found to be asked for, `own`, stands, unless it never saw the limits left.
@@ -164,9 +162,7 @@ class Settling:
             return kept
         return self._nearer(kept, best.history.design[np.nanargmax(best.history.model_return)], loop, best.limits)
 
-    def _nearer(
-        self, kept: Baseline, beyond: Array, loop: ClosedLoopReturns, limits: LimitsOutcome
-    ) -> Baseline:  # fmt: skip
+    def _nearer(self, kept: Baseline, beyond: Array, loop: ClosedLoopReturns, limits: LimitsOutcome) -> Baseline:
         """Best LQR within the limits on the way to a design beyond."""
         space = self.problem.design
         begin, end = space.to_unit(kept.design), space.to_unit(beyond)

@@ -26,10 +26,7 @@ class Region(Immutable):
     of_design: tuple[Any, Any] = (None, None)  # (DesignLimits, DesignLimits)
 
     @classmethod
-    def of(
-        cls, *boxes: tuple[Array, Array],
-        of_design: tuple[Any, Any] = (None, None),
-    ) -> Region:  # fmt: skip
+    def of(cls, *boxes: tuple[Array, Array], of_design: tuple[Any, Any] = (None, None)) -> Region:
         """Region from the bounds of x, u, w and p."""
         lower, upper = (np.concatenate([box[side] for box in boxes]) for side in (0, 1))
         return cls(lower, upper, tuple(len(box[0]) for box in boxes), of_design)  # type: ignore[arg-type]

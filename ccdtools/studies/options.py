@@ -15,13 +15,11 @@ from ccdtools.checks import TOLERANCES, as_choice, as_count, as_limit_tolerance,
 from ccdtools.exceptions import InputError
 from ccdtools.studies.price import RedesignPrice, accepted_loss
 
-PRESETS = ("default", "paper")
-EXPERTS = ("lqr", "mpc", "explicit")
-METHODS = ("pathwise", "ppo", "pathwise+ppo")
-SETS = ("auto", "lqr", "none")
-DESIGN_GRADIENTS = ("pathwise", "network_input")
-FILTERS = ("none", "admissible")
-DRIVERS = ("mild", "aggressive")
+CHOICES = {
+    "preset": ("default", "paper"), "expert": ("lqr", "mpc", "explicit"), "method": ("pathwise", "ppo", "pathwise+ppo"),
+    "design_gradient": ("pathwise", "network_input"), "sets": ("auto", "lqr", "none"),
+    "driver": ("mild", "aggressive"), "filter": ("none", "admissible"),
+}  # fmt: skip
 FILES = ("disturbance", "road", "speed")
 WHOLE = re.compile(r"[+-]?[0-9]{1,40}")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -80,25 +78,16 @@ class Options:
         as_count("--seed", self.seed, least=0)
         if not isinstance(self.quick, bool):
             raise InputError("--quick", shown(self.quick), "true or false")
-        as_choice("--preset", self.preset, PRESETS)
-        as_choice("--expert", self.expert, EXPERTS)
-        if self.method is not None:
-            as_choice("--method", self.method, METHODS)
-        if self.design_gradient is not None:
-            as_choice("--design-gradient", self.design_gradient, DESIGN_GRADIENTS)
-        if self.sets is not None:
-            as_choice("--sets", self.sets, SETS)
+        for name, choices in CHOICES.items():
+            if getattr(self, name) is not None or getattr(Options, name) is not None:  # where None is a choice, too
+                as_choice(f"--{name.replace('_', '-')}", getattr(self, name), choices)
         if self.sets_time_limit is not None:
             as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
-        if self.driver is not None:
-            as_choice("--driver", self.driver, DRIVERS)
         if self.redesign_price is not None:
             RedesignPrice.parse(self.redesign_price, "--redesign-price")
         if self.accept_loss is not None:
             accepted_loss(self.accept_loss, "--accept-loss")
         self.limit_tolerance()
-        if self.filter is not None:
-            as_choice("--filter", self.filter, FILTERS)
         for name in ("x0", "p0"):
             _check_numbers(f"--{name}", getattr(self, name))
         for name in (*FILES, "column"):

@@ -8,7 +8,7 @@ from typing import Any
 from ccdtools.checks import as_choice, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.risk import check_followed
-from ccdtools.studies.options import EXPERTS, PRESETS, SETS
+from ccdtools.studies.options import CHOICES
 from ccdtools.studies.study import Study
 from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
 from learning.networks import NetworkConfig
@@ -99,13 +99,11 @@ def configuration(
         If `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is not above 0;
         if the method follows the mean, and the study has a risk.
     """
-    as_choice("preset", preset, PRESETS)
-    as_choice("expert", expert, EXPERTS)
-    sets = study.sets if sets is None else as_choice("sets", sets, SETS)
+    as_choice("preset", preset, CHOICES["preset"])
+    as_choice("expert", expert, CHOICES["expert"])
+    sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])
     limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
-    config = StudyConfig(
-        preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit
-    )  # fmt: skip
+    config = StudyConfig(preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit)
     if preset == "paper":
         config = _paper(config, study)
     if method is not None:

@@ -35,7 +35,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.tolerances import ACCURACY
 from ccdtools.studies.disturbance_checks import check_disturbance
-from ccdtools.studies.options import FILTERS, SETS
+from ccdtools.studies.options import CHOICES
 from ccdtools.studies.plant_checks import check_finite, check_same_plant
 from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, accepted_loss
 from ccdtools.studies.real_plant import RealPlant
@@ -182,10 +182,8 @@ class Study(Immutable):
         objective.check(self.plant.nx, self.plant.nu, self.plant.design.dim)
         object.__setattr__(self, "objective", objective)
         object.__setattr__(self, "samples", as_count("samples", self.samples))
-        as_choice("sets", self.sets, SETS)
-        object.__setattr__(
-            self, "sets_time_limit", as_positive("sets_time_limit", self.sets_time_limit, unit="s")
-        )  # fmt: skip
+        as_choice("sets", self.sets, CHOICES["sets"])
+        object.__setattr__(self, "sets_time_limit", as_positive("sets_time_limit", self.sets_time_limit, unit="s"))
         if not isinstance(self.paper_networks, list | tuple):
             raise InputError("paper_networks", shown(self.paper_networks), "the widths of the hidden layers")
         widths = tuple(as_count("paper_networks", width) for width in self.paper_networks)
@@ -194,7 +192,7 @@ class Study(Immutable):
         RedesignPrice.parse(self.redesign_price)
         accepted_loss(self.accept_loss)
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
-        as_choice("filter", self.filter, FILTERS)
+        as_choice("filter", self.filter, CHOICES["filter"])
         object.__setattr__(self, "accuracy", as_positive("accuracy", self.accuracy))
         as_choice("method", self.method, ("auto", *METHODS))
         metrics = as_metrics(self.metrics)

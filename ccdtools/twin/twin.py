@@ -119,11 +119,7 @@ class DigitalTwin(Immutable):
         if len(network.levels) > 1:
             copula = fit_copula(network, inputs, train[-1])  # e and x hold the past
             discrepancy = replace(discrepancy, copula=copula)
-        return replace(
-            twin,
-            discrepancy=discrepancy,
-            scores=score_quantiles(network, tests, test[-1], train[-1]),
-        )  # fmt: skip
+        return replace(twin, discrepancy=discrepancy, scores=score_quantiles(network, tests, test[-1], train[-1]))
 
     def remembering(self, log: Trajectory) -> DigitalTwin:
         """Twin with one more log, not yet learned from."""

@@ -32,10 +32,7 @@ class Curve:
     step: tuple[float, float, float, float] | None = None  # f₅ [Hz], Q₅, f₆ [Hz], Q₆
 
 
-CURVES = {
-    "Wk": Curve(12.5, 12.5, 0.63, (2.37, 0.91, 3.35, 0.91)),
-    "Wd": Curve(2.0, 2.0, 0.63),
-}
+CURVES = {"Wk": Curve(12.5, 12.5, 0.63, (2.37, 0.91, 3.35, 0.91)), "Wd": Curve(2.0, 2.0, 0.63)}
 
 
 def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> NDArray[np.complex128]:

@@ -46,9 +46,7 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     solver = ca.conic("program", "qrqp", {"h": data.sparsity_out(0), "a": data.sparsity_out(2)}, {
         "print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000,
     })  # fmt: skip
-    found = solver(
-        h=h, g=g, a=a, lba=low, uba=high, lbx=least, lam_x0=given[: g.numel()], lam_a0=given[g.numel() :]
-    )  # fmt: skip
+    found = solver(h=h, g=g, a=a, lba=low, uba=high, lbx=least, lam_x0=given[: g.numel()], lam_a0=given[g.numel() :])
     d, v = _moves(law, found["x"])
     kept = {name: value for name, value in arguments.items() if not value.is_empty()}
     results = [at + d, now + v, ca.vertcat(found["lam_x"], found["lam_a"])]

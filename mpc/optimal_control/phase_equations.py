@@ -83,9 +83,7 @@ def phase_equations(into: Assembly, own: PhaseToCome) -> PhasePart:
         _path_at_an_end(into, own, w)
     if functions.terminal_cost is not None or functions.boundary is not None:
         _ends(into, own, last)
-    return PhasePart(
-        phase, functions, layout, scheme, mesh, first, last, own.duration, defects, path, interval
-    )  # fmt: skip
+    return PhasePart(phase, functions, layout, scheme, mesh, first, last, own.duration, defects, path, interval)
 
 
 def _path_at_an_end(into: Assembly, own: PhaseToCome, w: Array) -> None:

@@ -12,8 +12,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.phase_solution import PhaseSolution
 
 
-def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, title: str,
-                figure: Any = None) -> Any:  # fmt: skip
+def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, title: str, figure: Any = None) -> Any:
     """Draw states, inputs and costates, one phase a column.
 
     Parameters

@@ -131,9 +131,7 @@ def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tup
     return slope, W.tocsc(), J.tocsr(), np.asarray(found[3], dtype=float).ravel()
 
 
-def _acting(
-    low: Array, high: Array, multiplier: Array, softness: Array
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _acting(low: Array, high: Array, multiplier: Array, softness: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Bounds (n,) that are active, and those weakly active.
 
     Of bounds relative to the value, multipliers, and how far a unit force moves the value, about; all scaled.
@@ -184,9 +182,7 @@ def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: Sensitiv
         states, inputs = _along(own, moves[:, :count])
         from_start, inputs_from_start = _along(own, start)
         phases.append(PhaseSensitivity(states, from_start, inputs, inputs_from_start))
-    return SolutionSensitivity(
-        status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak
-    )  # fmt: skip
+    return SolutionSensitivity(status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak)
 
 
 def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:

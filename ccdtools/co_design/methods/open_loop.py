@@ -57,9 +57,7 @@ def open_loop_problem(
     check_open_loop(problem)
     x0, w = scenarios
     sizes = problem.model.nx, problem.model.nu, problem.design.dim
-    phases = [
-        _phase(problem, x0[i], w[i], None if guess is None else guess[i], feedback) for i in range(len(x0))
-    ]
+    phases = [_phase(problem, x0[i], w[i], None if guess is None else guess[i], feedback) for i in range(len(x0))]
     space = problem.design
     lower, upper = space.lower.copy(), space.upper.copy()
     lower[space.whole] = upper[space.whole] = design[space.whole]
