@@ -273,10 +273,7 @@ def train(
     first_std = agent.log_std.exp().mean().item()
     for k in trange(iterations, desc="PPO", disable=not progress, leave=False):
         done = k / max(iterations - 1, 1)
-        for optimiser, rate in (
-            (ppo.actor_optimiser, config.learning_rate),
-            (ppo.critic_optimiser, config.value_rate),
-        ):
+        for optimiser, rate in ((ppo.actor_optimiser, config.learning_rate), (ppo.critic_optimiser, config.value_rate)):
             for group in optimiser.param_groups:
                 group["lr"] = rate * (1 - 0.9 * done)
         decay_exploration(agent, first_std, config.final_std, done)

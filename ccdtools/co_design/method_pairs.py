@@ -22,6 +22,8 @@ from ccdtools.co_design.risk import fewest_runs
 from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.signals import Driver, Surroundings
+from ccdtools.exceptions import InputError
+from ccdtools.simulation import BATCHED
 from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 
@@ -68,13 +70,16 @@ def closed_loop_returns(
     driver = Driver(controller, own, len(x0), problem.model.nu)
     sample = iter(range(problem.steps * 2))
     least, most = problem.input_bounds_at(p.numpy())
-    beyond = [0.0]
+    beyond: list[float] = []
 
     def law(x: Tensor) -> Tensor:
         """Inputs (n, nu)."""
         u = np.asarray(driver(next(sample), x.numpy()), dtype=float)
+        if u.shape != (len(x), len(least)):
+            raise InputError("controller", f"inputs of shape {u.shape}", f"({len(x)}, {len(least)})", BATCHED)
         driver.remember(u)
-        beyond.append(float(np.nanmax(np.maximum(least - u, u - most) / (most - least))) * 2)
+        excess = np.maximum(least - u, u - most) / (most - least) * 2
+        beyond.append(float(np.max(excess, initial=0.0, where=np.isfinite(excess))))
         return x.new_tensor(u)
 
     with torch.no_grad():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_floats, has_method, shown
-from ccdtools.disturbances.combinations import Constant, Mixture, as_chances
+from ccdtools.disturbances.combinations import Combination, Stacked, Sum, as_chances
 from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
 from invariant_sets import Polytope
@@ -83,7 +84,7 @@ class RandomStarts(Immutable):
         return np.asarray(self.x0.sample(runs, 1, rng)[:, 0])
 
     def check_within(self, X: Polytope) -> None:
-        """Raise an `InputError` if a start may lie outside X; unbounded distributions pass."""
+        """Raise an `InputError` if a start may lie outside X; other parts than uniform ones pass."""
         if isinstance(self.x0, np.ndarray):
             outside = np.flatnonzero(~X.contains(self.x0))
             if len(outside):
@@ -99,12 +100,16 @@ class RandomStarts(Immutable):
             raise InputError("scenarios.x0", f"{body!r}, which reaches outside X", "a set within X", "Intersect them.")
 
 
-def _boxes(starts: Disturbance) -> list[tuple[Array, Array]]:
-    """Boxes of the uniform parts of a distribution."""
+def _boxes(starts: Any) -> list[Any]:
+    """Boxes that the uniform parts of a distribution fill."""
     if isinstance(starts, Uniform):
         return [(starts.lower, starts.upper)]
-    parts = starts.terms if isinstance(starts, Mixture | Constant) else ()
-    return [box for part in parts for box in _boxes(part)]
+    if isinstance(starts, Stacked | Sum):
+        joined: Any = np.concatenate if isinstance(starts, Stacked) else sum
+        return [tuple(map(joined, zip(*boxes))) for boxes in product(*map(_boxes, starts.terms))]
+    terms = starts.terms if isinstance(starts, Combination) else ()
+    drawn = np.flatnonzero(getattr(starts, "weights", np.ones(len(terms))))
+    return [box for i in drawn for box in _boxes(terms[i])]
 
 
 def uniform_in(S: Polytope, n: int, rng: np.random.Generator) -> Array:

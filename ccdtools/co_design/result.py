@@ -101,7 +101,7 @@ class ClosedLoopReturns(Immutable):
     limit_errors : (float, float)
         Standard errors of both.
     beyond_inputs : float
-        Furthest that any input is asked for beyond U, in half-widths of U.
+        Furthest that an input is asked for beyond U, in half-widths of U; of lost runs, too.
     """
 
     values: Array

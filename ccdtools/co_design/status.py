@@ -33,7 +33,7 @@ class CoDesignStatus(Outcome):
     )
     DIVERGING = "runs diverge", "Check x0 and U: with this design and policy some runs cannot be recovered."
     LIMITS_BROKEN = (
-        "limits broken", "Raise the tolerance of the limits or the budget: they are left further than the tolerance."
+        "limits broken", "Raise the tolerance of the limits or the budget; where a note names U, clip the inputs to U."
     )  # fmt: skip
     WORSE_THAN_BASELINE = (
         "worse than a baseline",

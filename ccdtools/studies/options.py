@@ -79,7 +79,7 @@ class Options:
         if not isinstance(self.quick, bool):
             raise InputError("--quick", shown(self.quick), "true or false")
         for name, choices in CHOICES.items():
-            if getattr(self, name) is not None or getattr(Options, name) is not None:  # where None is a choice, too
+            if getattr(self, name) is not None or getattr(Options, name) is not None:
                 as_choice(f"--{name.replace('_', '-')}", getattr(self, name), choices)
         if self.sets_time_limit is not None:
             as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
@@ -217,10 +217,8 @@ def _check_study(study: Any) -> None:
 
 def _check_numbers(argument: str, values: Any) -> None:
     """Raise unless `values` is None or a list of finite numbers."""
-    if values is None:
-        return
-    kinds_right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
-    if not kinds_right or not values:
+    numbers = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
+    if values is not None and not (numbers and values):
         raise InputError(argument, shown(values), "a list of finite numbers")
 
 

@@ -20,7 +20,6 @@ NODES, NEXT, POOL, LEAF = 0, 1, 2, 3  # positions in `Growth.counts`
 SAME_HYPERPLANE = 0.1**SAME_HYPERPLANE_DIGITS
 
 
-
 class Regions(NamedTuple):
     """Region r: facets rows[offsets[r] : offsets[r + 1]], points[starts[r] : starts[r + 1]], number of its law."""
 

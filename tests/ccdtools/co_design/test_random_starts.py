@@ -16,12 +16,17 @@ from ccdtools import (
     least_depth,
 )
 from ccdtools.co_design import expert_dataset, feasible_sets
-from ccdtools.disturbances import Constant, Mixture, Uniform
+from ccdtools.disturbances import Cases, Constant, Mixture, Stacked, Sum, Uniform
 from ccdtools.plants.library import mass_chain
 from invariant_sets import Polytope
 
 NOISE = Gaussian([0.1])
-HALF_OUT = Mixture((Gaussian([0.1, 0.1]), Uniform([0, 0], [1, 4.1])))
+OUT, IN = Uniform([0, 0], [1, 4.1]), Uniform([0, 0], [0.1, 0.1])
+REACHING = [
+    Mixture((Gaussian([0.1, 0.1]), OUT)), Mixture((IN, Mixture((IN, OUT)))), Constant(OUT), Cases((OUT, IN)),
+    Cases.of([[0, 0], [0, -4.1]]), Stacked((Uniform([0], [1]), Uniform([0], [4.1]))),
+    Sum((IN, Uniform([0, 0], [1, 4]))),
+]  # fmt: skip
 
 
 def simplex(n, scale):
@@ -70,6 +75,11 @@ def problem_from(scenarios, steps=30):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("starts", [Mixture((OUT, IN), [0, 1]), Cases((IN, IN)), Sum((IN, Gaussian([0.1, 0.1])))])
+def test_starts_within_limits_or_without_any_are_taken(starts):
+    assert problem_from(RandomStarts(starts, NOISE)).scenarios.x0 is starts
+
+
 @pytest.mark.check
 def test_a_problem_takes_them_and_its_expert_starts_there(rng):
     S = Polytope.from_bounds([0.2, 1.0], [0.4, 2.0])
@@ -114,7 +124,7 @@ def test_the_feasible_set_of_a_design_is_a_place_to_start(rng):
         (lambda: problem_from(RandomStarts([[0.0, 0.0], [2.0, 0.0]], NOISE)), "x0: got .* as state 2, .* outside X"),
         (lambda: problem_from(RandomStarts(Uniform([0, 0], [1, 4.1]), NOISE)), "scenarios.x0: .* reaches outside X"),
         (lambda: problem_from(RandomStarts(simplex(2, 1.5), NOISE)), "scenarios.x0: .* reaches outside X"),
-        (lambda: problem_from(RandomStarts(HALF_OUT, NOISE)), "scenarios.x0: .* reaches outside X"),
+        *((lambda s=s: problem_from(RandomStarts(s, NOISE)), "scenarios.x0: .* reaches outside X") for s in REACHING),
         (lambda: problem_from(RandomStarts(Uniform([0], [1]), NOISE)), r"initial states of shape \(1,\)|dimension"),
     ],
 )

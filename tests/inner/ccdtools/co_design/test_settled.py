@@ -134,15 +134,34 @@ def test_a_claim_falls_where_the_closed_loop_leaves_limits_further_than_was_aske
     assert free.status is CoDesignStatus.CONVERGED
 
 
-def test_a_claim_falls_where_inputs_are_asked_for_beyond_the_actuator(problem):
-    K = gain(problem, BEST)
-    tight = replace(problem, U=(-0.6, 0.6), limit_tolerance="off", scenarios=FixedStart([2.0, -1.0], Gaussian([0.1])))
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("bounds", [(-1.0, 0.2), (-5.0, 0.2)])
+def test_a_claim_falls_where_inputs_are_asked_for_beyond_the_actuator(problem, side, bounds):
+    K, (A, B, _) = gain(problem, BEST), problem.model.matrices([BEST])
+    start = side * np.array([2.0, -1.0])
+    u = np.array([(-K @ np.linalg.matrix_power(A - B @ K, k) @ start).item() for k in range(60)])
+    low, high = U = np.sort(side * np.array(bounds))
+    tight = replace(problem, U=tuple(U), limit_tolerance="off", scenarios=FixedStart(start, Gaussian([1e-9])))
     unclipped = codesign(tight, method=Claims(BEST, LinearFeedback(K)), rng=np.random.default_rng(0))
     assert unclipped.status is CoDesignStatus.LIMITS_BROKEN
-    first = np.abs(K @ tight.scenarios.x0).item()
-    assert unclipped.closed_loop.beyond_inputs == pytest.approx(first / 0.6 - 1)
+    most = max(u.max() - high, low - u.min()) / ((high - low) / 2)
+    assert unclipped.closed_loop.beyond_inputs == pytest.approx(most, rel=1e-6)
     assert any("beyond U" in note for note in unclipped.notes)
+    assert "clip the inputs" in unclipped.status.advice
     assert claimed(tight, BEST, K).closed_loop.beyond_inputs <= 0
+
+
+def test_a_loop_whose_states_overflow_is_lost_without_a_warning():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    fast = ca.vertcat(x[1] + 0.1 * x[1] ** 3, (u + w) / p + 30 * x[0] ** 3 - x[1] ** 3)
+    plant = Plant(x, u, w, p, fast, DesignSpace(["m"], [0.5], [2.0]), dt=0.05)
+    own = CoDesignProblem(
+        discretise(plant), X=([-3, -6], [3, 6]), U=(-1, 1), steps=60, scenarios=FixedStart([1.0, 0.0], Gaussian([0.3])),
+        objective=QuadraticObjective(np.diag([1.0, 0.1]), [[0.1]]),
+    )  # fmt: skip
+    assert claimed(own, 1.0, [[1.0, 1.0]]).status is CoDesignStatus.DIVERGING
+    with pytest.raises(InputError, match=r"controller: got inputs of shape \(\d+, 2\), expected \(\d+, 1\)"):
+        claimed(own, 1.0, [[1.0, 1.0], [0.0, 0.0]])
 
 
 def test_other_statuses_stay_what_the_method_says(problem):
