@@ -23,7 +23,6 @@ from ccdtools.co_design.risk_intervals import difference_of_parts
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.signals import Driver, Surroundings
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import BATCHED
 from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 
@@ -76,7 +75,7 @@ def closed_loop_returns(
         """Inputs (n, nu)."""
         u = np.asarray(driver(next(sample), x.numpy()), dtype=float)
         if u.shape != (len(x), len(least)):
-            raise InputError("controller", f"inputs of shape {u.shape}", f"({len(x)}, {len(least)})", BATCHED)
+            raise InputError("controller", f"inputs of shape {u.shape}", f"({len(x)}, {len(least)})")
         driver.remember(u)
         excess = np.maximum(least - u, u - most) / (most - least) * 2
         beyond.append(float(np.max(excess, initial=0.0, where=np.isfinite(excess))))
