@@ -254,7 +254,7 @@ def test_a_half_space_with_infinitely_many_facets_is_an_outer_set_and_no_excepti
     assert maximal_control_invariant_set(A, B, boxed, ONE).set.is_subset(result.outer)
 
 
-@pytest.mark.quick(8)
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("seed", range(12))
 def test_random_systems(seed):
     rng = np.random.default_rng(seed)

@@ -101,7 +101,7 @@ def test_a_frozen_design_stays_and_needs_no_gradient_check(problem, illustrative
     assert found.gradients is None
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("gradient", ["pathwise", "network_input"])
 @pytest.mark.parametrize("method", ["pathwise", "ppo", "pathwise+ppo"])
 def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative, clone, gradient, method):
@@ -113,6 +113,7 @@ def test_the_design_stays_in_its_bounds_whatever_the_rate(problem, illustrative,
     assert len(np.unique(found.history.design)) > 1
 
 
+@pytest.mark.check
 def test_active_bounds_are_named(problem, illustrative, clone):
     found = run(problem, clone(illustrative), design=[3.0], design_rate=0.01)
     assert found.active_bounds == {"p": "upper"}

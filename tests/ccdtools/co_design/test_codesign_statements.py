@@ -201,7 +201,7 @@ def test_a_design_whose_runs_are_all_lost_is_not_efficient_and_hides_no_other():
     np.testing.assert_array_equal(found.efficient, [True, False, False])
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("terminal", [None, lambda x, p: p + 2 * x[0] ** 2])
 def test_the_riccati_equation_counts_what_rest_costs(terminal):
     def stage(x, u, p):

@@ -162,6 +162,7 @@ def test_sets_and_filters_keep_the_room_of_the_design(p):
     assert problem.kept_by_mpc(p).equals(X)
 
 
+@pytest.mark.check
 def test_candidates_of_the_expert_fill_the_room_of_their_own_design():
     problem = native(X=room)
     for sets in ("lqr", "none"):

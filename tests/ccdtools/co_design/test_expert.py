@@ -114,6 +114,7 @@ def test_values_agree_with_a_long_monte_carlo_of_the_same_controller(suspension,
     assert 0.5 < z.std() < 1.6
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("expert", ["lqr", "mpc"])
 def test_both_experts_give_data_of_one_shape(illustrative, expert):
     data = expert_dataset(illustrative.problem(), samples=8, rng=np.random.default_rng(0), expert=expert)

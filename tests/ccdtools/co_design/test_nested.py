@@ -34,7 +34,7 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
-@pytest.mark.quick(3)
+@pytest.mark.quick(2)
 @pytest.mark.parametrize("name", sorted(CASES))
 @pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK], ids=["riccati", "lqr"])
 def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):

@@ -97,7 +97,7 @@ def test_a_search_finds_the_best_whole_number_among_many(library, seed):
     assert found.design[0] == best
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("library", ["cma", "bayesian"])
 @pytest.mark.parametrize("worst", [1e2, 1e9])
 def test_how_bad_the_first_design_is_does_not_matter(library, worst):

@@ -79,6 +79,7 @@ def test_from_the_basin_of_the_lesser_valley_the_better_one_is_found_and_the_les
     assert any("local optimum" in line and "of the given design" in line for line in found.describe())
 
 
+@pytest.mark.check
 def test_a_design_at_a_bound_says_so(illustrative, clone):
     found = run(replace(illustrative.problem(), steps=40), clone(illustrative), [1.0])
     assert found.status.name == "AT_BOUND"

@@ -83,6 +83,7 @@ def simulated(steps, runs, rng):
     return x, x @ C.T + 0.1 * rng.standard_normal((runs, steps, 1)), u
 
 
+@pytest.mark.check
 def test_innovations_are_white_with_the_covariance_that_was_predicted():
     _, y, u = simulated(10_100, 1, np.random.default_rng(1))
     found = KalmanFilter(A, B, C, W, V).filter(y, u)

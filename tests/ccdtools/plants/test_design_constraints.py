@@ -211,7 +211,7 @@ REWRITTEN = {
 }
 
 
-@pytest.mark.quick(4)
+@pytest.mark.quick(3)
 @pytest.mark.parametrize("name", ["a disc", "around a disc", "a wedge"])
 @pytest.mark.parametrize("rewritten", REWRITTEN)
 def test_a_growing_function_of_a_constraint_leaves_the_same_designs(rewritten, name, rng):

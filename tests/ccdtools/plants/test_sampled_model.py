@@ -36,7 +36,7 @@ def drawn(model, limits, n, rng):
     return (*parts, rng.uniform(model.design.lower, model.design.upper, (n, model.design.dim)))
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize(("method", "order"), [("rk4", 4), ("collocation", 5)])
 def test_a_method_has_its_order(method, order):
     x, u, w, p = np.array([2.0, 1.0]), np.array([0.5]), np.array([-0.3]), np.array([0.8])

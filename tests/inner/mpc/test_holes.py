@@ -259,7 +259,7 @@ def test_a_slab_that_opens_far_away_leaves_no_hole_unsaid(gap, reach):
     assert partition.status is (MPQPStatus.COMPLETE if inside.all() else MPQPStatus.INACCURATE)
 
 
-@pytest.mark.quick(11)
+@pytest.mark.quick(10)
 @pytest.mark.parametrize("seed", [17, 30, 89, 96, 115, 162, 174, 194, 0, 1, 2, 3])
 def test_slabs_that_close_with_the_parameter_leave_no_hole_unsaid(seed):
     problem = closing_slab(seed)
@@ -287,7 +287,7 @@ def online_feasible(problem, theta):
     return np.array([program.status == 0 for program in room])
 
 
-@pytest.mark.quick(12)
+@pytest.mark.quick(10)
 @pytest.mark.parametrize(
     ("seed", "opposite"),
     [*((seed, False) for seed in (73, 357, 1134, 1569, 1721, 1781, 3156, 3773, 580, 3660)),

@@ -145,6 +145,7 @@ NARROW = {  # inside of it, and how far it is passed at its centre
 }
 
 
+@pytest.mark.quick(11)
 @pytest.mark.parametrize("intervals", [10, 20, 37])
 @pytest.mark.parametrize(("inside", "deepest"), NARROW.values(), ids=NARROW)
 def test_a_trajectory_straight_through_a_narrow_obstacle_is_not_solved(inside, deepest, intervals):

@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from mpc.optimal_control import HermiteSimpson, Radau, build, refine, solve
 
 
-@pytest.mark.quick(11)
+@pytest.mark.quick(10)
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_published_optimum_is_reached(name):
     case = CLASSICAL[name]

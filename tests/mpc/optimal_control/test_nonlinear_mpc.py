@@ -108,6 +108,7 @@ def test_real_time_iteration_follows_the_optimum():
     assert np.abs(end).max() < 0.1
 
 
+@pytest.mark.check
 def test_it_swings_the_pole_up():
     _, end = closed_loop(pole(), np.array([0.0, 3.1, 0.0, 0.0]), 100)
     assert np.abs(end).max() < 0.05

@@ -149,7 +149,7 @@ def test_every_linear_plant_is_linear_and_exactly_discretised(linear):
             assert np.abs(mine - theirs).max() <= 1e-12 * np.abs(theirs).max()
 
 
-@pytest.mark.quick(9)
+@pytest.mark.quick(7)
 @pytest.mark.parametrize("name", LINEAR)
 def test_the_regulator_of_every_linear_plant_holds_the_real_one(name):
     """Closer to the origin than it started; bounded where its rest is elsewhere or dry friction keeps it swinging."""

@@ -51,6 +51,7 @@ def tracking_cost(p, road):
     return solve_ivp(backwards, (0, 2.0), np.zeros(21), method="LSODA", rtol=1e-9, atol=1e-9).y[-1, -1]
 
 
+@pytest.mark.check
 def test_without_active_limits_the_cost_is_that_of_riccati(plant):
     road = synthetic_road()
     both = problem(plant, road, STIFF, rules=False)
@@ -60,6 +61,7 @@ def test_without_active_limits_the_cost_is_that_of_riccati(plant):
     assert solution.cost == pytest.approx(tracking_cost(STIFF, road), rel=2e-5)
 
 
+@pytest.mark.check
 def test_gradient_of_the_optimal_cost_is_that_of_differences_where_limits_are_active(plant):
     p = np.array(PUBLISHED["simultaneous"])
     inner = Inner(plant, synthetic_road(), p, meshes(20, 0.1))

@@ -77,7 +77,7 @@ def discounted(problem, state, w):
     return (rewards * GAMMA ** np.arange(FOLLOWED)).sum() + GAMMA**FOLLOWED / (1 - GAMMA) * rewards[-100:].mean()
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize("disturbances", [1, 2])
 @pytest.mark.parametrize("explained", [True, False])
 def test_values_are_those_of_the_updated_model(disturbances, explained):
@@ -130,6 +130,7 @@ def test_the_pid_is_tuned_on_the_updated_model():
     assert returns[0] > returns[1] + 0.01 * abs(returns[1])
 
 
+@pytest.mark.check
 def test_baselines_take_an_updated_problem_and_refuse_one_whose_draws_have_no_offset():
     updated = replace(replaying(problem_of(2), PUSH, network()), steps=4)
     assert list(baselines(updated, [1.5], rng=np.random.default_rng(0))) == ["passive", "LQR", "PID", "MPC"]

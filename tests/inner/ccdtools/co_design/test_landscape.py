@@ -61,6 +61,7 @@ def test_of_the_suspension_the_only_valley_is_the_corner(suspension):
     assert valley.given
 
 
+@pytest.mark.check
 def test_the_generator_decides():
     a, b = (valleys(two_valleys(), [0.05], rng=np.random.default_rng(3)) for _ in range(2))
     assert repr(a) == repr(b)

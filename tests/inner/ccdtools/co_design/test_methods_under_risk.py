@@ -71,7 +71,7 @@ MEASURES = {
 }  # fmt: skip
 
 
-@pytest.mark.quick(2)
+@pytest.mark.check
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 @pytest.mark.parametrize("name", sorted(MEASURES))
 def test_nested_lqr_finds_the_best_design_of_a_grid_whatever_counts(name, unit):

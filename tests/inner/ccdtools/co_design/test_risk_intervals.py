@@ -37,7 +37,7 @@ def test_the_cases_of_the_runs_that_are_kept_stay_theirs():
     assert loop(returns, WorstCase(cases=3), [0, 4]).summary.mean == pytest.approx(-3.0, abs=1e-3)
 
 
-@pytest.mark.quick(7)
+@pytest.mark.quick(6)
 @pytest.mark.parametrize("name", RISKS)
 @pytest.mark.parametrize("n", [100, 1000])
 def test_the_interval_of_a_risk_covers_that_of_skewed_returns(name, n):

@@ -61,7 +61,7 @@ def run_with(monkeypatch, path, design, generations=2):
     return study, folder, results, lines
 
 
-@pytest.mark.quick(1)
+@pytest.mark.check
 @pytest.mark.parametrize(("design", "status"), [(0.6, "worse"), (0.1, "more of its runs are lost")])
 def test_a_redesign_that_fails_on_the_plant_is_rolled_back(monkeypatch, tmp_path, design, status):
     study, folder, results, lines = run_with(monkeypatch, tmp_path / "run", design)

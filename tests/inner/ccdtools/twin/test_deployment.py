@@ -72,7 +72,7 @@ def test_a_run_lost_in_one_stretch_stays_lost(illustrative, clone):
     np.testing.assert_array_equal(log.diverged_at, whole.diverged_at)
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(1)
 @pytest.mark.parametrize(
     ("runs", "steps", "updates"), [(1, 90, 0), (1, 700, 1), (1, 1000, 2), (3, 150, 0), (4, 150, 1)]
 )

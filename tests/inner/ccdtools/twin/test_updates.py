@@ -16,6 +16,7 @@ from ccdtools.twin.judge import Judge
 from learning.quantile import QuantileConfig
 
 
+@pytest.mark.check
 def test_a_candidate_is_judged_on_held_out_samples_as_one_series_or_on_held_out_runs(illustrative, clone, monkeypatch):
     """Blocks of one run would count what is correlated as independent."""
     training_gives(monkeypatch, weakened(clone(illustrative)))
@@ -91,6 +92,7 @@ class Elsewhere:
         return np.where(np.linalg.norm(x, axis=1, keepdims=True) < self.radius, near, far)
 
 
+@pytest.mark.check
 def test_a_policy_that_gains_on_the_drive_and_loses_from_the_start_is_refused_by_name(illustrative, clone, monkeypatch):
     """The drive stays near the origin; the study starts at (−2, −2)."""
     good, weak, far = clone(illustrative), weakened(clone(illustrative)), weakened(clone(illustrative), 0.4)
@@ -147,6 +149,7 @@ def test_a_candidate_is_trained_from_the_log_and_from_the_starts_that_it_will_se
     assert np.ptp(x0[~logged & ~started], axis=0).min() > 1
 
 
+@pytest.mark.check
 def test_a_candidate_is_trained_at_the_deployed_design_whatever_the_rate_of_the_design(illustrative, clone):
     moving = replace(ONLINE, training=replace(TINY, design_rate=0.5))
     frozen, asked = (

@@ -18,6 +18,7 @@ def sample(road, runs=2, steps=300, seed=0):
     return road.sample(runs, steps, np.random.default_rng(seed))
 
 
+@pytest.mark.check
 def test_one_wheel_feels_the_class_at_its_speed():
     w = sample(ISORoad("C", SPEED, DT), runs=400, steps=1)[:, 0, 0]
 
