@@ -55,7 +55,6 @@ $(SETUP): requirements/run.txt requirements/dev.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements/dev.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	$(BIN)/python -c 'from mpc.explicit.mpqp import compile_exploration; compile_exploration()'
-	-$(BIN)/mypy  # fills its cache; `make lint` says what it finds
 	@touch $@
 
 clean:

@@ -217,8 +217,8 @@ def _check_study(study: Any) -> None:
 
 def _check_numbers(argument: str, values: Any) -> None:
     """Raise unless `values` is None or a list of finite numbers."""
-    numbers = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
-    if values is not None and not (numbers and values):
+    right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
+    if values is not None and not (right and values):
         raise InputError(argument, shown(values), "a list of finite numbers")
 
 
