@@ -5,13 +5,13 @@ from mpc.optimal_control.phase_solution import PhaseSolution as PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem as OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram as NonlinearProgram
 from mpc.optimal_control.refinement import refine as refine
-from mpc.optimal_control.sampled_plant import sampled as sampled
 from mpc.optimal_control.schemes import (
     Collocation as Collocation,
     HermiteSimpson as HermiteSimpson,
     MultipleShooting as MultipleShooting,
     Radau as Radau,
     Trapezoidal as Trapezoidal,
+    sampled as sampled,
 )
 from mpc.optimal_control.solution import OptimalControlStatus as OptimalControlStatus, Solution as Solution
 from mpc.optimal_control.solution_sensitivity import (

@@ -12,7 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array
+from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
+from mpc.tolerances import STEADY_SOLVER, TARGET_COST
+from mpc.tracking import sizes_of
 
 
 class Buffered:
@@ -106,23 +109,37 @@ class DiscreteModel:
         """Derivatives (nx, nw) of the next state by w."""
         return self._by_disturbance(x, u, w, p)[0].T
 
-    def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
-        """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u)."""
-        n = states.shape[1] + inputs.shape[1]
-        return self._curvature(states, inputs, w, p, costates)[0].reshape(len(inputs), n, n)
+    def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> tuple[Array, Array]:
+        """Second derivatives of λ'f by (x, u), (N, nx + nu, nx + nu), and by (x, u) and p, (N, nx + nu, np)."""
+        N, n = len(inputs), states.shape[1] + inputs.shape[1]
+        curvature, mixed = self._curvature(states, inputs, w, p, costates)
+        return curvature.reshape(N, n, n), mixed.reshape(N, -1 if mixed.size else 0, n).transpose(0, 2, 1)
 
     @cached_property
     def _curvature(self) -> Buffered:
         """Function of second derivatives, built on demand."""
         columns = list(symbols_of(self.step).values())
-        kind = type(columns[0])
-        costate = kind.sym("costate", self.step.numel_out(0))
-        both = kind.sym("both", columns[0].numel() + columns[1].numel())
-        state, action = both[: columns[0].numel()], both[columns[0].numel() :]
-        found, _ = ca.hessian(ca.dot(costate, self.step(state, action, *columns[2:])), both)
-        found = ca.substitute(found, both, ca.vertcat(*columns[:2]))
-        function = ca.Function("curvature", [*columns, costate], [ca.densify(found)], {"cse": True})
+        costate = type(columns[0]).sym("costate", self.step.numel_out(0))
+        curvature, slope = ca.hessian(ca.dot(costate, self.step(*columns)), ca.vertcat(*columns[:2]))
+        second = [ca.densify(curvature), ca.densify(ca.jacobian(slope, columns[3]))]
+        function = ca.Function("curvature", [*columns, costate], second, {"cse": True})
         return Buffered(function.map("curvature_along", "serial", self.horizon, [3], []))
+
+    @cached_property
+    def _by_parameters(self) -> Buffered:
+        """Function of derivatives by p along a plan, built on demand."""
+        columns = list(symbols_of(self.step).values())
+        slope = ca.densify(ca.jacobian(self.step(*columns), columns[3]))
+        return Buffered(ca.Function("by_parameters", columns, [slope]).map("along", "serial", self.horizon, [3], []))
+
+    def at_rest(self, p: Array) -> tuple[Array, Array]:
+        """Derivatives ∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) at rest."""
+        x, u, w, own = symbols_of(self.step).values()
+        mixed = [ca.jacobian(ca.vec(matrix), own) for matrix in self.derivatives(x, u, w, own)[1:]]
+        found = ca.Function("at_rest", [x, u, w, own], mixed)(0, 0, 0, p)
+        dA, dB = (np.asarray(ca.densify(value), dtype=float) for value in found)
+        nx, nu = x.numel(), u.numel()
+        return dA.reshape((nx, nx, len(p)), order="F"), dB.reshape((nx, nu, len(p)), order="F")
 
     def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
         """Next states (N, nx) along states, inputs and signals."""
@@ -171,64 +188,50 @@ def _following(step: ca.Function) -> ca.Function:
     return ca.Function("following", [now, v, s, gain, low, high, rate, w, p], [then])
 
 
-class ModelDerivatives:
-    """Derivatives of a model by x, u and p along a plan.
-
-    Parameters
-    ----------
-    model : DiscreteModel
-    """
-
-    def __init__(self, model: DiscreteModel) -> None:
-        step, horizon = model.step, model.horizon
-        x, u, w, p = symbols_of(step).values()
-        kind = type(x)
-        costate = kind.sym("costate", x.numel())
-        value = step(x, u, w, p)
-        A, B, F = (ca.densify(ca.jacobian(value, column)) for column in (x, u, p))
-        both = ca.vertcat(x, u)
-        slope = ca.jtimes(value, both, costate, True) if kind is ca.SX else ca.gradient(ca.dot(costate, value), both)
-        second = [ca.densify(ca.jacobian(slope, column)) for column in (both, p)]
-        self.sizes = (x.numel(), u.numel(), w.numel(), p.numel())
-        self.first = ca.Function("first", [x, u, w, p], [ca.densify(value), A, B, F]).map(horizon)
-        self.second = ca.Function("second", [x, u, w, p, costate], second).map(horizon)
-        mixed = [ca.densify(ca.jacobian(ca.vec(matrix), p)) for matrix in (A, B)]
-        self._at_rest = ca.Function("at_rest", [x, u, w, p], mixed)
-
-    def at_rest(self, p: Array) -> tuple[Array, Array]:
-        """Derivatives ∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) at rest."""
-        nx, nu, nw, count = self.sizes
-        found = self._at_rest(np.zeros(nx), np.zeros(nu), np.zeros(nw), p)
-        dA, dB = (np.asarray(value, dtype=float) for value in found)
-        return dA.reshape((nx, nx, count), order="F"), dB.reshape((nx, nu, count), order="F")
-
-    def under(self, w: Array, p: Array) -> AlongSignals:
-        """Model under signals (N, nw) with parameters (np,)."""
-        return AlongSignals(self, w, p)
-
-
 @dataclass(frozen=True, eq=False)
 class AlongSignals:
-    """Model under signals w (N, nw) with parameters p (np,)."""
+    """Derivatives of a model under signals w (N, nw) with parameters p (np,)."""
 
-    derivatives: ModelDerivatives
+    model: DiscreteModel
     w: Array
     p: Array
 
     def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
         """f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
-        found = self.derivatives.first(states.T, inputs.T, self.w.T, np.tile(self.p[:, None], (1, len(inputs))))
-        value, A, B, F = (_stacked(part, len(inputs)) for part in found)
-        return value[:, :, 0], A, B, F
+        (slopes,) = self.model._by_parameters(states, inputs, self.w, self.p)
+        by_parameters = slopes.reshape(len(inputs), len(self.p), states.shape[1]).transpose(0, 2, 1)
+        return *self.model.linearised(states, inputs, self.w, self.p), by_parameters
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
         """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
-        p = np.tile(self.p[:, None], (1, len(inputs)))
-        curvature, mixed = self.derivatives.second(states.T, inputs.T, self.w.T, p, costates.T)
-        return _stacked(curvature, len(inputs)), _stacked(mixed, len(inputs))
+        return self.model.curvature(states, inputs, self.w, self.p, costates)
 
 
-def _stacked(value: Any, count: int) -> Array:
-    """Matrices (count, m, n) from one matrix (m, count · n)."""
-    array = np.asarray(value, dtype=float)
-    return array.reshape(len(array), count, -1).transpose(1, 0, 2)
+def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
+    """Ipopt for the steady state of a model in X and U whose outputs are nearest to a reference.
+
+    Its parameters are C'C, C'r, w and p; its unknowns states and inputs in their sizes, its rows the drift of the
+    states, then those of X and U less their bounds.
+    """
+    size, nx = sizes_of(law), law.nx
+    _, _, w, p = symbols_of(model.step).values()
+    kind = type(w)
+    z, squares, slope = kind.sym("z", len(size)), kind.sym("squares", nx, nx), kind.sym("slope", nx)
+    x, u = ca.vertsplit(z * size, [0, nx, len(size)])
+    cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u)
+    if law.S is not None:
+        cost += 2 * ca.dot(x, ca.DM(law.S) @ u)
+    most = float(sum(np.diag(law.Q) * size[:nx] ** 2) + sum(np.diag(law.R) * size[nx:] ** 2)) or 1.0
+    rows = [
+        (ca.DM(H) @ value - h) / law.row_units[name]
+        for name, value, (H, h) in (("state", x, law.state_rows), ("input", u, law.input_rows))
+    ]
+    drift = (model.step(x, u, w, p) - x) / law.state_extent
+    program = {
+        "x": z, "p": ca.vertcat(ca.vec(squares), slope, w, p), "g": ca.vertcat(drift, *rows),
+        "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
+    }  # fmt: skip
+    return ca.nlpsol("steady_state", "ipopt", program, {
+        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": STEADY_SOLVER,
+        "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
+    })  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.phase import Phase, PhaseFunctions
-from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme
+from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme, runge_kutta
 
 Trajectory = Callable[[Array], tuple[Array, Array]]
 
@@ -110,15 +110,6 @@ def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any
         z = _by_cvodes(functions, scheme, s, w)
     path = functions.path(s["x"], u, w[:, 0], p, s["t"]) if functions.path else type(w)(0, 1)
     return z[:-1] - s["x_next"], z[-1], path
-
-
-def runge_kutta(rate: Any, z: Any, t: Any, h: Any, w: Sequence[Any]) -> Any:
-    """Classical Runge–Kutta step; w at begin, middle and end."""
-    k1 = rate(z, t, w[0])
-    k2 = rate(z + h / 2 * k1, t + h / 2, w[1])
-    k3 = rate(z + h / 2 * k2, t + h / 2, w[1])
-    k4 = rate(z + h * k3, t + h, w[2])
-    return z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> Any:

@@ -8,18 +8,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from invariant_sets import Polytope, maximal_positively_invariant_set
 from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
-from mpc.optimal_control.discrete_model import DiscreteModel, ModelDerivatives
+from mpc.optimal_control.discrete_model import AlongSignals, DiscreteModel, steady_solver
 from mpc.optimal_control.functions import Statement, compiled
-from mpc.optimal_control.linear_law import INVARIANT, invariant_set
-from mpc.optimal_control.planner import Planner, SolveBudget
-from mpc.optimal_control.steady_state import SteadyStates
+from mpc.optimal_control.planner import Planner
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.rollout import for_each_state, spread_signals
@@ -130,9 +130,7 @@ class NonlinearMPC:
         if np.abs(f / sizes).max() > AT_REST:
             got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
-        E = None
-        if self.disturbances:
-            E = self.model.by_disturbance(x, u, w, self.p)
+        E = self.model.by_disturbance(x, u, w, self.p) if self.disturbances else None
         try:
             law = LinearMPC(
                 A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
@@ -144,18 +142,18 @@ class NonlinearMPC:
                 raise
             cure = "Or give P, if only the linearisation at rest is the trouble."
             raise NotStabilisableError(f"{error.message} {cure}", error.eigenvalue) from None
-        return replace(law, P=law.given_P, terminal_set=invariant_set(law)) if self._invariant else law
+        return replace(law, P=law.given_P, terminal_set=_invariant_set(law)) if self._invariant else law
 
     @property
     def _invariant(self) -> bool:
         """Whether the terminal set is the linearisation's."""
-        return isinstance(self.terminal_set, str) and self.terminal_set == INVARIANT
+        return isinstance(self.terminal_set, str) and self.terminal_set == "invariant"
 
     @cached_property
     def _planner(self) -> Planner:
         """Planner for these parameters."""
-        budget = SolveBudget(self.iterations, self.most_iterations, as_seconds("time_limit", self.time_limit))
-        return Planner(self.linear, self.model, self.p, budget)
+        limit = as_seconds("time_limit", self.time_limit)
+        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"
@@ -175,7 +173,7 @@ class NonlinearMPC:
         """Controller for other parameters p (np,), with the same model."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
-        for name in ("linear", "_planner", "steady_states"):
+        for name in ("linear", "_planner", "steady_solver"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "p", value)
         _ = other._planner
@@ -197,7 +195,7 @@ class NonlinearMPC:
 
     def __getstate__(self) -> dict[str, Any]:
         """State with the model as CasADi stores it."""
-        kept = {name: value for name, value in self.__dict__.items() if name != "steady_states"}
+        kept = {name: value for name, value in self.__dict__.items() if name != "steady_solver"}
         return kept | {"step": self.model.step}
 
     def solve(
@@ -246,24 +244,19 @@ class NonlinearMPC:
         x = as_array("x", x, (self.states,))
         self._check_start(start)
         given = spread_signals(self.linear, dict(signals))
-        to_the_end = Planner(self.linear, self.model, self.p, SolveBudget(None, self.most_iterations, np.inf))
+        to_the_end = replace(self._planner, iterations=None, time_limit=np.inf)
         plan = to_the_end.plan(x, given, start)
-        w = given["w"].reshape(self.horizon, -1) if "w" in given else np.zeros((self.horizon, self.disturbances))
-        derivatives = self._model_derivatives
-        at_rest = derivatives.at_rest(self.p)
+        at_rest = self.model.at_rest(self.p)
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
                "d_rate_limit": d_rate_limit, "dA": at_rest[0], "dB": at_rest[1]}  # fmt: skip
         changes = as_changes(self.linear, own, len(self.p))
-        return sensitivity_of(self.linear, derivatives.under(w, self.p), changes, plan, given)
+        derivatives = AlongSignals(self.model, to_the_end.signal(given), self.p)
+        return sensitivity_of(self.linear, derivatives, changes, plan, given)
 
     @cached_property
-    def _model_derivatives(self) -> ModelDerivatives:
-        return ModelDerivatives(self.model)
-
-    @cached_property
-    def steady_states(self) -> SteadyStates:
-        """Steady states of the model in X and U."""
-        return SteadyStates(self.linear, self.model)
+    def steady_solver(self) -> ca.Function:
+        """Solver for steady states of the model in X and U."""
+        return steady_solver(self.linear, self.model)
 
     def _check_start(self, start: Any) -> None:
         """Raise unless it is None or a plan of this controller."""
@@ -313,3 +306,16 @@ class NonlinearMPC:
             A folder that cannot be written; or U is no box.
         """
         return write_c(self.linear, self.model, folder)
+
+
+def _invariant_set(law: LinearMPC) -> Polytope:
+    """Largest set in which the linearisation keeps X and U under u = -Kx."""
+    (HX, hX), (HU, hU) = law.state_rows, law.input_rows
+    if not len(hX) + len(hU):
+        raise InputError("terminal_set", "'invariant'", "a set, or None", "Without X and U every state is in it.")
+    both = Polytope(np.vstack([HX, -HU @ law.gain]), np.concatenate([hX, hU]))
+    found = maximal_positively_invariant_set(law.A - law.B @ law.gain, both)
+    if found.set.is_empty:
+        got = f"'invariant', of which none was found ({found.status.name})"
+        raise InputError("terminal_set", got, "one about the origin", found.status.advice)
+    return found.set

@@ -92,8 +92,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         r = as_array("reference", reference, (len(self.C),))
         found, settled = self._by_newton(r)
         if not settled:
-            other = self.mpc.steady_states.nearest(self.C, r, w, p)
-            found = found if other is None else other
+            found = self._by_ipopt(r, found)
         x, u = np.split(found, [problem.nx])
         drift = model.next(x, u, w, p) - x
         return Target(x, u, drift, bool(np.abs(drift / problem.state_extent).max() <= TARGET_STEADY))
@@ -115,6 +114,18 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
             if moved <= TARGET_STEP:
                 return at, found.steady
         return at, False
+
+
+    def _by_ipopt(self, r: Array, otherwise: Array) -> Array:
+        """Target (nx + nu,) by Ipopt, where that finds one."""
+        size, nx = sizes_of(self._problem), self._problem.nx
+        unit = max(float(np.linalg.norm(self.C * size[:nx])), np.finfo(float).tiny) ** 2
+        squares, slope = (self.C.T @ self.C).ravel() / unit, self.C.T @ r / unit
+        data = np.concatenate([squares, slope, self.disturbance, self.mpc.p])
+        solver = self.mpc.steady_solver
+        least = np.where(np.arange(solver.numel_out("g")) < nx, 0.0, -np.inf)
+        found = solver(x0=0, p=data, lbg=least, ubg=0)
+        return np.asarray(found["x"]).ravel() * size if solver.stats()["success"] else otherwise
 
 
 def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from mpc.checks import Array
+from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
+from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.linear_law import gain_at_rest
 from mpc.optimal_control.sqp import Sequential, Step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
@@ -30,15 +32,6 @@ LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real
 
 
 @dataclass(frozen=True, eq=False)
-class SolveBudget:
-    """Quadratic programs and seconds of a sample."""
-
-    iterations: int | None
-    most: int
-    time_limit: float
-
-
-@dataclass(frozen=True, eq=False)
 class _Path:
     """Path of states (N + 1, nx), inputs (N, nu), gains (N, nu, nx)."""
 
@@ -54,28 +47,52 @@ class _Path:
         )
 
 
+@dataclass(frozen=True, eq=False)
 class Planner:
-    """Plans for one set of parameters p (np,)."""
+    """Plans for one set of parameters p (np,).
 
-    def __init__(self, law: LinearMPC, model: DiscreteModel, p: Array, budget: SolveBudget) -> None:
-        self.law = law
-        self.model = model
-        self.p = p
-        self.budget = budget
-        self.programs = Sequential(law, model)
-        self._gain = gain_at_rest(law)
-        self._gains = np.tile(self._gain, (law.horizon, 1, 1))
-        box = box_of(*law.input_rows)
-        self._in_box = box is not None
-        self._hard = law.soft is None and len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0
-        low, high = (np.full(law.nu, -np.inf), np.full(law.nu, np.inf)) if box is None else box
-        rate = np.full(law.nu, np.inf) if law.rate_limit is None else law.rate_limit
-        self._limits = (low, high, rate)
+    A sample takes so many `iterations`, quadratic programs, or where that is None as many as it needs, `most` at most;
+    none is begun that would probably end later than `time_limit` [s].
+    """
+
+    law: LinearMPC
+    model: DiscreteModel
+    p: Array
+    iterations: int | None
+    most: int
+    time_limit: float
+
+    @cached_property
+    def programs(self) -> Sequential:
+        """Quadratic programs along plans."""
+        return Sequential(self.law, self.model)
+
+    @cached_property
+    def _gain(self) -> Array:
+        """Gain (nu, nx) of the linear law."""
+        return gain_at_rest(self.law)
+
+    @property
+    def _gains(self) -> Array:
+        """Gains (N, nu, nx) of the linear law along a plan."""
+        return np.tile(self._gain, (self.law.horizon, 1, 1))
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array, Array] | None:
+        """Least and largest input and its largest change, if U is a box."""
+        box = box_of(*self.law.input_rows)
+        rate = np.full(self.law.nu, np.inf) if self.law.rate_limit is None else self.law.rate_limit
+        return None if box is None else (*box, rate)
+
+    def signal(self, given: Given) -> Array:
+        """Disturbance (N, nw) over the horizon."""
+        shape = (self.law.horizon, self.law.nw)
+        return given["w"].reshape(shape) if "w" in given else np.zeros(shape)
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or the linear law's."""
         began = time.perf_counter()
-        w = given["w"].reshape(self.law.horizon, -1) if "w" in given else np.zeros((self.law.horizon, self.law.nw))
+        w = self.signal(given)
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, w, given)
@@ -86,7 +103,7 @@ class Planner:
             if last is not None and last.relaxed and status in (Status.SOLVED, Status.FOLLOWED):
                 over = relative_violations(self.law, found.states).max()
                 status = Status.SOFTENED if over > FEASIBLE else status
-            if time.perf_counter() - began > self.budget.time_limit:
+            if time.perf_counter() - began > self.time_limit:
                 status = Status.LATE
             if found.name == REAL_TIME or status not in (Status.SOLVED, Status.SOFTENED):
                 best, cost = self._best(x, found, first, w, given)
@@ -107,25 +124,25 @@ class Planner:
         error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
         u = self._admissible(-effort[-1] - self._gain @ (end + error[-1]), plan.inputs[-1])
-        w = given["w"].reshape(self.law.horizon, -1)[-1] if "w" in given else np.zeros(self.law.nw)
-        after = finite(self.model.next(end, u, w, self.p))
+        after = finite(self.model.next(end, u, self.signal(given)[-1], self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 
     def _iterated(
         self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
     ) -> tuple[_Path, Step | None, Status]:
         """Path by quadratic programs, the last of them, and its status."""
-        real_time = follow and self.budget.iterations is not None
-        at = replace(first, name=CONVERGING if self.budget.iterations is None else REAL_TIME)
-        dear = VIOLATION_PRICE * max(cost_of(self.law, at.inputs, at.states, given), TINY) if self._hard else 0.0
+        real_time = follow and self.iterations is not None
+        at = replace(first, name=CONVERGING if self.iterations is None else REAL_TIME)
+        hard = self.law.soft is None and len(self.law.state_rows[1]) + len(self.law.terminal_rows[1]) > 0
+        dear = VIOLATION_PRICE * max(cost_of(self.law, at.inputs, at.states, given), TINY) if hard else 0.0
         last: Step | None = None
         status = Status.FOLLOWED if real_time else Status.INACCURATE
         relaxed = False
         gap_price = limit_price = 0.0
         longest, now = 0.0, time.perf_counter()
         costates: Array | None = None
-        for count in range(self.budget.iterations or 1 if real_time else self.budget.most):
-            if last is not None and now - began + longest > self.budget.time_limit:
+        for count in range(self.iterations or 1 if real_time else self.most):
+            if last is not None and now - began + longest > self.time_limit:
                 return at, last, Status.LATE
             step = self.programs.step(
                 x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed,
@@ -184,7 +201,7 @@ class Planner:
         """Path on the model itself from x, within input limits; finite."""
         N = self.law.horizon
         last = given.get("u_prev", np.zeros(self.law.nu))
-        if self._in_box:
+        if self._limits is not None:
             states, inputs = self.model.followed(x, last, path.states, path.inputs, path.gains, self._limits, w, self.p)
         else:
             states, inputs = np.empty((N + 1, self.law.nx)), np.empty((N, self.law.nu))
@@ -197,7 +214,7 @@ class Planner:
 
     def _admissible(self, wanted: Array, last: Array) -> Array:
         """Admissible input nearest to `wanted`, after `last`."""
-        if not self._in_box:
+        if self._limits is None:
             return np.asarray(admissible(self.law, wanted[None], {"u_prev": last})[0])
         low, high, rate = self._limits
         return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
@@ -226,3 +243,18 @@ class Planner:
         if self.law.soft is not None:
             return cost, 0.0
         return cost, float(relative_violations(self.law, path.states, self.law.price_units).sum())
+
+
+def gain_at_rest(law: LinearMPC) -> Array:
+    """Gain (nu, nx) of the regulator, else of the horizon's first step.
+
+    Vehicles that cannot move sideways are such: at rest their linearisation cannot be stabilised.
+    """
+    try:
+        return law.gain
+    except NotStabilisableError:
+        A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
+        S = np.zeros((law.nx, law.nu)) if law.S is None else law.S
+        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, S, law.P))
+        gains, _ = gains_along(A, B, *weights)
+        return np.asarray(gains[0])

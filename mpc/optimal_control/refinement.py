@@ -14,21 +14,26 @@ from tqdm import tqdm
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.meshes import finer_mesh
 from mpc.optimal_control.phase import Phase
+from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, shaken
-from mpc.optimal_control.schemes import Scheme
+from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import (
     INPUT_AT_BOUND,
+    JUMP_PLACE,
+    JUMP_SHARE,
     JUMPED_LIMIT,
+    LEAST_INTERVAL,
     LEAST_SECONDS,
     LIMIT_PASSED,
     MESH_GAIN,
+    MESH_SAFETY,
     MESHES_WITHOUT_GAIN,
+    MOST_PARTS,
     SHARPER,
 )
 
@@ -182,7 +187,7 @@ class _Rounds:
         meshes = []
         for k, (phase, error) in enumerate(zip(solution.phases, solution.errors)):
             excess = solution.path_excess[k].intervals / LIMIT_PASSED
-            meshes.append(finer_mesh(phase, error, excess, self.tolerance))
+            meshes.append(_finer_mesh(phase, error, excess, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
 
@@ -227,3 +232,37 @@ def _rounded_up(value: float) -> float:
     """Value rounded up to one digit."""
     digit = 10.0 ** np.floor(np.log10(value)) if np.isfinite(value) else 1.0
     return float(np.ceil(value / digit) * digit)
+
+
+def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
+    """Mesh cut where errors, violations or jumps ask for it.
+
+    Of an excess (N,) that counts from 1 on; where an input jumps, too.
+    """
+    part = phase.part
+    order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
+    asked = np.clip((np.maximum(errors, tolerance) / (MESH_SAFETY * tolerance)) ** (1 / order), 2, MOST_PARTS)
+    steps = np.diff(part.mesh)
+    parts = np.where(errors > tolerance, np.ceil(asked).astype(int), 1)
+    long = steps > JUMP_PLACE * np.sqrt(tolerance)
+    parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
+    parts[_jumps(phase) & long] = MOST_PARTS
+    parts[steps <= LEAST_INTERVAL] = 1
+    if part.phase.discrete:
+        return part.mesh
+    inner = [left + step * np.arange(n) / n for left, step, n in zip(part.mesh[:-1], steps, parts)]
+    return np.append(np.concatenate(inner), 1.0)
+
+
+def _jumps(phase: PhaseSolution) -> Array:
+    """Intervals (N,) within which an input jumps.
+
+    Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
+    """
+    inputs = phase.stages.inputs
+    if not inputs.size:
+        return np.zeros(len(inputs), dtype=bool)
+    whole = np.ptp(inputs, axis=(0, 1))
+    crossing = (np.ptp(inputs, axis=1) > JUMP_SHARE * np.where(whole > 0, whole, np.inf)).any(axis=1)
+    beside = np.convolve(crossing, [1, 0, 1], mode="same") > 0
+    return np.asarray(crossing & ~beside)

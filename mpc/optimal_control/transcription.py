@@ -7,11 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.checks import Array
+from ccdtools_ground.door import brief
+from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.assembly import Assembly
 from mpc.optimal_control.interval import Layout, between, first_duration, first_guess, layout_of, placed, size_of
-from mpc.optimal_control.meshes import as_meshes
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
 from mpc.optimal_control.phase_equations import PhaseToCome, phase_equations
 from mpc.optimal_control.pieces import Clock, itself, link_piece, mean_and_spread, parameter_piece
@@ -48,7 +48,7 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
         raise InputError(
             "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
         )
-    return _Builder(problem, scheme, as_meshes(problem, intervals, meshes)).program()
+    return _Builder(problem, scheme, _as_meshes(problem, intervals, meshes)).program()
 
 
 class _Builder:
@@ -206,3 +206,26 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
             found = np.logical_not(told) & (needed > 0)
         sizes, told = np.where(found, needed, sizes), told | found
     return sizes
+
+
+def _as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list[Array]:
+    """Mesh fractions of every phase."""
+    count = len(problem.phases)
+    if meshes is None:
+        each = [intervals] * count if np.ndim(intervals) == 0 else list(intervals)
+        if len(each) != count:
+            raise InputError("intervals", f"{len(each)} numbers", f"{count}, one a phase")
+        meshes = [np.linspace(0, 1, as_count("intervals", n) + 1) for n in each]
+    if not isinstance(meshes, list | tuple | np.ndarray):
+        raise InputError("meshes", brief(repr(meshes)), "a list of meshes, one a phase")
+    if len(meshes) != count:
+        raise InputError("meshes", f"{len(meshes)} of them", f"{count}, one a phase")
+    checked = []
+    for phase, given in zip(problem.phases, meshes):
+        if phase.discrete:
+            given = np.linspace(0, 1, int(phase.duration[0]) + 1)
+        mesh = as_floats("meshes", given)
+        if mesh.ndim != 1 or len(mesh) < 2 or mesh[0] != 0 or mesh[-1] != 1 or not (np.diff(mesh) > 0).all():
+            raise InputError("meshes", mesh, "fractions of the phase that rise from 0 to 1")
+        checked.append(mesh)
+    return checked
