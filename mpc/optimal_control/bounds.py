@@ -117,6 +117,12 @@ def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
 
 
 
+def middle(low: Array, high: Array) -> Array:
+    """Middle (n,) of bounds; NaN without two."""
+    with np.errstate(invalid="ignore"):
+        found = 0.5 * (low + high)
+    return np.where(np.isfinite(found), found, np.nan)
+
 
 def as_guess(value: Any, states: int, inputs: int) -> tuple[Array, Array, Array]:
     """Times (n,) as fractions of the duration, states (n, nx) and inputs (n, nu)."""

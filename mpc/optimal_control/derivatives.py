@@ -28,20 +28,18 @@ class Derivatives:
         self.n = unknowns
         self.m = constraints
         self.solvers: dict[Any, Any] = {}
+        self.v = ca.MX.sym("v", unknowns)
+        self.f: ca.MX = self._gathered(True)
+        self.g: ca.MX = self._gathered(False)
 
-    def expressions(self, v: Any) -> tuple[Any, Any]:
-        """f and g (m,) of the unknowns."""
-        cost, constraints = (self._gathered(v, of_cost) for of_cost in (True, False))
-        return cost, constraints
-
-    def _gathered(self, v: Any, of_cost: bool) -> Any:
+    def _gathered(self, of_cost: bool) -> Any:
         """Expression of f or g as the sum of its values."""
         values, rows, factors = [ca.MX(0, 1)], [], []
         for piece in self.pieces:
             chosen = piece.of_cost == of_cost
             if not chosen.any():
                 continue
-            (found,) = piece.mapped(piece.parts[of_cost], piece.gathered(v), piece.data)
+            (found,) = piece.mapped(piece.parts[of_cost], piece.gathered(self.v), piece.data)
             values.append(ca.vec(found))
             rows.append(piece.rows[chosen].ravel(order="F"))
             factors.append(np.tile(piece.factors[chosen], piece.places))
@@ -54,22 +52,18 @@ class Derivatives:
     @cached_property
     def values(self) -> ca.Function:
         """Function v → f, g."""
-        v = ca.MX.sym("v", self.n)
-        return ca.Function("values", [v], list(self.expressions(v)))
+        return ca.Function("values", [self.v], [self.f, self.g])
 
     @cached_property
     def stationarity(self) -> ca.Function:
         """Function v, λ → g, ∇(f + λ'g), ∇f by reverse mode."""
-        v, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("multipliers", self.m)
-        f, g = self.expressions(v)
-        slope = ca.gradient(f + ca.dot(multipliers, g), v)
-        return ca.Function("stationarity", [v, multipliers], [g, slope, ca.gradient(f, v)])
+        multipliers = ca.MX.sym("multipliers", self.m)
+        slope = ca.gradient(self.f + ca.dot(multipliers, self.g), self.v)
+        return ca.Function("stationarity", [self.v, multipliers], [self.g, slope, ca.gradient(self.f, self.v)])
 
     @cached_property
     def jacobian(self) -> tuple[ca.Function, ca.Function]:
         """Functions v → (f, ∇f) and v → (g, ∂g/∂v)."""
-        v = ca.MX.sym("v", self.n)
-        f, g = self.expressions(v)
         parts: tuple[list[Any], list[Any]] = ([ca.MX(0, 1)], [ca.MX(0, 1)])
         places: tuple[list[Any], list[Any]] = ([], [])
         for piece in self.pieces:
@@ -80,18 +74,19 @@ class Derivatives:
                 value = piece.function(z, data)[listed(chosen)]
                 slope: Any = ca.jacobian(value * ca.DM(piece.factors[chosen]), z)
                 function = _compact("slope", [z, data], slope)
-                (found,) = piece.mapped(function, piece.gathered(v), piece.data)
+                (found,) = piece.mapped(function, piece.gathered(self.v), piece.data)
                 parts[k].append(ca.vec(found))
                 row, column = _places(slope)
                 places[k].append((piece.rows[chosen][row].ravel(order="F"), piece.unknowns[column].ravel(order="F")))
         gradient = self._assembled(parts[0], places[0], (1, self.n), 0)
         whole = self._assembled(parts[1], places[1], (self.m, self.n), 1)
-        return ca.Function("grad_f", [v], [f, ca.densify(gradient.T)]), ca.Function("jac_g", [v], [g, whole])
+        of_cost = ca.Function("grad_f", [self.v], [self.f, ca.densify(gradient.T)])
+        return of_cost, ca.Function("jac_g", [self.v], [self.g, whole])
 
     @cached_property
     def hessian(self) -> ca.Function:
         """Function v, σ, λ → upper triangle of the Hessian."""
-        v, of_cost, multipliers = ca.MX.sym("v", self.n), ca.MX.sym("of_cost"), ca.MX.sym("multipliers", self.m)
+        of_cost, multipliers = ca.MX.sym("of_cost"), ca.MX.sym("multipliers", self.m)
         all_of_them = ca.vertcat(of_cost, multipliers)
         parts, places = [ca.MX(0, 1)], []
         for piece in self.pieces:
@@ -103,13 +98,13 @@ class Derivatives:
                 continue
             function = _compact("curvature", [z, data, weights], curvature)
             given = ca.reshape(all_of_them[piece.rows.ravel(order="F").tolist()], *piece.rows.shape)
-            (found,) = piece.mapped(function, piece.gathered(v), piece.data, given)
+            (found,) = piece.mapped(function, piece.gathered(self.v), piece.data, given)
             parts.append(ca.vec(found))
             row, column = _places(curvature)
             pair = np.sort([piece.unknowns[row], piece.unknowns[column]], axis=0)
             places.append((pair[0].ravel(order="F"), pair[1].ravel(order="F")))
         whole = self._assembled(parts, places, (self.n, self.n), 0)
-        return ca.Function("hess_lag", [v, of_cost, multipliers], [whole])
+        return ca.Function("hess_lag", [self.v, of_cost, multipliers], [whole])
 
     @staticmethod
     def _assembled(parts: list[Any], places: list[Any], shape: tuple[int, int], first: int) -> Any:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.interval import coordinates
 from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram, Rows
 from mpc.tolerances import IN_THE_WAY, NAMED_ROWS, SAME_BOUND
@@ -57,8 +56,8 @@ def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
         if not part.first <= index < part.last:
             continue
         own = index - part.first
-        numbers, fraction = coordinates(part.layout, part.mesh)
-        name = (*part.phase.state_names, *part.phase.input_names)[int(numbers[own])]
+        numbers, fraction = part.coordinates
+        name = (*part.phase.state_names, *part.phase.input_names)[numbers[own]]
         return f"bound of {name}{of_phase(program, k)} at t = {start + length * fraction[own]:.6g}"
     own = index - program.parameters.start
     return f"bound of {program.problem.p_names[own]}" if 0 <= own < program.problem.parameters else "cost of a scenario"
@@ -137,12 +136,12 @@ def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tupl
     """Names of the bounds of unknowns with a multiplier."""
     for k, part in enumerate(program.parts):
         phase = of_linked_phase(program, k)
-        numbers, _ = coordinates(part.layout, part.mesh)
+        numbers, _ = part.coordinates
         names = (*part.phase.state_names, *part.phase.input_names)
         ends = {part.first: "start of ", part.last - part.layout.node: "end of "}
         whole = part.phase.x_bounds
         for i in range(part.first, part.last):
-            entry = int(numbers[i - part.first])
+            entry = numbers[i - part.first]
             where = next((ends[i - n] for n in (entry,) if i - n in ends and entry < part.layout.nx), "")
             if where and (program.lower[i], program.upper[i]) == (whole[0][entry], whole[1][entry]):
                 where = ""

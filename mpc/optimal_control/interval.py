@@ -1,4 +1,4 @@
-"""Unknowns of a phase and equations of one mesh interval."""
+"""Unknowns of a phase: their places on a mesh, bounds, guesses and sizes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.phase import Phase, PhaseFunctions
-from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme, runge_kutta
+from mpc.optimal_control.bounds import middle
+from mpc.optimal_control.phase import Phase, PhaseFunctions, evaluated
+from mpc.optimal_control.schemes import MultipleShooting, Scheme
 
-Trajectory = Callable[[Array], tuple[Array, Array]]
+Trajectory = Callable[[Array], Sequence[Array]]
 
 
 @dataclass(frozen=True)
@@ -58,96 +59,6 @@ def layout_of(phase: Phase, nw: int, scheme: Scheme) -> Layout:
     return Layout(*sizes, shared, inner, inner if shared else scheme.points, scheme.points, scheme.points)
 
 
-def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, layout: Layout,
-                      parameters: int) -> ca.Function:  # fmt: skip
-    """Function (x, v, own, next x, next v, p, t, h, w) → defects, cost, path values.
-
-    v are the inputs of a node, w the signal (nw, its points).
-    """
-    scalar = all(
-        function is None or function.is_a("SXFunction")
-        for function in (functions.dynamics, functions.stage_cost, functions.path)
-    ) and getattr(scheme, "integrator", "rk4") == "rk4"  # fmt: skip
-    kind = ca.SX if scalar else ca.MX
-    sizes = {
-        "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
-        "p": parameters, "t": 1, "h": 1, "w": layout.nw * len(layout.signals),
-    }  # fmt: skip
-    s: dict[str, Any] = {name: kind.sym(name, size) for name, size in sizes.items()}
-    w = ca.reshape(s["w"], layout.nw, len(layout.signals))
-    if phase.discrete:
-        defects, cost, path = _step(functions, s, w)
-    elif isinstance(scheme, MultipleShooting):
-        defects, cost, path = _shoot(functions, scheme, s, w)
-    else:
-        defects, cost, path = _collocate(functions, scheme, layout, s, w)
-    return ca.Function("interval", list(s.values()), [ca.densify(part) for part in (defects, cost, path)],
-                       list(sizes), ["defects", "cost", "path"])  # fmt: skip
-
-
-def _step(functions: PhaseFunctions, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
-    """Equations of one step of discrete dynamics."""
-    at = (s["x"], s["own"], w, s["p"], s["t"])
-    cost = functions.stage_cost(*at) if functions.stage_cost else 0
-    path = functions.path(*at) if functions.path else type(w)(0, 1)
-    return functions.dynamics(*at) - s["x_next"], cost, path
-
-
-def _shoot(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
-    """Equations of one shooting interval, with the input held."""
-    u, p, t, h = s["own"], s["p"], s["t"], s["h"]
-
-    def rate(z: Any, time: Any, signal: Any) -> Any:
-        at = (z[:-1], u, signal, p, time)
-        return ca.vertcat(functions.dynamics(*at), functions.stage_cost(*at) if functions.stage_cost else 0)
-
-    z = ca.vertcat(s["x"], 0)
-    if scheme.integrator == "rk4":
-        step = h / scheme.substeps
-        for i in range(scheme.substeps):
-            z = runge_kutta(rate, z, t + i * step, step, [w[:, 2 * i + k] for k in range(3)])
-    else:
-        z = _by_cvodes(functions, scheme, s, w)
-    path = functions.path(s["x"], u, w[:, 0], p, s["t"]) if functions.path else type(w)(0, 1)
-    return z[:-1] - s["x_next"], z[-1], path
-
-
-def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> Any:
-    """State and cost after one interval by CVODES."""
-    sizes = {name: s[name].numel() for name in ("x", "own", "p")} | {"w": w.numel(), "t": 1, "h": 1}
-    c = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
-    tau = ca.MX.sym("tau")
-    begin, middle, end_ = ca.horzsplit(ca.reshape(c["w"], -1, 3)) if w.numel() else [ca.MX(0, 1)] * 3
-    signal = begin * (2 * tau - 1) * (tau - 1) + middle * 4 * tau * (1 - tau) + end_ * tau * (2 * tau - 1)
-    at = (c["x"], c["own"], signal, c["p"], c["t"] + tau * c["h"])
-    cost = functions.stage_cost(*at) if functions.stage_cost else 0
-    given = ca.vertcat(c["own"], c["p"], c["w"], c["t"], c["h"])
-    dae = {"x": c["x"], "p": given, "t": tau, "ode": c["h"] * functions.dynamics(*at), "quad": c["h"] * cost}
-    options = {"abstol": scheme.tolerance, "reltol": scheme.tolerance, "quad_err_con": True, "max_num_steps": 100_000,
-               "disable_internal_warnings": True}  # fmt: skip
-    integrate = ca.integrator("interval", "cvodes", dae, 0.0, 1.0, options)
-    end = integrate(x0=s["x"], p=ca.vertcat(s["own"], s["p"], ca.vec(w), s["t"], s["h"]))
-    return ca.vertcat(end["xf"], end["qf"])
-
-
-def _collocate(functions: PhaseFunctions, scheme: Collocation, layout: Layout, s: dict[str, Any],
-               w: Any) -> tuple[Any, Any, Any]:  # fmt: skip
-    """Equations of one collocation interval."""
-    states, inputs = at_points(layout, s["x"], s["v"], s["own"], s["x_next"], s["v_next"])
-    rates, costs, path = [], [], []
-    for i, c in enumerate(layout.points):
-        at = (states[i], inputs[i], w[:, i], s["p"], s["t"] + c * s["h"])
-        rates.append(functions.dynamics(*at))
-        costs.append(functions.stage_cost(*at) if functions.stage_cost else 0)
-        if functions.path and c > 0:
-            path.append(functions.path(*at))
-    weights = scheme.matrix
-    moved = ca.mtimes(ca.horzcat(*rates), ca.DM(weights.T)) * s["h"]
-    defects = [s["x"] + moved[:, i] - states[i] for i, c in enumerate(layout.points) if c > 0]
-    cost = s["h"] * sum(float(b) * value for b, value in zip(weights[-1], costs))
-    return ca.vertcat(*defects), cost, ca.vertcat(*path) if path else type(w)(0, 1)
-
-
 def at_points(layout: Layout, x: Any, v: Any, own: Any, x_next: Any, v_next: Any) -> tuple[list[Any], list[Any]]:
     """States and inputs at every point of an interval."""
     states, inputs, used = [], [], 0
@@ -181,28 +92,24 @@ def placed(layout: Layout, mesh: Array, trajectory: Trajectory) -> Array:
     return np.concatenate([np.hstack([nodes[:-1], *own]).ravel(), nodes[-1]])
 
 
-def coordinates(layout: Layout, mesh: Array) -> tuple[Array, Array]:
+def coordinates(layout: Layout, mesh: Array) -> tuple[Any, Array]:
     """Coordinates (n,) of a phase's unknowns, states before inputs, and fractions."""
     width = layout.nx + layout.nu
 
-    def numbers(at: Array) -> tuple[Array, Array]:
-        every = np.tile(np.arange(width, dtype=float), (len(at), 1))
-        return every[:, : layout.nx], every[:, layout.nx :]
+    def numbers(at: Array) -> list[Array]:
+        return np.split(np.tile(np.arange(width), (len(at), 1)), [layout.nx], axis=1)
 
-    def fractions(at: Array) -> tuple[Array, Array]:
-        every = np.tile(np.asarray(at)[:, None], (1, width))
-        return every[:, : layout.nx], every[:, layout.nx :]
+    def fractions(at: Array) -> list[Array]:
+        return np.split(np.tile(np.reshape(at, (-1, 1)), (1, width)), [layout.nx], axis=1)
 
-    return placed(layout, mesh, numbers), placed(layout, mesh, fractions)
+    return placed(layout, mesh, numbers).astype(int), placed(layout, mesh, fractions)
 
 
 def size_of(lower: Array, upper: Array, guess: Array) -> Array:
-    """Sizes of unknowns by bounds, else guess, else 1."""
+    """Sizes of unknowns by bounds, else by guesses (n,) or (k, n); NaN where neither tells."""
     bounded = np.isfinite(lower) & np.isfinite(upper)
-    of_bounds = np.where(bounded, np.maximum(np.abs(lower), np.abs(upper)), 0.0)
-    of_guess = np.abs(guess) if np.ndim(guess) <= 1 else np.abs(guess).max(axis=0)
-    size = np.where(bounded, np.maximum(of_bounds, 0.0), of_guess)
-    return np.asarray(np.where(size > 0, size, 1.0))
+    size = np.where(bounded, np.maximum(np.abs(lower), np.abs(upper)), np.abs(np.atleast_2d(guess)).max(axis=0))
+    return np.where(size > 0, size, np.where(bounded, 1.0, np.nan))
 
 
 def first_duration(phase: Phase) -> float:
@@ -217,17 +124,11 @@ def first_guess(phase: Phase) -> Trajectory:
     """First guess of a phase: the user's, else a straight line."""
     if phase.guess is not None:
         return between(*phase.guess)
-    first, last = (_known(*side) for side in (phase.start, phase.end))
+    first, last = middle(*phase.start), middle(*phase.end)
     first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
     near_zero = np.clip(0.0, *phase.x_bounds)
     x = np.where(np.isnan([first, last]), near_zero, [first, last])
     return between(np.array([0.0, 1.0]), x, np.tile(np.clip(np.zeros(phase.inputs), *phase.u_bounds), (2, 1)))
-
-
-def _known(low: Array, high: Array) -> Array:
-    """Middle of bounds (nx,); NaN without two."""
-    both = np.isfinite(low) & np.isfinite(high)
-    return np.where(both, 0.5 * (np.where(both, low, 0.0) + np.where(both, high, 0.0)), np.nan)
 
 
 def between(times: Array, x: Array, u: Array) -> Trajectory:
@@ -241,3 +142,50 @@ def between(times: Array, x: Array, u: Array) -> Trajectory:
         return states, inputs
 
     return trajectory
+
+
+def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, layout: Layout,
+                   mesh: Array) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Bounds, guess and sizes of the unknowns (n,) of a phase."""
+    trajectory = first_guess(phase)
+    x, u = trajectory(mesh)
+    known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
+    (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
+    sizes = np.concatenate([size_of(x_low, x_high, np.vstack([x, *known])), size_of(u_low, u_high, u)])
+    if np.isnan(sizes).any():
+        sizes = _sizes(phase, functions, parameters, mesh, x, u, sizes)
+    numbers, _ = coordinates(layout, mesh)
+    lower, upper = (np.concatenate(sides)[numbers] for sides in ((x_low, u_low), (x_high, u_high)))
+    first, last = slice(layout.nx), slice(len(lower) - layout.node, len(lower) - layout.node_inputs)
+    for place, (low, high) in ((first, phase.start), (last, phase.end)):
+        lower[place] = np.maximum(lower[place], low)
+        upper[place] = np.minimum(upper[place], high)
+    return lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), sizes[numbers]
+
+
+def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Array, x: Array, u: Array,
+           sizes: Array) -> Array:  # fmt: skip
+    """Sizes (nx + nu,) of states and inputs, some of them told, NaN the others.
+
+    An unknown is as large as a state of known size needs it, to move by that over the phase or as fast as the rest
+    of its dynamics makes it; failing that, a state is as large as it moves over the phase.
+    """
+    times = phase.start_time + first_duration(phase) * mesh
+    columns = [ca.MX.sym(name, functions.dynamics.numel_in(i)) for i, name in enumerate("xuwpt")]
+    both = ca.jacobian(functions.dynamics(*columns), ca.vertcat(*columns[:2]))
+    slopes = evaluated(ca.Function("slopes", columns, [ca.vec(ca.densify(both))]), phase, x, u, times, parameters)
+    steep = np.abs(slopes).max(axis=0).reshape(-1, phase.states).T
+    steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
+    told = np.isfinite(sizes)
+    sizes = np.where(told, sizes, 1.0)
+    for _ in range(len(sizes)):
+        with np.errstate(divide="ignore"):
+            moves = np.maximum(sizes[: phase.states], (steep * (sizes * told)).max(axis=1))
+            needed = np.where(told[: phase.states, None], moves[:, None] / steep, np.inf).min(axis=0)
+        found = np.logical_not(told) & np.isfinite(needed)
+        if not found.any():
+            needed = np.zeros(len(sizes))
+            needed[: phase.states] = (steep * (sizes * told)).max(axis=1)
+            found = np.logical_not(told) & (needed > 0)
+        sizes, told = np.where(found, needed, sizes), told | found
+    return sizes

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mpc.checks import Array
-from mpc.optimal_control.interval import coordinates, interval_function, layout_of, times_of
-from mpc.optimal_control.phase import signal_at
+from mpc.optimal_control.interval import layout_of, times_of
+from mpc.optimal_control.phase import evaluated, signal_at
 from mpc.optimal_control.phase_solution import PhaseSolution
+from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 from mpc.tolerances import CLOSER_LOOKS, DIFFERENCE, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, RESTING_STATE
@@ -58,13 +59,13 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     x, u = phase.states_within(k, at), np.clip(phase.inputs_within(k, at), *part.phase.u_bounds)
     times = phase.times[k] + h[k] * at
     given = np.einsum("tj,kji->kti", basis, phase.stages.rates)
-    missed = evaluated(part.functions.dynamics, phase, x, u, times, p).reshape(given.shape) - given
+    missed = evaluated(part.functions.dynamics, part.phase, x, u, times, p).reshape(given.shape) - given
     of_cost = np.einsum("t,tj,kji,kti->k", weights, basis, phase.stages.costates, missed, optimize=True)
     if part.functions.stage_cost is not None:
         cost, stages, places = part.functions.stage_cost, phase.stages, phase.stages.times.ravel()
-        fine = evaluated(cost, phase, x, u, times, p).reshape(N, -1) @ weights
+        fine = evaluated(cost, part.phase, x, u, times, p).reshape(N, -1) @ weights
         known = stages.states.reshape(len(places), -1), phase.inputs
-        counted = evaluated(cost, phase, *known, places, p).reshape(N, -1) @ scheme.matrix[-1]
+        counted = evaluated(cost, part.phase, *known, places, p).reshape(N, -1) @ scheme.matrix[-1]
         of_cost = of_cost + phase.weight * (fine - counted)
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
 
@@ -91,14 +92,6 @@ def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Arr
     )  # fmt: skip
     defects, cost = (np.asarray(value, dtype=float).T for value in found[:2])
     return defects, cost
-
-
-def evaluated(function: Any, phase: PhaseSolution, x: Array, u: Array, t: Array, p: Array) -> Array:
-    """Values (n, m) at states (n, nx), inputs (n, nu) and times (n,)."""
-    n = len(t)
-    w = signal_at(phase.part.phase, t)
-    values = np.asarray(function.map(n)(x.T, u.T, w.T, np.tile(p[:, None], (1, n)), t[None]), dtype=float)
-    return values.reshape(-1, n).T
 
 
 class Excess(NamedTuple):
@@ -207,7 +200,7 @@ def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
         for side in (step, -step):
             moved = z.copy()
             moved[:, i] += side
-            ends.append(evaluated(path, phase, moved[:, : x.shape[1]], moved[:, x.shape[1] :], times, p))
+            ends.append(evaluated(path, phase.part.phase, moved[:, : x.shape[1]], moved[:, x.shape[1] :], times, p))
         found += np.abs(ends[0] - ends[1])[np.arange(len(places)), own] / (2 * DIFFERENCE)
     return np.where((rows < path.numel_out(0)) & np.isfinite(found), found, 0.0)
 
@@ -244,7 +237,7 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
     low, high = (side[:, None] for side in part.functions.path_bounds)
 
     def of_path(inputs: Array) -> Array:
-        values = evaluated(path, phase, x, inputs, times, p).T
+        values = evaluated(path, part.phase, x, inputs, times, p).T
         values = np.maximum(values - high, low - values)
         return np.where(np.isnan(values), np.inf, values)
 
@@ -263,9 +256,9 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
     extents = np.zeros(len(v))
     found, paths = [], []
     for part, phase in zip(program.parts, phases):
-        numbers, _ = coordinates(part.layout, part.mesh)
+        numbers, _ = part.coordinates
         of_all = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
-        extents[part.first : part.last] = of_all[numbers.astype(int)]
+        extents[part.first : part.last] = of_all[numbers]
         own = _bounded(phase)
         scale = np.array([program.scale[part.first : part.last][numbers == i].max() for i in own])
         size = np.maximum(of_all[own], LEAST_LIMIT_SIZE * scale)

@@ -178,6 +178,14 @@ class PhaseFunctions:
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
 
+    def cost_at(self, *at: Any) -> Any:
+        """Stage cost at columns (x, u, w, p, t); 0 without one."""
+        return 0 if self.stage_cost is None else self.stage_cost(*at)
+
+    def path_at(self, *at: Any) -> Any:
+        """Path values at columns (x, u, w, p, t); none without limits."""
+        return type(at[0])(0, 1) if self.path is None else self.path(*at)
+
 
 def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
     """Columns and lengths of each function's arguments, and its value's length."""
@@ -227,3 +235,10 @@ def signal_at(phase: Phase, times: Array) -> Array:
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))
     return np.stack([np.interp(times, grid, column) for column in table.T], axis=1)
+
+
+def evaluated(function: ca.Function, phase: Phase, x: Array, u: Array, t: Array, p: Array) -> Array:
+    """Values (n, m) of a function of x, u, w, p, t at states (n, nx), inputs (n, nu) and times (n,)."""
+    n = len(t)
+    values = function.map(n)(x.T, u.T, signal_at(phase, t).T, np.tile(p[:, None], (1, n)), t[None])
+    return np.asarray(values, dtype=float).reshape(-1, n).T

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import signal_at
+from mpc.optimal_control.phase import evaluated, signal_at
 from mpc.optimal_control.program import PhasePart
-from mpc.optimal_control.schemes import Collocation
+from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at_signals.ravel()).reshape(N, -1)
     stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
-    rates = _rates(part, stage_states, stage_inputs, w, p, times, (mesh_times, x.T))
+    rates = _rates(part, stage_states, stage_inputs, p, times, (mesh_times, x.T))
     costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
     of_stages = _stage_costates(part, multipliers)
     return PhaseSolution(
@@ -143,20 +143,14 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     )  # fmt: skip
 
 
-def _rates(part: PhasePart, states: Array, inputs: Array, w: Array, p: Array, times: Array,
-           nodes: tuple[Array, Array]) -> Array:  # fmt: skip
+def _rates(part: PhasePart, states: Array, inputs: Array, p: Array, times: Array, nodes: tuple[Array, Array]) -> Array:
     """Rates dx/dt (N, d, nx) at the points; for shooting at both ends."""
+    if isinstance(part.scheme, MultipleShooting) and not part.phase.discrete:
+        times, states = (np.stack([known[:-1], known[1:]], axis=1) for known in nodes)
+        inputs = np.repeat(inputs, 2, axis=1)
     N, d, nx = states.shape
-    if isinstance(part.scheme, Collocation) or part.phase.discrete:
-        x, u, t, signal = states, inputs, times, w.reshape(N, d, -1)
-    else:
-        t, x = (np.stack([known[:-1], known[1:]], axis=1) for known in nodes)
-        u = np.repeat(inputs, 2, axis=1)
-        signal = w.reshape(N, len(part.layout.signals), -1)[:, [0, -1]]
-    count = x.shape[1] * N
-    flat = (x.reshape(count, -1).T, u.reshape(count, -1).T, signal.reshape(count, -1).T,
-            np.tile(p[:, None], (1, count)), t.reshape(1, count))  # fmt: skip
-    return np.asarray(part.functions.dynamics.map(count)(*flat), dtype=float).T.reshape(N, -1, nx)
+    at = states.reshape(N * d, nx), inputs.reshape(N * d, part.layout.nu)
+    return evaluated(part.functions.dynamics, part.phase, *at, times.ravel(), p).reshape(N, d, nx)
 
 
 def _stage_costates(part: PhasePart, multipliers: Array) -> Array:

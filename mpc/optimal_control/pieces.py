@@ -1,4 +1,4 @@
-"""Pieces of a program: equations of intervals, ends and links."""
+"""Pieces of a program: functions at many places, such as the equations of the intervals of a mesh."""
 
 from __future__ import annotations
 
@@ -12,126 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpc.checks import Array
-from mpc.optimal_control.interval import Layout
-from mpc.optimal_control.phase import PhaseFunctions
-from mpc.tolerances import SPREAD_FLOOR, SPREAD_ROUNDING
+from mpc.optimal_control.interval import Layout, at_points
+from mpc.optimal_control.phase import Phase, PhaseFunctions
+from mpc.optimal_control.schemes import Collocation, MultipleShooting, Scheme, runge_kutta
 
 Numbers = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Clock:
-    """Start and length of a phase, given or free."""
-
-    start: float  # its start, less the free durations before it
-    length: float  # its duration, where it is given
-    free: Numbers  # (k,): unknowns that are free durations before it, and last its own if that is free
-    own: bool  # whether its own is free
-
-    def times(self, free: Any) -> tuple[Any, Any]:
-        """Start and duration from the free durations (k,)."""
-        before = free[: len(self.free) - self.own]
-        length = free[len(self.free) - 1] if self.own else self.length
-        return self.start + (ca.sum1(before) if before.numel() else 0), length
-
-
-def piece_function(function: Callable[..., Any], scalar: bool, sizes: dict[str, int], data: int) -> ca.Function:
-    """Function (z, data) → values from a function of named columns."""
-    kind: Any = ca.SX if scalar else ca.MX
-    z, given = kind.sym("z", sum(sizes.values())), kind.sym("data", data)
-    cuts = np.cumsum([0, *sizes.values()])
-    columns = {name: z[int(a) : int(b)] for name, a, b in zip(sizes, cuts[:-1], cuts[1:])}
-    value = ca.densify(ca.vertcat(*(ca.vec(kind(part)) for part in function(**columns, data=given))))
-    return ca.Function("piece", [z, given], [value], ["z", "data"], ["value"], {"cse": True})
-
-
-def interval_piece(interval: ca.Function, layout: Layout, clock: Clock, parameters: int, discrete: bool) -> ca.Function:
-    """Cost, defects and path values of an interval."""
-    sizes = {
-        "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
-        "p": parameters, "free": len(clock.free),
-    }  # fmt: skip
-
-    def values(free: Any, p: Any, data: Any, **own: Any) -> list[Any]:
-        start, length = clock.times(free)
-        step = 1.0 if discrete else length * data[1]
-        defects, cost, path = interval(*own.values(), p, start + length * data[0], step, data[2:])
-        return [cost, defects, path]
-
-    scalar = interval.is_a("SXFunction")
-    return piece_function(values, scalar, sizes, 2 + layout.nw * len(layout.signals))
-
-
-def end_piece(functions: PhaseFunctions, clock: Clock, nx: int, parameters: int) -> ca.Function:
-    """Terminal cost and boundary values at a phase's ends."""
-
-    def values(x0: Any, x: Any, p: Any, free: Any, data: Any) -> list[Any]:
-        start, length = clock.times(free)
-        found = []
-        if functions.terminal_cost is not None:
-            found.append(functions.terminal_cost(x, p, start + length))
-        if functions.boundary is not None:
-            found.append(functions.boundary(x0, x, start, start + length, p))
-        return found
-
-    sizes = {"x0": nx, "x": nx, "p": parameters, "free": len(clock.free)}
-    return piece_function(values, _scalar(functions.terminal_cost, functions.boundary), sizes, 0)
-
-
-def path_piece(functions: PhaseFunctions, clock: Clock, layout: Layout, parameters: int, fraction: float,
-               kept: Numbers) -> ca.Function:  # fmt: skip
-    """Path values at one end of a phase; data are the signal."""
-
-    def values(x: Any, u: Any, p: Any, free: Any, data: Any) -> list[Any]:
-        start, length = clock.times(free)
-        given = u if u.numel() == layout.nu else ca.DM.zeros(layout.nu)
-        assert functions.path is not None
-        return [functions.path(x, given, data, p, start + fraction * length)[kept.tolist()]]
-
-    held = layout.nu if fraction == 1 else layout.node_inputs
-    sizes = {"x": layout.nx, "u": held, "p": parameters, "free": len(clock.free)}
-    return piece_function(values, _scalar(functions.path), sizes, layout.nw)
-
-
-def link_piece(link: ca.Function | None, clock: Clock, before: int, after: int, parameters: int) -> ca.Function:
-    """Gap between a phase's first state and the last before it."""
-
-    def values(end: Any, begin: Any, p: Any, free: Any, data: Any) -> list[Any]:
-        return [(end if link is None else link(end, p, clock.times(free)[0])) - begin]
-
-    sizes = {"end": before, "begin": after, "p": parameters, "free": len(clock.free)}
-    return piece_function(values, _scalar(link), sizes, 0)
-
-
-def parameter_piece(functions: tuple[ca.Function | None, ca.Function | None], parameters: int) -> ca.Function:
-    """Cost and constraints of the parameters."""
-
-    def values(p: Any, data: Any) -> list[Any]:
-        return [function(p) for function in functions if function is not None]
-
-    return piece_function(values, _scalar(*functions), {"p": parameters}, 0)
-
-
-def _scalar(*functions: ca.Function | None) -> bool:
-    """Whether all functions have scalar instructions."""
-    return all(function is None or function.is_a("SXFunction") for function in functions)
-
-
-def itself() -> ca.Function:
-    """Number as a piece."""
-    return piece_function(lambda z, data: [z], True, {"z": 1}, 0)
-
-
-def mean_and_spread(weights: Array, spread: float) -> ca.Function:
-    """Piece of the weighted mean plus `spread` standard deviations."""
-    parts = ca.DM(weights / weights.sum())
-
-    def value(z: Any, data: Any) -> list[Any]:
-        mean = ca.dot(parts, z)
-        variance = ca.dot(parts, (z - mean) ** 2)
-        return [mean + spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + SPREAD_FLOOR)]
-
-    return piece_function(value, True, {"z": len(weights)}, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,3 +66,91 @@ class Piece:
 def listed(chosen: NDArray[np.bool_]) -> list[int]:
     """Numbers of the chosen entries."""
     return [int(i) for i in np.flatnonzero(chosen)]
+
+
+def kind_of(*functions: ca.Function | None) -> Any:
+    """SX where all functions have scalar instructions, else MX."""
+    return ca.SX if all(function is None or function.is_a("SXFunction") for function in functions) else ca.MX
+
+
+def piece_function(function: Callable[..., Any], kind: Any, sizes: dict[str, int], data: int) -> ca.Function:
+    """Function (z, data) → values, from one of named columns of this kind."""
+    z, given = kind.sym("z", sum(sizes.values())), kind.sym("data", data)
+    cuts = np.cumsum([0, *sizes.values()])
+    columns = {name: z[int(a) : int(b)] for name, a, b in zip(sizes, cuts[:-1], cuts[1:])}
+    value = ca.densify(ca.vertcat(*(ca.vec(kind(part)) for part in function(**columns, data=given))))
+    return ca.Function("piece", [z, given], [value], ["z", "data"], ["value"], {"cse": True})
+
+
+def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, layout: Layout,
+                      parameters: int) -> ca.Function:  # fmt: skip
+    """Function (x, v, own, next x, next v, p, t, h, w) → defects, cost, path values.
+
+    v are the inputs of a node, w the signal (nw, its points).
+    """
+    scalar = getattr(scheme, "integrator", "rk4") == "rk4"
+    kind = kind_of(functions.dynamics, functions.stage_cost, functions.path) if scalar else ca.MX
+    sizes = {
+        "x": layout.nx, "v": layout.node_inputs, "own": layout.own, "x_next": layout.nx, "v_next": layout.node_inputs,
+        "p": parameters, "t": 1, "h": 1, "w": layout.nw * len(layout.signals),
+    }  # fmt: skip
+    s: dict[str, Any] = {name: kind.sym(name, size) for name, size in sizes.items()}
+    w = ca.reshape(s["w"], layout.nw, len(layout.signals))
+    if isinstance(scheme, Collocation) and not phase.discrete:
+        found = _collocate(functions, scheme, layout, s, w)
+    else:
+        found = _held(functions, None if phase.discrete else scheme, s, w)
+    return ca.Function("interval", list(s.values()), [ca.densify(part) for part in found],
+                       list(sizes), ["defects", "cost", "path"])  # fmt: skip
+
+
+def _held(functions: PhaseFunctions, scheme: Any, s: dict[str, Any], w: Any) -> tuple[Any, Any, Any]:
+    """Equations of an interval with the input held: of shooting, or without a scheme of a step of discrete dynamics."""
+    u, p, t, h = s["own"], s["p"], s["t"], s["h"]
+
+    def rate(z: Any, time: Any, signal: Any) -> Any:
+        at = (z[:-1], u, signal, p, time)
+        return ca.vertcat(functions.dynamics(*at), functions.cost_at(*at))
+
+    z = ca.vertcat(s["x"], 0)
+    if scheme is None:
+        z = rate(z, t, w)
+    elif scheme.integrator == "cvodes":
+        z = _by_cvodes(functions, scheme, s, w)
+    else:
+        step = h / scheme.substeps
+        for i in range(scheme.substeps):
+            z = runge_kutta(rate, z, t + i * step, step, [w[:, 2 * i + k] for k in range(3)])
+    return z[:-1] - s["x_next"], z[-1], functions.path_at(s["x"], u, w[:, 0], p, t)
+
+
+def _by_cvodes(functions: PhaseFunctions, scheme: MultipleShooting, s: dict[str, Any], w: Any) -> Any:
+    """State and cost after one interval by CVODES."""
+    sizes = {name: s[name].numel() for name in ("x", "own", "p")} | {"w": w.numel(), "t": 1, "h": 1}
+    c = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    tau = ca.MX.sym("tau")
+    begin, middle, end_ = ca.horzsplit(ca.reshape(c["w"], -1, 3)) if w.numel() else [ca.MX(0, 1)] * 3
+    signal = begin * (2 * tau - 1) * (tau - 1) + middle * 4 * tau * (1 - tau) + end_ * tau * (2 * tau - 1)
+    at = (c["x"], c["own"], signal, c["p"], c["t"] + tau * c["h"])
+    given = ca.vertcat(c["own"], c["p"], c["w"], c["t"], c["h"])
+    rates = {"ode": c["h"] * functions.dynamics(*at), "quad": c["h"] * functions.cost_at(*at)}
+    options = {"abstol": scheme.tolerance, "reltol": scheme.tolerance, "quad_err_con": True, "max_num_steps": 100_000,
+               "disable_internal_warnings": True}  # fmt: skip
+    integrate = ca.integrator("interval", "cvodes", {"x": c["x"], "p": given, "t": tau} | rates, 0.0, 1.0, options)
+    end = integrate(x0=s["x"], p=ca.vertcat(s["own"], s["p"], ca.vec(w), s["t"], s["h"]))
+    return ca.vertcat(end["xf"], end["qf"])
+
+
+def _collocate(functions: PhaseFunctions, scheme: Collocation, layout: Layout, s: dict[str, Any],
+               w: Any) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Equations of one collocation interval."""
+    states, inputs = at_points(layout, s["x"], s["v"], s["own"], s["x_next"], s["v_next"])
+    places = [
+        (x, u, w[:, i], s["p"], s["t"] + c * s["h"]) for i, (c, x, u) in enumerate(zip(layout.points, states, inputs))
+    ]
+    weights = scheme.matrix
+    moved = ca.mtimes(ca.horzcat(*(functions.dynamics(*at) for at in places)), ca.DM(weights.T)) * s["h"]
+    later = [i for i, c in enumerate(layout.points) if c > 0]
+    defects = [s["x"] + moved[:, i] - states[i] for i in later]
+    cost = s["h"] * sum(float(b) * functions.cost_at(*at) for b, at in zip(weights[-1], places))
+    return ca.vertcat(*defects), cost, ca.vertcat(*(functions.path_at(*places[i]) for i in later))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_names, as_parameter_bounds
+from mpc.optimal_control.bounds import Bounds, as_names, as_parameter_bounds, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
@@ -118,8 +118,7 @@ class OptimalControlProblem:
         """First guess of the parameters, within their bounds."""
         low, high = self.p_bounds
         if self.p_guess is None:
-            middle = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (low + high), 0.0)
-            return np.asarray(np.clip(middle, low, high))
+            return np.asarray(np.clip(np.nan_to_num(middle(low, high)), low, high))
         guess = np.atleast_1d(as_floats("p_guess", self.p_guess))
         if guess.shape != low.shape or not np.isfinite(guess).all():
             raise InputError("p_guess", brief(repr(self.p_guess)), f"{len(low)} finite numbers")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,7 +14,7 @@ from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, at_points, coordinates
 from mpc.optimal_control.phase import Phase, PhaseFunctions
-from mpc.optimal_control.pieces import Piece, piece_function
+from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
 from mpc.tolerances import SHAKEN, VANISHING
@@ -52,12 +54,10 @@ class PhasePart:
     layout: Layout
     scheme: Scheme
     mesh: Array  # (N + 1,): of fractions of the phase, from 0 to 1
-    # its unknowns are first … last − 1: node, interval, node, interval, …, node
-    first: int
-    last: int
-    duration: int  # index of its duration; −1 where it is given
-    # its rows, interval by interval
-    defects: slice
+    first: int  # its unknowns are first … last − 1: node, interval, node, interval, …, node
+    start: float  # its start, less the free durations before it
+    free: Numbers  # (k,): unknowns that are free durations before it, and last its own if that is free
+    defects: slice  # its rows, interval by interval
     path: slice
     interval: ca.Function
 
@@ -65,6 +65,27 @@ class PhasePart:
     def intervals(self) -> int:
         """Number N of intervals."""
         return len(self.mesh) - 1
+
+    @property
+    def last(self) -> int:
+        """Place after its last unknown."""
+        return self.first + self.layout.column * self.intervals + self.layout.node
+
+    @property
+    def duration(self) -> int:
+        """Place of its duration; −1 where that is given."""
+        return int(self.free[-1]) if self.phase.free_duration else -1
+
+    def clock(self, free: Any) -> tuple[Any, Any]:
+        """Start and duration from the free durations (k,)."""
+        before = len(self.free) - self.phase.free_duration
+        start = self.start + sum(free[i] for i in range(before))
+        return start, free[before] if self.phase.free_duration else self.phase.duration[0]
+
+    @cached_property
+    def coordinates(self) -> tuple[Numbers, Array]:
+        """Coordinates (n,) of its unknowns, states before inputs, and fractions of the phase."""
+        return coordinates(self.layout, self.mesh)
 
     def unknowns(self, v: Array) -> tuple[Array, Array, list[Array], list[Array]]:
         """Unknowns of nodes (node, N + 1), intervals (own, N), states, inputs at points."""
@@ -83,6 +104,7 @@ class NonlinearProgram:
     ----------
     problem : OptimalControlProblem
     v, f, g : casadi.MX
+        Unknowns, cost and constraints.
     lower, upper, guess, scale : (n,) arrays
         Bounds, where to start, and sizes of the unknowns.
     cost_scale : float
@@ -98,9 +120,6 @@ class NonlinearProgram:
     """
 
     problem: OptimalControlProblem
-    v: ca.MX
-    f: ca.MX
-    g: ca.MX
     lower: Array
     upper: Array
     guess: Array
@@ -117,17 +136,26 @@ class NonlinearProgram:
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{part.intervals} intervals of {part.scheme.name}" for part in self.parts)
-        return f"NonlinearProgram({self.v.numel()} unknowns, {self.g.numel()} constraints, {kinds})"
+        return f"NonlinearProgram({len(self.lower)} unknowns, {len(self.row_lower)} constraints, {kinds})"
+
+    @property
+    def v(self) -> ca.MX:
+        """Unknowns (n,)."""
+        return self.derivatives.v
+
+    @property
+    def f(self) -> ca.MX:
+        """Cost."""
+        return self.derivatives.f
+
+    @property
+    def g(self) -> ca.MX:
+        """Constraints (m,)."""
+        return self.derivatives.g
 
     def times(self, v: Array) -> list[tuple[float, float]]:
         """Start and duration of every phase, from unknowns (n,)."""
-        clock, found = 0.0, []
-        for k, part in enumerate(self.parts):
-            start = clock if k and self.problem.linked else part.phase.start_time
-            length = float(v[part.duration]) if part.duration >= 0 else part.phase.duration[0]
-            found.append((start, length))
-            clock = start + length
-        return found
+        return [(float(start), float(length)) for start, length in (part.clock(v[part.free]) for part in self.parts)]
 
 
 def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
@@ -136,7 +164,7 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     for part in program.parts:
         layout = part.layout
         own, sizes = v[part.first : part.last], scale[part.first : part.last]
-        coordinate, _ = coordinates(layout, part.mesh)
+        coordinate, _ = part.coordinates
         for i in range(layout.nx + layout.nu):
             largest = np.abs(own[coordinate == i]).max()
             if largest > VANISHING * sizes[coordinate == i].max():
@@ -202,7 +230,7 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
         replace(piece, factors=np.where(piece.of_cost, 0.0, piece.factors)) for piece in program.derivatives.pieces
     ]
     weighed = piece_function(
-        lambda above, below, data: [(above + below) / data, above - below], True, {"above": 1, "below": 1}, 1
+        lambda above, below, data: [(above + below) / data, above - below], ca.SX, {"above": 1, "below": 1}, 1
     )
     places = np.arange(m)
     pieces.append(
@@ -234,8 +262,7 @@ def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0)
     random = np.random.default_rng(seed)
     move = random.uniform(-SHAKEN, SHAKEN, len(lower))
     for part in program.parts:
-        numbers, fractions = coordinates(part.layout, part.mesh)
+        of, fractions = part.coordinates
         begin, rise = random.uniform(-SHAKEN, SHAKEN, (2, part.layout.nx + part.layout.nu))
-        of = numbers.astype(int)
         move[part.first : part.last] = begin[of] + rise[of] * fractions
     return np.clip(program.guess + move * program.scale, lower, upper)

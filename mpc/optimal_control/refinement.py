@@ -126,7 +126,7 @@ class _Rounds:
                 return best, "" if self.missed(best) <= 1 else reason
             self.left -= 1
             program = build(solution.program.problem, solution.phases[0].part.scheme, meshes=meshes)
-            if program.v.numel() > self.most:
+            if len(program.lower) > self.most:
                 return best, "a mesh that meets it is too large"
             finer = self.solved(program, solution)
             if not finer.solved_on_mesh:

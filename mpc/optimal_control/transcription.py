@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
@@ -10,14 +11,15 @@ import numpy as np
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.assembly import Assembly
-from mpc.optimal_control.interval import Layout, between, first_duration, first_guess, layout_of, placed, size_of
-from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
-from mpc.optimal_control.phase_equations import PhaseToCome, phase_equations
-from mpc.optimal_control.pieces import Clock, itself, link_piece, mean_and_spread, parameter_piece
+from mpc.optimal_control.derivatives import Derivatives
+from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
+from mpc.optimal_control.notes import check_at_guess
+from mpc.optimal_control.phase import Phase, signal_at
+from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, PhasePart
+from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
+from mpc.tolerances import SPREAD_FLOOR, SPREAD_ROUNDING
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -48,65 +50,70 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
         raise InputError(
             "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
         )
-    return _Builder(problem, scheme, _as_meshes(problem, intervals, meshes)).program()
+    program = _Assembly(problem, scheme, _as_meshes(problem, intervals, meshes)).program()
+    check_at_guess(program)
+    return with_sizes_of_rows(with_costs_of_scenarios(program))
 
 
-class _Builder:
-    """Builder of a program, phase by phase."""
+class _Assembly:
+    """Unknowns, constraints and pieces of a program, collected phase by phase."""
 
     def __init__(self, problem: OptimalControlProblem, scheme: Scheme, meshes: list[Array]) -> None:
         self.problem = problem
         self.scheme = scheme
         self.meshes = meshes
-        self.into = Assembly()
+        self.unknowns: list[tuple[Array, ...]] = []  # lower and upper bounds, guesses and sizes
+        self.bounds: list[tuple[Array, ...]] = []  # of constraints, and their sizes
+        self.kinds: list[Rows] = []
+        self.pieces: list[Piece] = []
 
     def program(self) -> NonlinearProgram:
-        """Whole program."""
-        problem, into = self.problem, self.into
-        first_parameters = np.asarray(problem.p_guess)
+        """Whole program, its rows not yet sized."""
+        problem = self.problem
+        count, p_guess = len(problem.phases), np.asarray(problem.p_guess)
         layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
-        firsts = []
-        for phase, functions, layout, mesh in zip(problem.phases, problem.functions, layouts, self.meshes):
-            firsts.append(into.width)
-            into.unknown(*phase_unknowns(phase, functions, first_parameters, layout, mesh))
+        firsts = [
+            self._unknown(*phase_unknowns(phase, functions, p_guess, layout, mesh))
+            for phase, functions, layout, mesh in zip(problem.phases, problem.functions, layouts, self.meshes)
+        ]
         durations = [self._duration(phase) for phase in problem.phases]
-        parameters = slice(into.width, into.width + problem.parameters)
-        self.p = np.arange(parameters.start, parameters.stop)
         low, high = problem.p_bounds
-        into.unknown(low, high, first_parameters)
-        count = len(problem.phases)
+        first = self._unknown(low, high, p_guess)
+        self.p = first + np.arange(problem.parameters)
         costs = self._costs_of_scenarios()
         alone = costs.stop > costs.start
-        targets = np.arange(1, count + 1) if alone else np.zeros(count, dtype=int)
-        weights = np.ones(count) if alone else problem.weights
         parts: list[PhasePart] = []
-        for k, (phase, functions) in enumerate(zip(problem.phases, problem.functions)):
-            to_come = PhaseToCome(
-                k, phase, functions, self.scheme, self.meshes[k], layouts[k], self._clock(k, durations), firsts[k],
-                durations[k], self.p, int(targets[k]), float(weights[k]),
-            )  # fmt: skip
-            parts.append(phase_equations(into, to_come))
+        for k in range(count):
+            before = range(k) if problem.linked else range(0)
+            start = problem.phases[0 if problem.linked else k].start_time
+            start += sum(problem.phases[i].duration[0] for i in before if durations[i] < 0)
+            free = np.array([durations[i] for i in (*before, k) if durations[i] >= 0], dtype=int)
+            defects, path, interval = self._rows_of_intervals(k, layouts[k])
+            part = PhasePart(problem.phases[k], problem.functions[k], layouts[k], self.scheme, self.meshes[k],
+                             firsts[k], start, free, defects, path, interval)  # fmt: skip
+            parts.append(part)
+            cost = (1 + k, 1.0) if alone else (0, float(problem.weights[k]))
+            signals = self._intervals(part, *cost)
+            self._path_at_an_end(k, part, signals)
+            self._ends(k, part, *cost)
             if k and problem.linked:
-                self._link(k, self._clock(k, durations), parts[-2], parts[-1])
+                self._link(k, *parts[-2:])
         self._of_parameters()
-        return into.program(problem, tuple(parts), parameters, costs)
+        lower, upper, guess, scale = (np.concatenate(sides) for sides in zip(*self.unknowns))
+        row_lower, row_upper, row_scale = (np.concatenate(sides) for sides in zip(*self.bounds))
+        return NonlinearProgram(
+            problem=problem, lower=lower, upper=upper, guess=guess, scale=scale, row_lower=row_lower,
+            row_upper=row_upper, row_scale=row_scale, rows=tuple(self.kinds), parts=tuple(parts),
+            parameters=slice(first, first + len(self.p)), costs=costs,
+            derivatives=Derivatives(self.pieces, len(lower), len(row_lower)),
+        )  # fmt: skip
 
-    def _costs_of_scenarios(self) -> slice:
-        """Append the unknown costs of scenarios that are not summed."""
-        problem = self.problem
-        count = len(problem.phases)
-        first = self.into.width
-        if problem.risk == "sum" or count == 1:
-            return slice(first, first)
-        many = count if problem.risk == "spread" else 1
-        self.into.unknown(np.full(many, -np.inf), np.full(many, np.inf), np.zeros(many))
-        named = [f"cost of scenario {k + 1}" for k in range(count)]
-        self.into.rows("cost of a scenario", -1, named, 1, -np.inf, 0.0, 1.0, 0.0)
-        places = np.broadcast_to(np.arange(first, first + many), (count,))
-        self.into.piece(itself(), places[None], np.arange(1, count + 1)[None], -np.ones(1))
-        objective = itself() if many == 1 else mean_and_spread(problem.weights, problem.spread)
-        self.into.piece(objective, places[:many, None], np.zeros((1, 1), dtype=int), np.ones(1))
-        return slice(first, first + many)
+    def _unknown(self, lower: Array, upper: Array, guess: Array, scale: Array | None = None) -> int:
+        """Append unknowns; return the place of the first."""
+        first = sum(len(lower) for lower, *_ in self.unknowns)
+        size = np.nan_to_num(size_of(lower, upper, guess), nan=1.0) if scale is None else scale
+        self.unknowns.append((lower, upper, guess, size))
+        return first
 
     def _duration(self, phase: Phase) -> int:
         """Append a free duration; return its place, or −1."""
@@ -114,98 +121,166 @@ class _Builder:
             return -1
         low, high = phase.duration
         guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
-        self.into.unknown(np.array([low]), np.array([high]), guess, guess)
-        return self.into.width - 1
+        return self._unknown(np.array([low]), np.array([high]), guess, guess)
 
-    def _clock(self, k: int, durations: list[int]) -> Clock:
-        """Clock of phase k."""
-        phases = self.problem.phases
-        before = range(k) if self.problem.linked else range(0)
-        start = phases[0 if self.problem.linked else k].start_time
-        given = sum(phases[i].duration[0] for i in before if durations[i] < 0)
-        free = [durations[i] for i in (*before, k) if durations[i] >= 0]
-        return Clock(start + given, phases[k].duration[0], np.array(free, dtype=int), durations[k] >= 0)
+    def _rows(self, name: str, phase: int, entries: Sequence[str], fractions: Any, low: Any, high: Any,
+              scale: Any) -> slice:  # fmt: skip
+        """Append constraints `entries` at fractions of a phase; return their places."""
+        at = np.ravel(fractions)
+        each = np.broadcast_arrays(low, high, scale, np.zeros(len(entries)))[:3]
+        sides = tuple(np.tile(side.astype(float), len(at)) for side in each)
+        first = sum(len(low) for low, *_ in self.bounds)
+        own = slice(first, first + len(sides[0]))
+        self.bounds.append(sides)
+        if own.stop > first:
+            self.kinds.append(Rows(name, phase, first, own.stop, at.repeat(len(entries)), tuple(entries)))
+        return own
 
-    def _link(self, k: int, clock: Clock, before: PhasePart, after: PhasePart) -> None:
+    def _piece(self, values: Callable[..., Any], places: dict[str, Numbers], rows: Numbers, *functions: Any,
+               factors: Array | None = None, data: Array | None = None) -> None:  # fmt: skip
+        """Append values that `functions` make of unknowns at places (n,) or (n, M) to rows (k,) or (k, M) of [f; g]."""
+        rows = rows.reshape(len(rows), -1)
+        count = rows.shape[1]
+        data = np.zeros((0, count)) if data is None else data
+        factors = np.ones(len(rows)) if factors is None else factors
+        each = [np.broadcast_to(at.T, (count, len(at))).T for at in places.values()]
+        sizes = {name: len(at) for name, at in places.items()}
+        function = piece_function(values, kind_of(*functions), sizes, len(data))
+        self.pieces.append(Piece(function, np.vstack(each), data, rows, factors))
+
+    def _costs_of_scenarios(self) -> slice:
+        """Append the unknown costs of scenarios that are not summed."""
+        problem, count = self.problem, len(self.problem.phases)
+        many = count if problem.risk == "spread" else 1
+        if problem.risk == "sum" or count == 1:
+            many = 0
+        first = self._unknown(np.full(many, -np.inf), np.full(many, np.inf), np.zeros(many))
+        if not many:
+            return slice(first, first)
+        named = [f"cost of scenario {k + 1}" for k in range(count)]
+        self._rows("cost of a scenario", -1, named, 0.0, -np.inf, 0.0, 1.0)
+        places = np.broadcast_to(np.arange(first, first + many), (1, count))
+        self._piece(lambda z, data: [z], {"z": places}, 1 + np.arange(count)[None], factors=-np.ones(1))
+
+        def objective(z: Any, data: Any) -> list[Any]:
+            if many == 1:
+                return [z]
+            parts = ca.DM(problem.weights / problem.weights.sum())
+            mean = ca.dot(parts, z)
+            variance = ca.dot(parts, (z - mean) ** 2)
+            return [mean + problem.spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + SPREAD_FLOOR)]
+
+        self._piece(objective, {"z": first + np.arange(many)}, np.zeros(1, dtype=int))
+        return slice(first, first + many)
+
+    def _rows_of_intervals(self, k: int, layout: Layout) -> tuple[slice, slice, ca.Function]:
+        """Append the constraints of a phase's intervals; return their places and their function."""
+        phase, functions, mesh = self.problem.phases[k], self.problem.functions[k], self.meshes[k]
+        after = [c for c in layout.points if c > 0]
+        named = [f"dynamics of {name}" for name in phase.state_names]
+        size = self.unknowns[k][3][: layout.nx]
+        defects = self._rows("dynamics", k, named, times_of(after or [1.0], mesh), 0.0, 0.0, size)
+        kept_at = times_of(after or [0.0], mesh)
+        path = self._rows("path", k, functions.path_names, kept_at, *functions.path_bounds, 1.0)
+        return defects, path, interval_function(phase, functions, self.scheme, layout, len(self.p))
+
+    def _intervals(self, part: PhasePart, target: int, weight: float) -> Array:
+        """Append costs and equations of a phase's intervals; return the signal (nw · points, N)."""
+        phase, layout, N = part.phase, part.layout, part.intervals
+        times = phase.start_time + phase.duration[0] * times_of(layout.signals, part.mesh)
+        signals = signal_at(phase, times.ravel()).reshape(N, -1).T
+
+        def values(p: Any, free: Any, data: Any, **own: Any) -> list[Any]:
+            start, length = part.clock(free)
+            step = 1.0 if phase.discrete else length * data[1]
+            defects, cost, path = part.interval(*own.values(), p, start + length * data[0], step, data[2:])
+            return [cost, defects, path]
+
+        cuts = np.cumsum([layout.nx, layout.node_inputs, layout.own, layout.nx])
+        begins = part.first + layout.column * np.arange(N)
+        own = [at[:, None] + begins for at in np.split(np.arange(layout.column + layout.node), cuts)]
+        places = dict(zip(("x", "v", "own", "x_next", "v_next"), own)) | {"p": self.p, "free": part.free}
+        equations = [_numbers(rows).reshape(N, -1).T for rows in (part.defects, part.path)]
+        rows = np.vstack([np.full((1, N), target), *equations])
+        factors = np.where(np.arange(len(rows)) > 0, 1.0, weight)
+        data = np.vstack([part.mesh[:-1], np.diff(part.mesh), signals])
+        self._piece(values, places, rows, part.interval, factors=factors, data=data)
+        return signals
+
+    def _path_at_an_end(self, k: int, part: PhasePart, signals: Array) -> None:
+        """Append path limits at the end that the intervals leave out."""
+        path, layout, nw = part.functions.path, part.layout, part.layout.nw
+        if path is None:
+            return
+        low, high = part.functions.path_bounds
+        kept = np.arange(len(low))
+        if layout.points == (0.0,):  # with the input that is held last
+            fraction, node, signal = 1.0, part.last - layout.node, signals[len(signals) - nw :, -1:]
+            inputs = node - layout.nu + np.arange(layout.nu)
+        else:
+            fraction, node, signal = 0.0, part.first, signals[:nw, :1]
+            inputs = node + layout.nx + np.arange(layout.node_inputs)
+            if not layout.node_inputs:
+                kept = np.setdiff1d(kept, path.jac_sparsity(0, 1).row())
+        if not len(kept):
+            return
+
+        def values(x: Any, u: Any, p: Any, free: Any, data: Any) -> list[Any]:
+            start, length = part.clock(free)
+            given = u if u.numel() == layout.nu else ca.DM.zeros(layout.nu)
+            return [path(x, given, data, p, start + fraction * length)[kept.tolist()]]
+
+        names = [part.functions.path_names[i] for i in kept]
+        rows = self._rows("path", k, names, fraction, low[kept], high[kept], 1.0)
+        places = {"x": node + np.arange(layout.nx), "u": inputs} | {"p": self.p, "free": part.free}
+        self._piece(values, places, _numbers(rows), path, data=signal)
+
+    def _ends(self, k: int, part: PhasePart, target: int, weight: float) -> None:
+        """Append a phase's terminal cost and boundary conditions."""
+        cost, boundary = part.functions.terminal_cost, part.functions.boundary
+        if cost is None and boundary is None:
+            return
+
+        def values(x0: Any, x: Any, p: Any, free: Any, data: Any) -> list[Any]:
+            start, length = part.clock(free)
+            found = [] if cost is None else [cost(x, p, start + length)]
+            return found if boundary is None else [*found, boundary(x0, x, start, start + length, p)]
+
+        names = part.functions.boundary_names
+        rows = _numbers(self._rows("boundary", k, names, 1.0, *part.functions.boundary_bounds, 1.0))
+        targets = rows if cost is None else np.append(target, rows)
+        factors = np.where(targets == target, weight, 1.0)
+        node = np.arange(part.layout.nx)
+        nodes = {"x0": part.first + node, "x": part.last - part.layout.node + node}
+        self._piece(values, nodes | {"p": self.p, "free": part.free}, targets, cost, boundary, factors=factors)
+
+    def _link(self, k: int, before: PhasePart, after: PhasePart) -> None:
         """Append that a phase begins where its predecessor ends."""
         link = self.problem.link_functions[k - 1]
-        end, begin = before.layout.nx, after.layout.nx
-        size = self.into.scale[k][:begin]
-        named = [f"link of {name}" for name in self.problem.phases[k].state_names]
-        rows = self.into.rows("link", k, named, 1, 0.0, 0.0, size, 0.0)
-        at = np.concatenate([
-            before.last - before.layout.node + np.arange(end), after.first + np.arange(begin), self.p, clock.free,
-        ])  # fmt: skip
-        function = link_piece(link, clock, end, begin, self.problem.parameters)
-        self.into.piece(function, at[:, None], 1 + np.arange(rows.start, rows.stop)[:, None], np.ones(begin))
+
+        def values(end: Any, begin: Any, p: Any, free: Any, data: Any) -> list[Any]:
+            return [(end if link is None else link(end, p, after.clock(free)[0])) - begin]
+
+        named = [f"link of {name}" for name in after.phase.state_names]
+        rows = self._rows("link", k, named, 0.0, 0.0, 0.0, self.unknowns[k][3][: after.layout.nx])
+        end = before.last - before.layout.node + np.arange(before.layout.nx)
+        places = {"end": end, "begin": after.first + np.arange(after.layout.nx)} | {"p": self.p, "free": after.free}
+        self._piece(values, places, _numbers(rows), link)
 
     def _of_parameters(self) -> None:
         """Append cost and constraints of the parameters."""
-        cost, constraints = self.problem.of_parameters
-        count = 0 if constraints is None else constraints.numel_out(0)
-        if cost is None and not count:
-            return
-        rows = self.into.rows("p_constraints", -1, self.problem.p_constraint_names, 1, -np.inf, 0.0, 1.0, 0.0)
-        targets = np.concatenate([np.zeros(0 if cost is None else 1), 1 + np.arange(rows.start, rows.stop)]).astype(int)
-        function = parameter_piece((cost, constraints), self.problem.parameters)
-        self.into.piece(function, self.p[:, None], targets[:, None], np.ones(len(targets)))
+        functions = self.problem.of_parameters
+        cost = functions[0]
+        rows = _numbers(self._rows("p_constraints", -1, self.problem.p_constraint_names, 0.0, -np.inf, 0.0, 1.0))
+        targets = rows if cost is None else np.append(0, rows)
+        if len(targets):
+            stated = [function for function in functions if function is not None]
+            self._piece(lambda p, data: [function(p) for function in stated], {"p": self.p}, targets, *stated)
 
 
-def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, layout: Layout,
-                   mesh: Array) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Bounds, guess and sizes of the unknowns (n,) of a phase."""
-    trajectory = first_guess(phase)
-    x, u = trajectory(mesh)
-    known = [np.where(np.isfinite(side), side, 0.0) for side in (*phase.start, *phase.end)]
-    (x_low, x_high), (u_low, u_high) = phase.x_bounds, phase.u_bounds
-    inputs, states = size_of(u_low, u_high, u), size_of(x_low, x_high, np.vstack([x, *known]))
-    told = [
-        (np.isfinite(low) & np.isfinite(high)) | (np.abs(values).max(axis=0, initial=0.0) > 0)
-        for low, high, values in ((x_low, x_high, np.vstack([x, *known])), (u_low, u_high, u))
-    ]
-    if not (told[0].all() and told[1].all()):
-        guess = np.concatenate([states, inputs]), np.concatenate(told)
-        states, inputs = np.split(_sizes(phase, functions, parameters, mesh, x, u, *guess), [phase.states])
-    sizes = states, inputs
-    lower, upper, size = (
-        placed(layout, mesh, between(np.zeros(1), side[0][None], side[1][None]))
-        for side in (*zip(phase.x_bounds, phase.u_bounds), sizes)
-    )
-    first, last = slice(layout.nx), slice(len(lower) - layout.node, len(lower) - layout.node_inputs)
-    for place, (low, high) in ((first, phase.start), (last, phase.end)):
-        lower[place] = np.maximum(lower[place], low)
-        upper[place] = np.minimum(upper[place], high)
-    return lower, upper, np.clip(placed(layout, mesh, trajectory), lower, upper), size
-
-
-def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Array, x: Array, u: Array, sizes: Array,
-           told: Array) -> Array:  # fmt: skip
-    """Sizes (nx + nu,) of states and inputs, some of them told.
-
-    An unknown is as large as a state of known size needs it, to move by that over the phase or as fast as the rest
-    of its dynamics makes it; failing that, a state is as large as it moves over the phase.
-    """
-    n = len(mesh)
-    times = phase.start_time + first_duration(phase) * mesh
-    p = np.tile(parameters[:, None], (1, n))
-    w = signal_at(phase, phase.start_time + phase.duration[0] * mesh)
-    columns = [ca.MX.sym(name, functions.dynamics.numel_in(i)) for i, name in enumerate("xuwpt")]
-    both = ca.jacobian(functions.dynamics(*columns), ca.vertcat(*columns[:2]))
-    slopes = ca.Function("slopes", columns, [ca.vec(ca.densify(both))]).map(n)(x.T, u.T, w.T, p, times[None])
-    steep = np.abs(np.asarray(slopes, dtype=float)).max(axis=1).reshape(-1, phase.states).T
-    steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
-    sizes, told = np.where(told, sizes, 1.0), told.copy()
-    for _ in range(len(sizes)):
-        with np.errstate(divide="ignore"):
-            moves = np.maximum(sizes[: phase.states], (steep * (sizes * told)).max(axis=1))
-            needed = np.where(told[: phase.states, None], moves[:, None] / steep, np.inf).min(axis=0)
-        found = np.logical_not(told) & np.isfinite(needed)
-        if not found.any():
-            needed = np.zeros(len(sizes))
-            needed[: phase.states] = (steep * (sizes * told)).max(axis=1)
-            found = np.logical_not(told) & (needed > 0)
-        sizes, told = np.where(found, needed, sizes), told | found
-    return sizes
+def _numbers(rows: slice) -> Numbers:
+    """Numbers of constraints in [f; g]."""
+    return 1 + np.arange(rows.start, rows.stop)
 
 
 def _as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> list[Array]:
