@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from mpc.checks import Array
-from mpc.explicit.partition import Ints, MPQPStatus, Partition
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.explicit.search_tree import SearchTree
 from mpc.tolerances import LAW_ERROR, LAW_ROUNDING_FAR, LAWS_AT_ONCE, NEARLY_DEPENDENT
 
 ActiveSets = list[tuple[int, ...]]
@@ -103,57 +100,3 @@ def in_units(qp: ScaledQP, law: Array) -> Array:
     law[:, :, :-1] /= qp.half
     law[:, :, -1] -= law[:, :, :-1] @ qp.centre
     return law
-
-
-class LawParts(NamedTuple):
-    """Parts of an explicit law, see `ExplicitMPC`."""
-
-    partition: Partition
-    tree: SearchTree
-    law: Array
-    law_number: Ints
-    input_rows: tuple[Array, Array]
-
-
-class PiecewiseLaw(Protocol):
-    """Explicit law, see `ExplicitMPC`."""
-
-    @property
-    def partition(self) -> Partition:
-        """Regions and the law of the whole input sequence."""
-
-    @property
-    def tree(self) -> SearchTree:
-        """Search tree of the regions."""
-
-    @property
-    def law(self) -> Array:
-        """First input law[r] [θ; 1], (n_regions, nu, nt + 1)."""
-
-    @property
-    def law_number(self) -> Ints:
-        """Regions of equal number share their law, (n_regions,)."""
-
-    @property
-    def input_rows(self) -> tuple[Array, Array]:
-        """Rows (H, h) of the input set {u : Hu <= h}."""
-
-    @property
-    def status(self) -> MPQPStatus:
-        """Whether the partition is complete."""
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-
-    @property
-    def nt(self) -> int:
-        """Number of parameters."""
-
-    def __len__(self) -> int: ...
-
-    def evaluate(self, theta: ArrayLike) -> tuple[Array, Any]:
-        """First input and whether the parameter lies outside."""
-
-    def value(self, theta: ArrayLike) -> Array:
-        """Optimal cost."""

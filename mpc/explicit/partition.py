@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array
+from mpc.checks import Array, ReadOnly
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import DEFINITE
 
@@ -38,7 +38,7 @@ class Laws(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Partition:
+class Partition(ReadOnly):
     """Solution of a multiparametric QP; its arrays are read-only.
 
     Attributes
@@ -76,27 +76,12 @@ class Partition:
     solve_time: float
     uncovered: int = 0
 
-    def __post_init__(self) -> None:
-        for name in ("H", "h", "offsets", "law", "centre", "half"):
-            array = np.array(getattr(self, name), order="C")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-
     @cached_property
     def scaled_rows(self) -> Array:
         """Facets [H, h] in the scaled parameter t, unit normals: (n_halfspaces, nt + 1)."""
         rows = np.hstack([self.H * self.half, (self.h - self.H @ self.centre)[:, None]])
         rows.flags.writeable = False
         return rows
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Fields without the cached `scaled_rows`."""
-        return {name: value for name, value in self.__dict__.items() if name != "scaled_rows"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        self.__post_init__()
 
     def __len__(self) -> int:
         return len(self.active_sets)

@@ -9,13 +9,12 @@ from plants import box, double_integrator
 from scipy.optimize import linprog
 
 from invariant_sets import Polytope
-from mpc import Constraint, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
+from mpc import Constraint, ExplicitMPC, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
 from mpc.explicit.exploration import Limits, Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
 from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
-from mpc.explicit.search_tree import scan_regions
 
 UNLIMITED = Limits(10_000, np.inf)
 
@@ -160,6 +159,7 @@ def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():
     )  # fmt: skip
     partition = solve_mpqp(problem, Polytope.from_bounds([-0.2], [0.2]))
     assert partition.status is MPQPStatus.COMPLETE
+    explicit = ExplicitMPC.from_partition(partition)
     for theta in np.linspace(-0.19, 0.19, 20):
-        law = partition.law[int(scan_regions(partition, np.array([[theta]]))[0])]
+        law = partition.law[int(explicit.locate([theta]))]
         np.testing.assert_allclose(law @ [theta, 1.0], [0.0, 0.0, np.clip(theta, 0.0, 0.01)], atol=1e-9)
