@@ -16,6 +16,8 @@ from mpc.exceptions import InputError, NotConvexError
 from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
 _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
 

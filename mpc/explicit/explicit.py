@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mpc.checks import Array, as_halfspaces
+from mpc.checks import Array, Ints, as_halfspaces
 from mpc.exceptions import InfeasibleError, InputError
-from mpc.explicit.partition import Ints, Partition
+from mpc.explicit.partition import Partition
 from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import build_tree, region_points
 from mpc.tolerances import EQUAL_LAW, LAW_ROUNDING

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, ReadOnly
+from mpc.checks import Array, Ints, ReadOnly
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import DEFINITE
-
-Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class MPQPStatus(Outcome):

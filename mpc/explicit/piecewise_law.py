@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import frozen
-from mpc.checks import Array, ReadOnly, as_floats
+from mpc.checks import Array, Flags, Ints, ReadOnly, as_floats
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
+from mpc.explicit.partition import Laws, MPQPStatus, Partition
 from mpc.explicit.search_tree import METHODS, SearchTree, search
 from mpc.halfspaces import box_of, nearest_points
-
-Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, ReadOnly, as_seconds
+from mpc.checks import Array, Flags, Ints, ReadOnly, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
+from mpc.explicit.partition import Laws, MPQPStatus, Partition
 from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
 
 METHODS = ("tree", "sequential")
 
-Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):

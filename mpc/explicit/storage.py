@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Ints
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Ints, MPQPStatus, Partition
+from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import SearchTree, TreeStatus
 from mpc.parametric_qp import Constraint, ParametricQP
