@@ -20,9 +20,8 @@ sys.path[:0] = [str(ROOT)]
 import numpy as np  # noqa: E402
 
 from invariant_sets import Polytope  # noqa: E402
-from mpc import MPQPStatus, ParametricQP, solve_mpqp  # noqa: E402
+from mpc import ExplicitMPC, MPQPStatus, ParametricQP, solve_mpqp  # noqa: E402
 from mpc.dense_qp import DenseQP  # noqa: E402
-from mpc.explicit.search_tree import scan_regions  # noqa: E402
 from mpc.parametric_qp import Constraint  # noqa: E402
 
 STATES = 50  # random parameters at which the law is compared with the online QP
@@ -58,7 +57,9 @@ def compare_with_online(partition, count=STATES):
     """Largest error of the law relative to the largest |z|, and the share of feasible parameters in no region."""
     problem = partition.problem
     theta = partition.centre + partition.half * np.random.default_rng(0).uniform(-1, 1, size=(count, problem.nt))
-    region = scan_regions(partition, theta)
+    region = np.full(count, -1)
+    if len(partition):
+        region = ExplicitMPC.from_partition(partition, method="sequential").locate(theta)
     solver = DenseQP(problem.H, problem.G)
     online = [solver.solve(*problem.at(t)) for t in theta]
     feasible = np.array([not result.infeasible for result in online])

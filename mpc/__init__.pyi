@@ -6,7 +6,8 @@ from mpc.exceptions import (
     NotStabilisableError as NotStabilisableError,
 )
 from mpc.explicit.explicit import ExplicitMPC as ExplicitMPC
-from mpc.explicit.mpqp import MPQPStatus as MPQPStatus, solve_mpqp as solve_mpqp
+from mpc.explicit.mpqp import solve_mpqp as solve_mpqp
+from mpc.explicit.partition import MPQPStatus as MPQPStatus
 from mpc.infeasibility import Explanation as Explanation
 from mpc.linear_mpc import LinearMPC as LinearMPC
 from mpc.parametric_qp import Constraint as Constraint, ParametricQP as ParametricQP

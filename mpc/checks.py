@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from functools import partial
 from numbers import Real
 from typing import Any
@@ -15,8 +16,33 @@ from mpc.exceptions import InputError, NotConvexError
 from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
 _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
+
+
+@dataclass(frozen=True, eq=False)
+class ReadOnly:
+    """Dataclass whose arrays are read-only copies, also once it is unpickled; what it has cached is not pickled."""
+
+    def __post_init__(self) -> None:
+        for name, kind in self.arrays().items():
+            object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=kind, order="C")))
+
+    @classmethod
+    def arrays(cls) -> dict[str, type]:
+        """Names of the fields that are arrays, and their types."""
+        kinds: dict[Any, type] = {"Array": np.float64, "Ints": np.int64}
+        return {field.name: kinds[field.type] for field in fields(cls) if field.type in kinds}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
+        self.__post_init__()
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
 from mpc.tolerances import EMPTY, FAR, ROUNDED_ZERO, SMALL_BOUND
 
@@ -122,7 +121,7 @@ class Limits:
             units["rate"] = np.tile(self.rate, 2)
         return units
 
-    def own(self) -> dict[str, NDArray[np.bool_]]:
+    def own(self) -> dict[str, Flags]:
         """Whether each row is priced in units of its bound."""
         reaches = self.reaches()
         return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self._sets.items()}

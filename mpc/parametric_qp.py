@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_array, as_floats
+from mpc.checks import Array, ReadOnly, as_array, as_floats
 from mpc.exceptions import InputError
 
 
@@ -28,7 +28,7 @@ class Constraint(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParametricQP:
+class ParametricQP(ReadOnly):
     """Minimise ½ z'Hz + (Fθ + f)'z + ½ θ'Yθ + y'θ + c, Gz <= w + Sθ.
 
     Attributes
@@ -71,12 +71,6 @@ class ParametricQP:
     nu: int
     parameters: tuple[tuple[str, int], ...]
     labels: tuple[Constraint, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l", "Xz", "Xt", "x"):
-            array = np.array(getattr(self, name), dtype=np.float64, order="C")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
 
     @property
     def nz(self) -> int:

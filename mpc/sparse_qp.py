@@ -8,11 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from mpc.checks import Array
+from mpc.checks import Array, Ints
 from mpc.feedback import stabilising_feedback
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
@@ -260,7 +259,7 @@ class PlanCheck:
         return left, max(NEGLIGIBLE * self._weight * unit, *(float(np.linalg.norm(part)) for part in parts))
 
 
-def _columns(stagewise: StagewiseQP) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _columns(stagewise: StagewiseQP) -> tuple[Ints, Ints]:
     """Places of inputs and states (N + 1, n) among the variables."""
     widths = np.array([len(stage.gx) + len(stage.gv) for stage in stagewise.stages])
     states = (np.cumsum(widths) - widths)[:, None] + np.arange(stagewise.n)

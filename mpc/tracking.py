@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import null_space
 
-from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.checks import Array, ReadOnly, as_array, as_count, as_floats
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
@@ -216,7 +216,7 @@ class OffsetFreeLoop:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class Target(ReadOnly):
     """State and input to aim at.
 
     Attributes
@@ -232,10 +232,6 @@ class Target:
     input: Array
     drift: Array
     steady: bool
-
-    def __post_init__(self) -> None:
-        for array in (self.state, self.input, self.drift):
-            array.flags.writeable = False
 
 
 def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Array, r: Array) -> Target:

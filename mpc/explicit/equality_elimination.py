@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Ints
 from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
@@ -17,7 +17,6 @@ from mpc.explicit.scaled_qp import ScaledQP, widths, with_parameter_rows
 from mpc.parametric_qp import Constraint
 from mpc.tolerances import EQUALITY, FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
-Ints = np.ndarray[Any, np.dtype[np.int64]]
 Limits = list[tuple[float | None, float | None]]
 _NO_ROWS = np.broadcast_to(np.int64(0), 0)
 _NO_PARAMETERS = np.broadcast_to(0.0, (0, 0))

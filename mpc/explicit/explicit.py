@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_floats, as_halfspaces
+from mpc.checks import Array, Ints, as_halfspaces
 from mpc.exceptions import InfeasibleError, InputError
-from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
-from mpc.explicit.search_tree import METHODS, SearchTree, build_tree, evaluate, find, region_points
-from mpc.halfspaces import box_of, nearest_points
+from mpc.explicit.partition import Partition
+from mpc.explicit.piecewise_law import PiecewiseLaw
+from mpc.explicit.search_tree import build_tree, region_points
 from mpc.tolerances import EQUAL_LAW, LAW_ROUNDING
 
 if TYPE_CHECKING:
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from mpc.explicit.codegen.codegen import CodeReport
     from mpc.parametric_qp import ParametricQP
     from mpc.problem import MPCProblem
-
-Flags = np.ndarray[Any, np.dtype[np.bool_]]
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +35,7 @@ class Region:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExplicitMPC:
+class ExplicitMPC(PiecewiseLaw):
     """Piecewise affine control law u(θ); see `LinearMPC.explicit`.
 
     Attributes
@@ -54,27 +51,6 @@ class ExplicitMPC:
     input_rows : (H, h)
         Input set {u : Hu <= h}; inputs outside the partition are projected onto it.
     """
-
-    partition: Partition
-    tree: SearchTree
-    law: Array
-    law_number: Ints
-    input_rows: tuple[Array, Array]
-
-    def __post_init__(self) -> None:
-        for name in ("law", "law_number"):
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
-        H, h = self.input_rows
-        object.__setattr__(self, "input_rows", (_read_only(H), _read_only(h)))
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Fields without the cached regions."""
-        return {name: value for name, value in self.__dict__.items() if name != "regions"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        self.__post_init__()
 
     @classmethod
     def from_partition(
@@ -115,31 +91,11 @@ class ExplicitMPC:
         number = _law_numbers(law, partition, points.points[points.starts[:-1]])
         _, first = np.unique(number, return_index=True)
         law = law[first][number]  # laws that agree up to rounding become one
-        rows = (np.zeros((0, nu)), np.zeros(0)) if input_rows is None else _as_rows(input_rows, nu)
+        if input_rows is not None and (not isinstance(input_rows, tuple) or len(input_rows) != 2):
+            raise InputError("input_rows", type(input_rows).__name__, "a pair (H, h) with Hu <= h")
+        inputs = None if input_rows is None else SimpleNamespace(A=input_rows[0], b=input_rows[1])
         tree = build_tree(partition, number, points, method=method, time_limit=tree_time_limit)
-        return cls(partition, tree, law, number, rows)
-
-    @property
-    def status(self) -> MPQPStatus:
-        """Whether the partition is complete."""
-        return self.partition.status
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        return int(self.law.shape[1])
-
-    @property
-    def nt(self) -> int:
-        """Number of parameters."""
-        return int(self.law.shape[2] - 1)
-
-    def __len__(self) -> int:
-        return len(self.partition)
-
-    def __repr__(self) -> str:
-        size = f"{len(self)} regions, {self.nt} parameters, {self.nu} inputs"
-        return f"ExplicitMPC({size}, {self.status.name}, {self.tree!r})"
+        return cls(partition, tree, law, number, as_halfspaces("input_rows", inputs, nu))
 
     @cached_property
     def regions(self) -> tuple[Region, ...]:
@@ -151,63 +107,6 @@ class ExplicitMPC:
             Region(Polytope(p.H[a:b], p.h[a:b]), law[:, :-1], law[:, -1], active)
             for a, b, law, active in zip(p.offsets[:-1], p.offsets[1:], self.law, p.active_sets)
         )
-
-    def locate(self, theta: ArrayLike, *, method: str = "tree") -> Ints:
-        """Region of each parameter (n, nt) -> (n,) or (nt,) -> (); -1 outside."""
-        points, single = self._points(theta)
-        found = find(self.tree, self.partition, points, scan=_is_scan(method))
-        region = np.where(found.outside, -1, found.region)
-        return region[0] if single else region
-
-    def evaluate(self, theta: ArrayLike, *, method: str = "tree") -> tuple[Array, Flags]:
-        """First input, and whether the parameter lies outside.
-
-        Parameters
-        ----------
-        theta : (n, nt) or (nt,) array
-            States, with further parameters behind them where the law has some.
-        method : "tree" or "sequential"
-            By the search tree, or by a scan of all regions; the same inputs.
-
-        Returns
-        -------
-        u : (n, nu) or (nu,) array
-            Outside a complete partition, the input where the straight line to `tree.centre` enters it; outside an
-            incomplete one, the law of the nearest region, projected onto the input set.
-        outside : (n,) or () bool array
-            True where no region holds the parameter: there the problem is infeasible, or not of interest.
-
-        Raises
-        ------
-        InputError
-            Wrong shape, NaN, or an unknown method.
-        """
-        points, single = self._points(theta)
-        H, h = self.input_rows
-        box = box_of(H, h)
-        limits = np.array(box or (np.full(self.nu, -np.inf), np.full(self.nu, np.inf)))
-        laws = Laws(self.law, self.law_number, limits)
-        u, outside = evaluate(self.tree, self.partition, points, laws, scan=_is_scan(method))
-        if box is None:
-            u[outside] = nearest_points(u[outside], H, h)
-        return (u[0], outside[0]) if single else (u, outside)
-
-    def __call__(self, theta: ArrayLike) -> Array:
-        """First input: (nt,) -> (nu,) or (n, nt) -> (n, nu)."""
-        return self.evaluate(theta)[0]
-
-    def value(self, theta: ArrayLike) -> Array:
-        """Optimal cost (n,) or (), infinite outside the partition."""
-        points, single = self._points(theta)
-        region, outside = find(self.tree, self.partition, points)
-        p = self.partition.problem
-        law = self.partition.law[region]
-        with np.errstate(over="ignore", invalid="ignore"):  # parameters far outside
-            z = np.einsum("nij,nj->ni", law[:, :, :-1], points) + law[:, :, -1]
-            free = np.sum(points @ p.Y * points, axis=1) / 2 + points @ p.y + p.c
-            cost = np.sum(z @ p.H * z, axis=1) / 2 + np.sum((points @ p.F.T + p.f) * z, axis=1) + free
-        cost = np.where(outside, np.inf, cost)
-        return cost[0] if single else cost
 
     def save(self, path: str | Path) -> tuple[Path, Path]:
         """Write `path`.npz (arrays) and `path`.json (the rest)."""
@@ -233,25 +132,6 @@ class ExplicitMPC:
         from mpc.explicit.plotting import plot_explicit
 
         return plot_explicit(self, what, **style)
-
-    def _points(self, theta: ArrayLike) -> tuple[Array, bool]:
-        """Parameters as new rows, and whether a single one was given."""
-        points = as_floats("theta", theta)
-        single = points.ndim == 1
-        points = points[None] if single else points
-        if points.ndim != 2 or points.shape[1] != self.nt:
-            raise InputError("theta", f"shape {np.shape(theta)}", f"({self.nt},) or (n, {self.nt})")
-        if not np.isfinite(points).all():
-            row = int(np.argwhere(~np.isfinite(points))[0, 0])
-            raise InputError("theta", f"NaN or infinity in row {row}", "finite numbers")
-        return points, single
-
-
-def _is_scan(method: str) -> bool:
-    """Whether all regions are to be scanned."""
-    if method not in METHODS:
-        raise InputError("method", repr(method), "'tree' or 'sequential'")
-    return method == "sequential"
 
 
 def as_path(name: str, value: Any) -> Path:
@@ -290,28 +170,6 @@ def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
         return known
     room = 1e-3 * (reach[:n] + reach[n:])  # no side of the box touches the feasible parameters
     return known.intersection(Polytope.from_bounds(-reach[n:] - room, reach[:n] + room))
-
-
-def _as_rows(rows: Any, nu: int) -> tuple[Array, Array]:
-    """Rows (H, h) of the input set, checked."""
-    if not isinstance(rows, tuple) or len(rows) != 2:
-        raise InputError("input_rows", type(rows).__name__, "a pair (H, h) with Hu <= h")
-    return as_halfspaces("input_rows", _Halfspaces(*rows), nu)
-
-
-@dataclass(frozen=True)
-class _Halfspaces:
-    """Set with `.A` and `.b`."""
-
-    A: Any
-    b: Any
-
-
-def _read_only(array: Any) -> Any:
-    """Read-only copy."""
-    array = np.array(array, order="C")
-    array.flags.writeable = False
-    return array
 
 
 def _law_numbers(law: Array, partition: Partition, centres: Array) -> Ints:

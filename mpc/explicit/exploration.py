@@ -8,9 +8,9 @@ from typing import NamedTuple
 import daqp
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Ints
 from mpc.explicit.holes import Holes
-from mpc.explicit.partition import Ints, MPQPStatus
+from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.region_graph import Found, RegionGraph
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import REDUNDANT, REGIONS_TO_THIN
@@ -78,21 +78,17 @@ class Search:
         feasible = [np.empty((0, self.regions.parameters)) if self.known is None else self.known]
         for _ in range(10):  # new ones are drawn while none leads to a region
             targets = self.rng.uniform(-1, 1, size=(8, self.regions.parameters))
-            found = self._seeded(targets, deadline)
+            seeded = [np.empty((0, self.regions.parameters))]
+            for few in self.holes.portions(targets, 2_000):
+                seeded.append(self.regions.seed(few))
+                if time.perf_counter() > deadline:
+                    break
+            found = np.vstack(seeded)
             if len(found) == 0 or self.queued or time.perf_counter() > deadline:
                 break
             feasible.append(found)
         if not self.queued:
             self.holes.ask_at(np.vstack(feasible), deadline)
-
-    def _seeded(self, targets: Array, deadline: float) -> Array:
-        """Feasible parameters near the targets, their active sets queued."""
-        found = [np.empty((0, self.regions.parameters))]
-        for few in self.holes.portions(targets, 2_000):
-            found.append(self.regions.seed(few))
-            if time.perf_counter() > deadline:
-                break
-        return np.vstack(found)
 
     def nothing_found(self, deadline: float) -> MPQPStatus:
         """Status of an exploration without a first region."""
@@ -149,15 +145,8 @@ class Search:
         return self.regions.found(status, self.holes.uncovered)
 
 
-class NeededRows(NamedTuple):
-    """Rows of M kept, and whether all were checked."""
-
-    rows: Ints
-    finished: bool
-
-
-def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> NeededRows:
-    """Irredundant rows of M, without those that only touch.
+def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> tuple[Ints, bool]:
+    """Irredundant rows of M, without those that only touch, and whether all were looked at.
 
     A row is kept in doubt, and when it was not looked at before the deadline, `time.perf_counter()` [s].
     """
@@ -170,7 +159,7 @@ def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> NeededRows:
             break
         kept[i] = False
         kept[i] = not is_implied(J[i], float(h[i]), J[kept], h[kept])
-    return NeededRows(np.flatnonzero(kept[: len(qp.M)]), finished)
+    return np.flatnonzero(kept[: len(qp.M)]), finished
 
 
 def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:

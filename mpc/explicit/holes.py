@@ -4,24 +4,110 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
 
-from mpc.checks import Array
+from mpc.checks import Array, Ints
+from mpc.dense_qp import DenseQP
+from mpc.explicit.kernels import places
 from mpc.explicit.kernels.data import ASKED, CROSSED, OPEN, ROWS
-from mpc.explicit.openings import OnlineQP, points_beyond
-from mpc.explicit.partition import Ints
+from mpc.explicit.kernels.halfspace import interior_point
+from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
 from mpc.explicit.region_graph import RegionGraph
+from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import (
     CROSSING,
     FARTHEST_BEHIND,
+    KKT,
+    LAW_ERROR,
+    OPTIMAL_SET,
+    PARALLEL,
     POINTS_ANYWHERE,
     POINTS_BEHIND,
     POINTS_BETWEEN,
     QPS_AT_ONCE,
     REGIONS_PER_POINT,
     THIN,
+    TIE,
 )
+
+
+class Opening(NamedTuple):
+    """Independent active sets, and whether the parameter has room."""
+
+    candidates: list[tuple[int, ...]]
+    feasible: bool
+
+
+def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
+    """Points of the parameter set just beyond a region's facet [a, b].
+
+    They lie above a point in the middle of the facet; none where the facet is too small for one.
+    """
+    normal = rows[facet, :-1]
+    foot = rows[facet, -1] * normal
+    plane = np.linalg.svd(normal[None])[2][1:].T  # directions along the facet
+    others = np.delete(rows, facet, axis=0)
+    slack = others[:, -1] - others[:, :-1] @ foot
+    along = others[:, :-1] @ plane
+    length = np.linalg.norm(along, axis=1)
+    sides = length > PARALLEL
+    centre = np.zeros(plane.shape[1])
+    radius = 1.0
+    if len(centre):
+        A = np.ascontiguousarray(along[sides] / length[sides, None])
+        radius = interior_point(A, slack[sides] / length[sides], np.inf, centre)
+    if radius == 0.0:
+        return np.empty((0, len(foot)))
+    steps = [CROSSING, max(CROSSING, 0.1 * radius)]
+    points = np.array([foot + plane @ centre + step * normal for step in steps])
+    return points[(points @ qp.TA.T <= qp.Tb).all(axis=1)]
+
+
+class OnlineQP:
+    """Scaled QP at one parameter, by the checked online solver."""
+
+    def __init__(self, qp: ScaledQP) -> None:
+        self.qp = qp
+        self.free = np.zeros(qp.M.shape[1])
+        self.solver = DenseQP(np.eye(len(self.free)), qp.M)
+
+    def at(self, t: Array, deadline: float = np.inf) -> Opening:
+        """Opening at t; past the deadline room may be missed."""
+        bounds = self.qp.D @ np.append(t, 1.0)
+        result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
+        y = result.multipliers
+        if result.infeasible and proves_infeasible(y, self.qp.M, bounds, self.qp.reach):
+            return Opening([], feasible=False)
+        if result.infeasible or not result.residuals.primal <= KKT:
+            return Opening([], self._has_room(bounds, deadline))
+        taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
+        return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline))
+
+    def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
+        """Fewest rows active at v that carry it, linearly independent."""
+        near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
+        if not len(near):
+            return ()
+        share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
+        return tuple(int(i) for i in near[share > 0])
+
+    def _has_room(self, bounds: Array, deadline: float) -> bool:
+        """Whether a point holds every row without a tolerance."""
+        room = TIE * (1.0 + np.abs(bounds))
+        found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
+        if (self.qp.M @ found <= bounds).all():
+            return True
+        # where HiGHS does not end, nobody can tell, and the parameter counts
+        cost = np.append(self.free, -1.0)
+        rows = np.hstack([self.qp.M, room[:, None] / TIE])
+        limits = [(-self.qp.reach, self.qp.reach)] * len(self.free) + [(None, 1.0)]
+        program = solve_exactly(cost, rows, bounds, limits, deadline)
+        if program.status != SOLVED:
+            return bool(program.status != INFEASIBLE)
+        return bool((bounds - self.qp.M @ program.x[:-1] >= room).all())
 
 
 class Holes:
@@ -54,7 +140,7 @@ class Holes:
         """
         regions = self.regions
         count = min(64 + regions.done // REGIONS_PER_POINT, 500)
-        still = self._some(np.flatnonzero(regions.facet_states == OPEN), count)
+        still = self._some(np.flatnonzero(regions.facets.state[: regions.graph.counts[ROWS]] == OPEN), count)
         offsets = regions.facets.offsets
         for facet, r in zip(still, self._owners(still)):
             if regions.queued > regions.done or time.perf_counter() > deadline:
@@ -75,12 +161,12 @@ class Holes:
         between = self.between_facets(POINTS_BETWEEN + more)  # feasible, whatever a solver says
         behind = self.behind_facets(POINTS_BEHIND + more)
         anywhere = self.rng.uniform(-1, 1, size=(2 * (POINTS_ANYWHERE + more), regions.parameters))
-        places = [anywhere[: POINTS_ANYWHERE + more], behind]
-        for targets in self.portions(anywhere[POINTS_ANYWHERE + more :]):
+        targets = [anywhere[: POINTS_ANYWHERE + more], behind]
+        for few in self.portions(anywhere[POINTS_ANYWHERE + more :]):
             if time.perf_counter() > deadline:
                 return True
-            places.append(regions.seed(targets))  # near the border
-        in_time = self._look_at(between, True, deadline) and self._look_at(np.vstack(places), False, deadline)
+            targets.append(regions.seed(few))  # near the border
+        in_time = self._look_at(between, True, deadline) and self._look_at(np.vstack(targets), False, deadline)
         if not in_time:
             return True
         if len(self.pending):
@@ -89,23 +175,19 @@ class Holes:
 
     def between_facets(self, count: int) -> Array:
         """Random points between two facets, `count` of them."""
-        from mpc.explicit.kernels.places import between_facets
-
         regions = self.regions
         points = np.empty((count, regions.parameters))
-        between_facets(regions.facets, regions.graph.counts[ROWS], self.rng.random((count, 3)), points)
+        places.between_facets(regions.facets, regions.graph.counts[ROWS], self.rng.random((count, 3)), points)
         return points
 
     def behind_facets(self, most: int) -> Array:
         """Random points behind crossed facets, `most` of them; half just behind."""
-        from mpc.explicit.kernels.places import behind_facets
-
         regions = self.regions
-        chosen = self._some(np.flatnonzero(regions.facet_states == CROSSED), most)
+        chosen = self._some(np.flatnonzero(regions.facets.state[: regions.graph.counts[ROWS]] == CROSSED), most)
         owners = self._owners(chosen)
         points = np.empty((most if len(chosen) else 0, regions.parameters))
         draws = self.rng.random((len(points), regions.parameters + 2))
-        behind_facets(regions.facets, chosen, owners, draws, CROSSING, FARTHEST_BEHIND, points)
+        places.behind_facets(regions.facets, chosen, owners, draws, CROSSING, FARTHEST_BEHIND, points)
         return points
 
     def _owners(self, facets: Ints) -> Ints:

@@ -9,8 +9,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
-from mpc.checks import Array, as_count, as_seconds
+from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.equality_elimination import (
     FlatParameters,
@@ -20,14 +21,22 @@ from mpc.explicit.equality_elimination import (
     implied_equalities,
 )
 from mpc.explicit.exploration import Limits, explore_compiled
-from mpc.explicit.laws import checked_laws, in_units
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
-from mpc.tolerances import DUPLICATE, FAR_OPTIMUM, REGION_RADIUS, THIN
+from mpc.tolerances import (
+    DUPLICATE,
+    FAR_OPTIMUM,
+    LAW_ERROR,
+    LAW_ROUNDING_FAR,
+    LAWS_AT_ONCE,
+    NEARLY_DEPENDENT,
+    REGION_RADIUS,
+    THIN,
+)
 
-__all__ = ["MPQPStatus", "Partition", "solve_mpqp"]
+ActiveSets = list[tuple[int, ...]]
 
 
 def solve_mpqp(
@@ -180,6 +189,87 @@ def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) ->
         return eliminate(qp, list(implied.rows), problem.labels)
     except FlatParameters:
         return None
+
+
+def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> tuple[Array, Flags]:
+    """Law v = law[r] [t; 1] of each active set, and whether it holds at the region's centre.
+
+    A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `LAW_ERROR`
+    in units of the bounds and of the variables.
+    """
+    law = np.zeros((len(active_sets), qp.M.shape[1], qp.D.shape[1]))
+    accepted = max(LAW_ERROR / max(1.0, qp.far), LAW_ROUNDING_FAR)  # in units of how far the optimum is
+    holds = np.ones(len(active_sets), dtype=bool)
+    where = np.hstack([centres, np.ones((len(centres), 1))])
+    sizes = -(-np.array([len(act) for act in active_sets]) // 4)  # in fours: those of similar size together
+    for size in {*sizes.tolist()} - {0}:
+        which = np.flatnonzero(sizes == size)
+        rows, right, gram = _padded(qp, [active_sets[r] for r in which])
+        law[which], missed, pull = _law(rows, right, gram)
+        force = (pull @ where[which, :, None])[:, :, 0]  # minus the multipliers
+        holds[which] = missed <= accepted
+        holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
+    return law, holds & (_violation(qp, law, where) <= accepted)
+
+
+def _padded(qp: ScaledQP, active_sets: ActiveSets) -> tuple[Array, Array, Array]:
+    """Padded rows of M and D and Gram matrices of active sets."""
+    width = max(len(act) for act in active_sets)
+    act = np.array([act + (-1,) * (width - len(act)) for act in active_sets])
+    rows = qp.M[act]
+    right = qp.D[act]
+    gram = qp.gram[act[:, :, None], act[:, None, :]]
+    none = act < 0
+    if none.any():
+        rows[none] = 0.0
+        right[none] = 0.0
+        gram[none[:, :, None] | none[:, None, :]] = 0.0
+        gram[:, np.arange(width), np.arange(width)] += none
+    return rows, right, gram
+
+
+def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
+    """Least-norm solution v of rows v = right [t; 1], error and weights."""
+    inverse = np.linalg.inv(gram)
+    across = rows.transpose(0, 2, 1)
+    pull = inverse @ right
+    law = across @ pull
+    law += across @ (inverse @ (right - rows @ law))  # the rounding of a nearly singular gram is taken out
+    for k in np.flatnonzero(np.abs(inverse).max(axis=(1, 2)) > NEARLY_DEPENDENT):
+        law[k], pull[k] = _law_by_directions(rows[k], right[k])
+    size = 1.0 + np.abs(right).sum(axis=2) + np.linalg.norm(law, axis=1).sum(axis=1)[:, None]
+    missed = (np.abs(rows @ law - right).sum(axis=2) / size).max(axis=1)
+    return law, missed, pull
+
+
+def _law_by_directions(rows: Array, right: Array) -> tuple[Array, Array]:
+    """Law of one active set by a QR factorisation."""
+    real = rows.any(axis=1)
+    Q, R = np.linalg.qr(rows[real].T)
+    along = solve_triangular(R, right[real], trans="T")
+    pull = np.zeros_like(right)
+    pull[real] = solve_triangular(R, along)
+    return Q @ along, pull
+
+
+def _violation(qp: ScaledQP, law: Array, where: Array) -> Array:
+    """Largest relative violation of each law at its point."""
+    parts = [np.zeros(0)]
+    for first in range(0, len(law) if len(qp.M) else 0, LAWS_AT_ONCE):
+        part = where[first : first + LAWS_AT_ONCE]
+        v = np.einsum("rvc,rc->rv", law[first : first + LAWS_AT_ONCE], part)
+        bounds = part @ qp.D.T
+        size = 1.0 + np.abs(bounds) + np.linalg.norm(v, axis=1)[:, None]
+        parts.append(((v @ qp.M.T - bounds) / size).max(axis=1))
+    return np.concatenate(parts) if len(qp.M) else np.zeros(len(law))
+
+
+def in_units(qp: ScaledQP, law: Array) -> Array:
+    """Laws of v in scaled parameters as z = law [θ; 1] in units."""
+    law = qp.free + qp.back @ law
+    law[:, :, :-1] /= qp.half
+    law[:, :, -1] -= law[:, :, :-1] @ qp.centre
+    return law
 
 
 @cache

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array
+from mpc.checks import Array, Ints, ReadOnly
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import DEFINITE
-
-Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class MPQPStatus(Outcome):
@@ -38,7 +36,7 @@ class Laws(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Partition:
+class Partition(ReadOnly):
     """Solution of a multiparametric QP; its arrays are read-only.
 
     Attributes
@@ -76,27 +74,12 @@ class Partition:
     solve_time: float
     uncovered: int = 0
 
-    def __post_init__(self) -> None:
-        for name in ("H", "h", "offsets", "law", "centre", "half"):
-            array = np.array(getattr(self, name), order="C")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-
     @cached_property
     def scaled_rows(self) -> Array:
         """Facets [H, h] in the scaled parameter t, unit normals: (n_halfspaces, nt + 1)."""
         rows = np.hstack([self.H * self.half, (self.h - self.H @ self.centre)[:, None]])
         rows.flags.writeable = False
         return rows
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Fields without the cached `scaled_rows`."""
-        return {name: value for name, value in self.__dict__.items() if name != "scaled_rows"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        self.__post_init__()
 
     def __len__(self) -> int:
         return len(self.active_sets)

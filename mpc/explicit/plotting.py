@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_array, as_count
 from mpc.exceptions import InputError
-from mpc.explicit.laws import PiecewiseLaw
+from mpc.explicit.piecewise_law import PiecewiseLaw
 
 
 def plot_explicit(

@@ -6,16 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags, Ints
+from mpc.explicit.kernels import active_sets, exploration, places
 from mpc.explicit.kernels.data import DONE, FULL, GROW, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
-from mpc.explicit.partition import Ints, MPQPStatus
+from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import INSIDE
 
 Masks = np.ndarray[Any, np.dtype[np.uint64]]
 Bits = np.ndarray[Any, np.dtype[np.uint8]]
-Bools = np.ndarray[Any, np.dtype[np.bool_]]
-
 
 
 class Found(NamedTuple):
@@ -62,47 +61,39 @@ class RegionGraph:
         """Whether several active sets are optimal on one region."""
         return bool(self.graph.tied.any())
 
-    @property
-    def facet_states(self) -> np.ndarray[Any, np.dtype[np.int8]]:
-        """States of the facets."""
-        return self.facets.state[: self.graph.counts[ROWS]]
-
     def explore(self, regions: int) -> None:
         """Find facets and neighbours of at most so many more regions."""
-        from mpc.explicit.kernels.exploration import explore
-
-        if explore(self.data, self.graph, self.facets, regions) == GROW:
-            self._grow()
+        if exploration.explore(self.data, self.graph, self.facets, regions) != GROW:
+            return
+        # the scarcer room is doubled: that for facets or for active sets
+        facets = self.facets
+        if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
+            longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
+            self.facets = facets._replace(**longer)
+        else:
+            self._grow_sets()
 
     def consider(self, act: tuple[int, ...]) -> None:
         """Queue an active set that has a region and is new."""
-        from mpc.explicit.kernels.active_sets import consider
-
         self.make_room(1)
         members = np.zeros((1, len(self.qp.M)), dtype=np.uint8)
         members[0, list(act)] = 1
-        consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
+        active_sets.consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
 
     def seed(self, targets: Array) -> Array:
         """Queue active sets near `targets`; return their feasible parameters."""
-        from mpc.explicit.kernels.places import seed
-
         self.make_room(4 * len(targets))
         found = np.empty_like(targets)
-        return found[: int(seed(self.data, self.graph, *self.qp.joint, targets, found))]
+        return found[: int(places.seed(self.data, self.graph, *self.qp.joint, targets, found))]
 
-    def look_at(self, points: Array) -> Bools:
+    def look_at(self, points: Array) -> Flags:
         """Queue active sets at points; return which are feasible parameters."""
-        from mpc.explicit.kernels.places import look_at
-
         self.make_room(4 * len(points))
-        return np.asarray(look_at(self.data, self.graph, points))
+        return np.asarray(places.look_at(self.data, self.graph, points))
 
-    def covered(self, points: Array, distance: float = INSIDE) -> Bools:
+    def covered(self, points: Array, distance: float = INSIDE) -> Flags:
         """Whether points lie in a done region, or near one."""
-        from mpc.explicit.kernels.places import covered
-
-        return np.asarray(covered(self.facets, self.graph.counts, points, distance))
+        return np.asarray(places.covered(self.facets, self.graph.counts, points, distance))
 
     def active_bits(self, regions: int) -> Bits:
         """Members (regions, m) of the active sets of the first regions."""
@@ -130,15 +121,6 @@ class RegionGraph:
         while self.graph.counts[KNOWN] + sets >= len(self.graph.masks):
             self._grow_sets()
 
-    def _grow(self) -> None:
-        """Double the scarcer room: facets or active sets."""
-        facets = self.facets
-        if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
-            longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
-            self.facets = facets._replace(**longer)
-        else:
-            self._grow_sets()
-
     def _grow_sets(self) -> None:
         """Double the room for active sets."""
         graph = self.graph
@@ -150,9 +132,7 @@ class RegionGraph:
 
     def rehash(self) -> None:
         """Fill the hash table."""
-        from mpc.explicit.kernels.active_sets import rehash
-
-        rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
+        active_sets.rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
 
     def found(self, status: MPQPStatus, uncovered: int) -> Found:
         """Regions done."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from mpc.checks import Array, as_halfspaces
+from mpc.checks import Array, Flags, Ints, as_halfspaces
 from mpc.exceptions import InputError, NotConvexError
 from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
@@ -25,8 +25,6 @@ from mpc.tolerances import (
     UNCHANGED,
     VANISHING_ROW,
 )
-
-Ints = np.ndarray[Any, np.dtype[np.int64]]
 
 
 class ParameterSet(NamedTuple):
@@ -102,11 +100,10 @@ class ScaledQP:
 
     def rows(self, kept: Ints) -> ScaledQP:
         """Problem with some of its constraints only."""
-        return ScaledQP(
-            np.ascontiguousarray(self.M[kept]), np.ascontiguousarray(self.D[kept]), self.tie[kept],
-            np.ascontiguousarray(self.gram[np.ix_(kept, kept)]), self.TA, self.Tb, self.origin[kept],
-            self.back, self.free, self.centre, self.half, self.far, self.own[kept], self.own_unit,
-        )  # fmt: skip
+        M = np.ascontiguousarray(self.M[kept])
+        D = np.ascontiguousarray(self.D[kept])
+        gram = np.ascontiguousarray(self.gram[np.ix_(kept, kept)])
+        return replace(self, M=M, D=D, tie=self.tie[kept], gram=gram, origin=self.origin[kept], own=self.own[kept])
 
     def unscale_rows(self, rows: Array) -> tuple[Array, Array]:
         """Half-spaces (k, nt + 1) in t as (H, h) in θ."""
@@ -219,7 +216,7 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
     return size, np.asarray(np.linalg.cholesky(H), dtype=np.float64)
 
 
-def _vanishing(length: Array, right: Array, shift: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _vanishing(length: Array, right: Array, shift: Array) -> Flags:
     """Whether each row restricts the parameter only, up to rounding."""
     moved = length > 0
     reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero

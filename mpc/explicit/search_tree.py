@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, as_seconds
+from mpc.checks import Array, Flags, Ints, ReadOnly, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Ints, Laws, MPQPStatus, Partition
+from mpc.explicit.partition import Laws, MPQPStatus, Partition
 from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
 
 METHODS = ("tree", "sequential")
 
-Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 class TreeStatus(Outcome):
@@ -29,7 +28,7 @@ class TreeStatus(Outcome):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SearchTree:
+class SearchTree(ReadOnly):
     """Binary search tree over a partition in scaled parameters; read-only.
 
     Attributes
@@ -55,12 +54,6 @@ class SearchTree:
     centre: Array
     status: TreeStatus = TreeStatus.COMPLETE
 
-    def __post_init__(self) -> None:
-        for name in ("planes", "nodes", "leaf_regions", "border", "centre"):
-            array = np.array(getattr(self, name), order="C")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-
     @property
     def depth(self) -> int:
         """Largest number of hyperplanes evaluated."""
@@ -73,13 +66,6 @@ class SearchTree:
     def __repr__(self) -> str:
         size = f"{len(self.nodes)} nodes, depth {self.depth}, {len(self.planes)} hyperplanes"
         return f"SearchTree({size}, {self.status.name})"
-
-
-class Located(NamedTuple):
-    """Regions of parameters, and whether each lies outside."""
-
-    region: Ints
-    outside: Flags
 
 
 class RegionPoints(NamedTuple):
@@ -116,43 +102,46 @@ def build_tree(
     if method not in METHODS:
         raise InputError("method", repr(method), "'tree' or 'sequential'")
     deadline = time.perf_counter() + as_seconds("tree_time_limit", time_limit)
-    if method == "sequential":
-        planes, nodes, leaf = _one_leaf(partition)
-        status = TreeStatus.SEQUENTIAL
-    else:
+    n = len(partition.centre)
+    every = np.arange(len(partition), dtype=np.int64)
+    nodes = np.array([[-1, 0, len(partition)]], dtype=np.int64)
+    tree = SearchTree(np.zeros((0, n + 1)), nodes, every, np.zeros((0, n + 1)), np.zeros(n), TreeStatus.SEQUENTIAL)
+    if method == "tree":
         planes, nodes, leaf, status = _grow(partition, laws, points, deadline)
-        leaf = _largest_first(nodes, leaf, points)
-    border = np.zeros((0, partition.scaled_rows.shape[1]))
-    if partition.status is MPQPStatus.COMPLETE:
-        border = _border(partition, (planes, nodes, leaf), points)
-    return SearchTree(planes, nodes, leaf, border, _centre_of(border), status)
+        tree = replace(
+            tree, planes=planes, nodes=nodes, leaf_regions=_largest_first(nodes, leaf, points), status=status
+        )
+    if partition.status is not MPQPStatus.COMPLETE:
+        return tree
+    border = _border(partition, tree, points)
+    return replace(tree, border=border, centre=_centre_of(border))
 
 
-def find(tree: SearchTree, partition: Partition, theta: Array, *, scan: bool = False) -> Located:
-    """Region of every parameter (n, nt), by tree or scan.
+def search(
+    tree: SearchTree, partition: Partition, theta: Array, laws: Laws | None = None, *, scan: bool = False
+) -> tuple[Ints, Flags, Array]:
+    """Region of every parameter (n, nt), whether it lies outside, and its input law[region] [θ; 1], by tree or scan.
 
-    A parameter outside a complete partition gets the region where the straight line to the centre enters it; one
-    outside an incomplete partition the region from which it is least far, in scaled parameters.
+    A parameter outside a complete partition gets the region where the straight line to the centre enters it, and the
+    input there; one outside an incomplete partition the region from which it is least far, in scaled parameters.
+    Outside any, the input is kept within the limits.
     """
-    return _located(_searched(tree, partition, scan), theta)
+    from mpc.explicit.kernels import search as compiled
 
-
-def evaluate(
-    tree: SearchTree, partition: Partition, theta: Array, laws: Laws, *, scan: bool = False
-) -> tuple[Array, Flags]:
-    """Inputs law[region] [θ; 1] of parameters (n, nt), and whether each lies outside.
-
-    Outside a complete partition the law is taken at the border; outside any, it is kept within the rows of limits.
-    """
-    found = _search(_searched(tree, partition, scan), theta, laws)
-    return found.u, found.outside
-
-
-def scan_regions(partition: Partition, theta: Array) -> Ints:
-    """Region of every parameter (n, nt) by a scan; -1 outside."""
-    n = theta.shape[1]
-    region, outside = _located(_locator(partition, _no_leaf(n), np.zeros((0, n + 1)), np.zeros(n)), theta)
-    return np.where(outside, -1, region)
+    count, n = theta.shape
+    parts = (tree.planes, tree.nodes, tree.leaf_regions)
+    if scan:
+        parts = (np.zeros((0, n + 1)), np.array([[-1, 0, 0]], dtype=np.int64), np.zeros(0, dtype=np.int64))
+    if laws is None:
+        laws = Laws(np.zeros((len(partition), 0, n + 1)), np.arange(len(partition)), np.zeros((2, 0)))
+    regions = (partition.scaled_rows, partition.offsets)
+    scaling = (tree.border, tree.centre, partition.centre, partition.half)
+    where = compiled.Locator(*map(_view, (*parts, *regions, *scaling)))
+    found = compiled.Found(
+        np.empty(count, dtype=np.int64), np.empty(count, dtype=bool), np.empty((count, laws.law.shape[1]))
+    )
+    compiled.search(where, _view(theta), Laws(*map(_view, laws)), found)
+    return found.region, found.outside, found.u
 
 
 def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
@@ -163,50 +152,6 @@ def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
     rounded = np.round(signed, SAME_HYPERPLANE_DIGITS) + 0.0
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     return np.ascontiguousarray(signed[first]), number.astype(np.int64).ravel(), flipped
-
-
-def _one_leaf(partition: Partition) -> tuple[Array, Ints, Ints]:
-    """Planes, nodes and leaf regions of a tree that scans all regions."""
-    n = partition.scaled_rows.shape[1]
-    every = np.arange(len(partition), dtype=np.int64)
-    return np.zeros((0, n)), np.array([[-1, 0, len(partition)]], dtype=np.int64), every
-
-
-def _no_leaf(n: int) -> tuple[Array, Ints, Ints]:
-    """Planes, nodes and leaf regions of an empty tree."""
-    return np.zeros((0, n + 1)), np.array([[-1, 0, 0]], dtype=np.int64), np.zeros(0, dtype=np.int64)
-
-
-def _locator(partition: Partition, tree: tuple[Array, Ints, Ints], border: Array, inner: Array) -> Any:
-    """Locator for the compiled search."""
-    from mpc.explicit.kernels.search import Locator
-
-    regions = (partition.scaled_rows, partition.offsets)
-    return Locator(*map(_view, (*tree, *regions, border, inner, partition.centre, partition.half)))
-
-
-def _searched(tree: SearchTree, partition: Partition, scan: bool) -> Any:
-    """Locator of a search tree, or of a scan."""
-    parts = _no_leaf(len(partition.centre)) if scan else (tree.planes, tree.nodes, tree.leaf_regions)
-    return _locator(partition, parts, tree.border, tree.centre)
-
-
-def _located(where: Any, theta: Array) -> Located:
-    """Region of every parameter, and whether it is outside."""
-    count = len(where.offsets) - 1
-    no_inputs = Laws(np.zeros((count, 0, theta.shape[1] + 1)), np.arange(count), np.zeros((2, 0)))
-    return Located(*_search(where, theta, no_inputs)[:2])
-
-
-def _search(where: Any, theta: Array, laws: Laws) -> Any:
-    """Region, outside flag and input of every parameter."""
-    from mpc.explicit.kernels import search as compiled
-
-    count = len(theta)
-    region = np.empty(count, dtype=np.int64)
-    found = compiled.Found(region, np.empty(count, dtype=bool), np.empty((count, laws.law.shape[1])))
-    compiled.search(where, _view(theta), Laws(*map(_view, laws)), found)
-    return found
 
 
 def _view(array: Any) -> Any:
@@ -303,7 +248,7 @@ def _roomier(growth: Any) -> Any:
     return growth._replace(**more)
 
 
-def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: RegionPoints) -> Array:
+def _border(partition: Partition, tree: SearchTree, points: RegionPoints) -> Array:
     """Facets with every region on one side and none across."""
     from mpc.explicit.kernels.search import supporting
 
@@ -321,8 +266,7 @@ def _border(partition: Partition, tree: tuple[Array, Ints, Ints], points: Region
     facet = points.starts[region] + 1 + candidates - partition.offsets[region]
     facet = np.minimum(facet, points.starts[region + 1] - 1)
     across = partition.centre + partition.half * (points.points[facet] + CROSSING * rows[candidates, :-1])
-    inner = np.zeros(rows.shape[1] - 1)
-    return np.ascontiguousarray(rows[candidates[_located(_locator(partition, tree, rows[:0], inner), across).outside]])
+    return np.ascontiguousarray(rows[candidates[search(tree, partition, across)[1]]])
 
 
 def _centre_of(border: Array) -> Array:

@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from mpc.checks import Array, Ints
 from mpc.exceptions import InputError
-from mpc.explicit.laws import LawParts, PiecewiseLaw
 from mpc.explicit.partition import MPQPStatus, Partition
+from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import SearchTree, TreeStatus
 from mpc.parametric_qp import Constraint, ParametricQP
 
 _FORMAT = "explicit-mpc/3"
-_QP = ("H", "F", "f", "Y", "y", "G", "w", "S", "Lz", "Lt", "l", "Xz", "Xt", "x")
-_PARTITION = ("H", "h", "offsets", "law", "centre", "half")
-_TREE = ("planes", "nodes", "leaf_regions", "border", "centre")
 Arrays = dict[str, np.ndarray[Any, Any]]
+Parts = tuple[Partition, SearchTree, Array, Ints, tuple[Array, Array]]  # of an `ExplicitMPC`, in its order
 _together = threading.Lock()  # two threads that save to one path do not mix their files
 
 
@@ -37,11 +36,10 @@ def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     problem = law.partition.problem
     partition = law.partition
     members = np.array([i for active in partition.active_sets for i in active], dtype=np.int64)
-    data = {f"qp_{name}": getattr(problem, name) for name in _QP}
-    data |= {f"partition_{name}": getattr(partition, name) for name in _PARTITION}
-    data |= {f"tree_{name}": getattr(law.tree, name) for name in _TREE}
-    data |= {"law": law.law, "law_number": law.law_number}
-    data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1], "members": members}
+    parts = {"qp": problem, "partition": partition, "tree": law.tree}
+    data = {f"{prefix}_{name}": getattr(part, name) for prefix, part in parts.items() for name in part.arrays()}
+    data |= {"law": law.law, "law_number": law.law_number, "members": members}
+    data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1]}
     data["member_counts"] = np.array([len(active) for active in partition.active_sets], dtype=np.int64)
     text = {
         "format": _FORMAT, "regions": len(partition),
@@ -73,7 +71,7 @@ def _replace(file: Path, write: Callable[[Any], Any]) -> None:
         half_written.unlink(missing_ok=True)
 
 
-def load_parts(path: Path) -> LawParts:
+def load_parts(path: Path) -> Parts:
     """Read the two files.
 
     Raises
@@ -192,10 +190,11 @@ def _within(indices: np.ndarray[Any, Any], count: int) -> bool:
     return bool(((indices >= 0) & (indices < count)).all())
 
 
-def _assemble(text: dict[str, Any], data: Arrays) -> LawParts:
+def _assemble(text: dict[str, Any], data: Arrays) -> Parts:
     """Parts of the law from checked arrays."""
     problem = ParametricQP(
-        **{name: data[f"qp_{name}"] for name in _QP}, c=float(text["constant_cost"]), nu=int(text["nu"]),
+        **{name: data[f"qp_{name}"] for name in ParametricQP.arrays()},
+        c=float(text["constant_cost"]), nu=int(text["nu"]),
         parameters=tuple((str(name), int(size)) for name, size in text["parameters"]),
         labels=tuple(Constraint(str(kind), int(step), int(row)) for kind, step, row in text["labels"]),
     )  # fmt: skip
@@ -204,7 +203,8 @@ def _assemble(text: dict[str, Any], data: Arrays) -> LawParts:
         problem=problem, status=MPQPStatus[text["status"]], solve_time=float(text["solve_time"]),
         uncovered=int(text.get("uncovered", 0)),
         active_sets=tuple(tuple(part.tolist()) for part in np.split(data["members"], ends)[:-1]),
-        **{name: data[f"partition_{name}"] for name in _PARTITION},
+        **{name: data[f"partition_{name}"] for name in Partition.arrays()},
     )  # fmt: skip
-    tree = SearchTree(**{name: data[f"tree_{name}"] for name in _TREE}, status=TreeStatus[text["tree_status"]])
-    return LawParts(partition, tree, data["law"], data["law_number"], (data["input_H"], data["input_h"]))
+    arrays = {name: data[f"tree_{name}"] for name in SearchTree.arrays()}
+    tree = SearchTree(**arrays, status=TreeStatus[text["tree_status"]])
+    return partition, tree, data["law"], data["law_number"], (data["input_H"], data["input_h"])

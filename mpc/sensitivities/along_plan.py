@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
 from mpc.sensitivities.changes import Changes
-from mpc.sensitivities.conditions import SOFTENED, Conditions, Mask, PlanModel, Point
+from mpc.sensitivities.conditions import SOFTENED, Conditions, PlanModel, Point
 from mpc.sensitivities.linearised import Linearised
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
@@ -89,9 +89,9 @@ class IdleRows:
     (Ralph and Dempe, Mathematical Programming 70, 1995).
     """
 
-    weak: Mask
-    dependent: Mask
-    together: Mask
+    weak: Flags
+    dependent: Flags
+    together: Flags
 
     @classmethod
     def at(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
@@ -133,7 +133,7 @@ class IdleRows:
         return float(np.maximum(room[counts], 0.0).min(initial=np.inf))
 
 
-def _vanishing_sum(unit: Array, weak: Mask) -> dict[int, float] | None:
+def _vanishing_sum(unit: Array, weak: Flags) -> dict[int, float] | None:
     """Positive combination of weak rows that vanishes, or None.
 
     Where there is one the multipliers are not unique (Kyparisis, Mathematical Programming 32, 1985).
@@ -236,7 +236,7 @@ class NewtonStep:
         return Point(point.inputs + inputs, point.states + states, slacks, np.where(acting, multipliers, 0.0), acting)
 
 
-def enter(rows: Array, multipliers: Array, acting: Mask, passed: Mask) -> None:
+def enter(rows: Array, multipliers: Array, acting: Flags, passed: Flags) -> None:
     """Let passed rows act, in place, exchanged for acting rows they depend on.
 
     That is the ratio test of the dual simplex method (Lemke, Naval Research Logistics Quarterly 1, 1954): the slope

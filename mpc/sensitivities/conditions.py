@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.condensing import constraints_of, soften
 from mpc.feedback import block_lengths
 from mpc.parametric_qp import Constraint
@@ -17,8 +16,6 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
 from mpc.sensitivities.changes import Changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
-
-Mask = NDArray[np.bool_]
 
 SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
 
@@ -43,7 +40,7 @@ class Point:
     states: Array
     slacks: Array
     multipliers: Array | None
-    acting: Mask
+    acting: Flags
 
     @classmethod
     def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:

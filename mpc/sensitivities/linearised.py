@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
-from mpc.checks import Array
+from mpc.checks import Array, Flags
 from mpc.condensing import row_units
 from mpc.feedback import block_lengths, feedback_along
-from mpc.sensitivities.conditions import SOFTENED, Conditions, Mask, Point
+from mpc.sensitivities.conditions import SOFTENED, Conditions, Point
 from mpc.tolerances import ACTIVE, WEAKLY_ACTIVE
 
 
@@ -162,7 +162,7 @@ class Linearised:
         worth[pushing] = multipliers[pushing] / np.where(stiffness > 0, stiffness, np.inf) / self.units[pushing]
         return worth
 
-    def acting(self, multipliers: Array) -> Mask:
+    def acting(self, multipliers: Array) -> Flags:
         """Whether each row (m,) pushes, or is an unpushed slack at zero."""
         pushing = self.worth(multipliers) > WEAKLY_ACTIVE
         near = {
@@ -174,6 +174,6 @@ class Linearised:
         return np.asarray(pushing | np.array(idle, dtype=bool))
 
     @property
-    def on_bound(self) -> Mask:
+    def on_bound(self) -> Flags:
         """Whether each row (m,) holds with equality, up to tolerance."""
         return np.asarray(self.values >= -WEAKLY_ACTIVE * self.units)

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_triangular
 
-from mpc.checks import Array, as_array, as_cross_weight, as_floats, as_pair, as_weight
+from mpc.checks import Array, ReadOnly, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from mpc.exceptions import InputError
 from mpc.riccati import cost_units, lqr
 from mpc.tolerances import ASYMMETRY
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LQRSensitivity:
+class LQRSensitivity(ReadOnly):
     """Regulator u = -K x with exact derivatives by parameters p (np,).
 
     Attributes
@@ -32,10 +32,6 @@ class LQRSensitivity:
     P: Array
     dK: Array
     dP: Array
-
-    def __post_init__(self) -> None:
-        for array in (self.K, self.P, self.dK, self.dP):
-            array.flags.writeable = False
 
     def __repr__(self) -> str:
         nu, nx, count = self.dK.shape

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mpc.checks import Array
+from mpc.checks import Array, Ints
 from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.explicit.codegen import c_source as c
 from mpc.explicit.codegen.c_source import real, table
-from mpc.explicit.laws import PiecewiseLaw
-from mpc.explicit.partition import Ints, MPQPStatus
+from mpc.explicit.partition import MPQPStatus
+from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import distinct_planes, region_points
 from mpc.halfspaces import box_of
 from mpc.tolerances import CUT_OFF, FAR_AWAY, INSIDE, INSIDE_FLOAT

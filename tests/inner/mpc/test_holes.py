@@ -14,8 +14,8 @@ from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.explicit import holes
 from mpc.explicit.exploration import Search
+from mpc.explicit.holes import OnlineQP, points_beyond
 from mpc.explicit.kernels.data import CROSSED, DONE, FULL, KNOWN, OPEN, QUEUED, ROWS
-from mpc.explicit.openings import OnlineQP, points_beyond
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 from mpc.plan import Residuals
 from mpc.tolerances import CROSSING, THIN

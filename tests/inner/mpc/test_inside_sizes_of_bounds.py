@@ -8,8 +8,8 @@ from random_problems import problem_of
 
 from invariant_sets import Polytope
 from mpc import MPQPStatus, solve_mpqp
-from mpc.explicit import laws
-from mpc.explicit.openings import OnlineQP
+from mpc.explicit import mpqp
+from mpc.explicit.holes import OnlineQP
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
 ONE = Polytope.from_bounds([-1.0], [1.0])
@@ -51,6 +51,6 @@ def test_a_law_of_nearly_dependent_rows_holds_them():
         rows[2] = rows[0] + rows[1] + 10.0 ** rng.uniform(-6.5, -5.5) * rng.normal(size=4)
         rows /= np.linalg.norm(rows, axis=1)[:, None]
         right = rows @ rng.normal(size=(4, 3))
-        law = laws._law(rows[None], right[None], (rows @ rows.T)[None])[0][0]
+        law = mpqp._law(rows[None], right[None], (rows @ rows.T)[None])[0][0]
         assert np.abs(rows @ law - right).max() < 1e-8
         np.testing.assert_allclose(law, np.linalg.lstsq(rows, right, rcond=1e-15)[0], atol=1e-6)

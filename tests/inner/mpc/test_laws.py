@@ -9,13 +9,11 @@ from plants import box, double_integrator
 from scipy.optimize import linprog
 
 from invariant_sets import Polytope
-from mpc import Constraint, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
+from mpc import Constraint, ExplicitMPC, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
 from mpc.explicit.exploration import Limits, Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
-from mpc.explicit.laws import checked_laws, in_units
-from mpc.explicit.mpqp import _is_thin, _without_wrong_laws
+from mpc.explicit.mpqp import _is_thin, _without_wrong_laws, checked_laws, in_units
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
-from mpc.explicit.search_tree import scan_regions
 
 UNLIMITED = Limits(10_000, np.inf)
 
@@ -100,9 +98,9 @@ def explored():
 
 def test_a_law_is_accepted_in_its_own_region_only(explored):
     qp, found = explored
-    assert checked_laws(qp, found.active_sets, found.centres).holds.all()
+    assert checked_laws(qp, found.active_sets, found.centres)[1].all()
     elsewhere = np.roll(found.centres, 1, axis=0)
-    assert not checked_laws(qp, found.active_sets, elsewhere).holds.any()
+    assert not checked_laws(qp, found.active_sets, elsewhere)[1].any()
 
 
 def test_a_law_meets_its_rows_although_their_gram_matrix_is_nearly_singular(explored):
@@ -112,7 +110,7 @@ def test_a_law_meets_its_rows_although_their_gram_matrix_is_nearly_singular(expl
     M = np.vstack([np.eye(n)[0], np.cos(tilt) * np.eye(n)[0] + np.sin(tilt) * np.eye(n)[1]])
     D = np.array([[0.3, 0.1, 0.7], [0.3, 0.1, 0.7 + 1e-5]])
     pair = replace(qp, M=M, D=D, gram=M @ M.T, origin=np.arange(2))
-    law = checked_laws(pair, [(0, 1)], np.zeros((1, 2))).law[0]
+    law = checked_laws(pair, [(0, 1)], np.zeros((1, 2)))[0][0]
     np.testing.assert_allclose(M @ law, D, atol=1e-14)
 
 
@@ -160,6 +158,7 @@ def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():
     )  # fmt: skip
     partition = solve_mpqp(problem, Polytope.from_bounds([-0.2], [0.2]))
     assert partition.status is MPQPStatus.COMPLETE
+    explicit = ExplicitMPC.from_partition(partition)
     for theta in np.linspace(-0.19, 0.19, 20):
-        law = partition.law[int(scan_regions(partition, np.array([[theta]]))[0])]
+        law = partition.law[int(explicit.locate([theta]))]
         np.testing.assert_allclose(law @ [theta, 1.0], [0.0, 0.0, np.clip(theta, 0.0, 0.01)], atol=1e-9)
