@@ -306,7 +306,8 @@ class DesignSpace(Immutable):
         array = as_floats(argument, p)
         array = array.reshape(1) if array.ndim == 0 else array
         if array.ndim > 2 or array.shape[-1] != self.dim:
-            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({', '.join(self.names)})")
+            names = ", ".join(self.names) or "no design parameters"
+            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({names})")
         return array
 
 
@@ -326,9 +327,12 @@ def _whole_numbers(given: Any, names: tuple[str, ...], lower: Array, upper: Arra
     return tuple(names[i] for i in sorted(places))
 
 
+NO_DESIGN = DesignSpace([], [], [])
+
+
 def sample_designs(design: DesignSpace | None) -> Array:
     """Samples (n, np) of a box of designs; one empty design without a box."""
-    return np.zeros((1, 0)) if design is None else design.spread()
+    return (design or NO_DESIGN).spread()
 
 
 def check_finite(function: Callable[[Array], Any], design: DesignSpace | None, what: str) -> None:

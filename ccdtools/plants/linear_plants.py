@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 
 from ccdtools.checks import as_array, as_floats, as_positive, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.linear_model import state_space_matrices
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import as_expression
 
 OPTIONS = ("continuous", "state_names", "input_names", "output_names", "output_limits", "substeps")  # of Plant
-NO_DESIGN = DesignSpace([], [], [])
 
 
 def plant_from_matrices(
