@@ -132,8 +132,10 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
         return MeanInterval(mean, (np.nan, np.nan), np.nan, np.nan)
     if np.ptp(settled) == 0:
         return MeanInterval(mean, (mean, mean), 0.0, 0.0)
-    means = _batch_means(settled)
-    correlation = _lag_one(means)
+    edges = np.linspace(0, len(settled), BATCHES + 1).round().astype(int)
+    means = np.array([settled[i:j].mean() for i, j in pairwise(edges)])
+    away = means - means.mean()
+    correlation = float(away[1:] @ away[:-1] / (away @ away)) if away.any() else 0.0
     cosines = dct(settled, norm="ortho")[1 : COSINES + 1]
     error = float(np.sqrt((cosines**2).mean() / len(values)))
     if correlation > float(stats.norm.ppf(INDEPENDENCE_LEVEL)) / np.sqrt(BATCHES) - 1 / BATCHES:
@@ -227,18 +229,6 @@ def _rewards(argument: str, value: ArrayLike) -> Array:
     if rewards.ndim != 2:
         raise InputError(argument, f"shape {rewards.shape}", "(n, T)")
     return rewards
-
-
-def _batch_means(values: Array) -> Array:
-    """Means (20,) of consecutive parts of a series."""
-    edges = np.linspace(0, len(values), BATCHES + 1).round().astype(int)
-    return np.array([values[i:j].mean() for i, j in pairwise(edges)])
-
-
-def _lag_one(means: Array) -> float:
-    """Autocorrelation of batch means at lag one."""
-    away = means - means.mean()
-    return float(away[1:] @ away[:-1] / (away @ away)) if away.any() else 0.0
 
 
 def _skewness(values: Array) -> float:
