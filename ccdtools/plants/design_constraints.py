@@ -73,7 +73,7 @@ class UnitConstraints:
 
     Attributes
     ----------
-    not_finite : (n,) array of bool
+    not_finite : (m, np) array
         Samples at which a constraint is not finite.
 
     References
@@ -92,7 +92,7 @@ class UnitConstraints:
         self._rounding = ca.Function("rounding", [v], [EPSILON * term_sizes(function, p)])
         self._curvature = ca.Function("H", [v, prices], [ca.densify(ca.hessian(ca.dot(prices, g), v)[0])])
         raw = _mapped(self._g, samples)
-        self.not_finite = ~np.isfinite(raw).all(axis=1)
+        self.not_finite = samples[~np.isfinite(raw).all(axis=1)]
         known = np.where(np.isfinite(raw), raw, 0.0)
         extent = np.ptp(np.quantile(known, EXTENT_QUANTILES, axis=0), axis=0)
         size = np.abs(known).max(axis=0)
