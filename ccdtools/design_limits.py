@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable, Mask, frozen
 from ccdtools.checks import as_vector, shown
 from ccdtools.exceptions import InputError
-from ccdtools.limits import as_limits
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
@@ -22,6 +21,7 @@ from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools.tolerances import ON_LIMIT
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
+from invariant_sets.system_checks import as_set
 
 PAIR = "a function of p that returns two bounds (lower, upper)"
 EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
@@ -187,7 +187,9 @@ def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignS
         return value
     if callable(value) and not isinstance(value, type):
         return DesignLimits.from_function(argument, value, size, of, space)
-    return as_limits(argument, value, size, of)
+    if isinstance(value, Polytope) and value.dim != size:
+        raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
+    return as_set(value, argument, size)
 
 
 def limits_at(limits: Limits, p: ArrayLike) -> Polytope:

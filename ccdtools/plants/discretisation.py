@@ -13,7 +13,6 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
-from ccdtools.limits import as_limits
 from ccdtools.plants.holds import zero_order_hold
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.jumps import SMOOTHER, Jump
@@ -22,6 +21,7 @@ from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
 from ccdtools.plants.tolerances import ACCURACY, MOST_PARTS
+from invariant_sets.system_checks import as_set
 
 
 def discretise(
@@ -133,9 +133,9 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
         return None
     boxes = [
-        _box("X", _over_designs("X", X, plant), plant.nx, "one per state"),
-        _box("U", _over_designs("U", U, plant), plant.nu, "one per input"),
-        _box("W", W, plant.nw, "one per disturbance"),
+        _box("X", _over_designs("X", X, plant), plant.nx),
+        _box("U", _over_designs("U", U, plant), plant.nu),
+        _box("W", W, plant.nw),
     ]
     of_design = tuple(value if _narrows(value) else None for value in (X, U))
     region = Region.of(*boxes, (plant.design.lower, plant.design.upper), of_design=of_design)  # type: ignore[arg-type]
@@ -158,14 +158,14 @@ def _over_designs(name: str, value: Any, plant: Plant) -> Any:
         raise InputError(name, f"a function that fails: {error}", expected) from error
 
 
-def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
+def _box(name: str, value: Any, size: int) -> tuple[Array, Array]:
     """Bounds (size,) of a set; zeros where there is none."""
     if value is None or size == 0:
         return np.zeros(size), np.zeros(size)
     if _narrows(value):
         lower, upper = value.box
         return np.asarray(lower), np.asarray(upper)
-    limits = as_limits(name, value, size, of)
+    limits = as_set(value, name, size)
     if limits.is_empty or not np.isfinite(np.concatenate(limits.bounding_box())).all():
         raise InputError(name, "an empty or unbounded set", "a bounded one with at least one point")
     return limits.bounding_box()
