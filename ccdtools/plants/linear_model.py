@@ -141,6 +141,7 @@ class LinearModel(DiscreteModel):
             a different `dt`; or if `E` has the wrong number of rows.
         """
         A, B = state_space_matrices(system)
+        own = sampling_time(system, dt)
         E = np.zeros((len(A), 0)) if E is None else as_floats("E", E)
         E = E.reshape(len(E), -1) if E.ndim == 1 else E
         if E.ndim != 2 or len(E) != len(A):
@@ -149,15 +150,8 @@ class LinearModel(DiscreteModel):
         p = ca.SX(0, 1)
         constants = (ca.SX(ca.DM(A)), ca.SX(ca.DM(B)), ca.SX(ca.DM(E)) if E.size else ca.SX(len(A), 0))
         if system.dt:
-            own = 1.0 if system.dt is True else float(system.dt)
-            if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
-                raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
             return cls(p, *constants, own, None)
-        if dt is None:
-            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
-            raise InputError("dt", "nothing", "a sampling time [s]", cure)
-        dt = as_positive("dt", dt, unit="s")
-        return cls(p, *zero_order_hold(*constants, dt, symbols=p, design=None), dt, None)
+        return cls(p, *zero_order_hold(*constants, own, symbols=p, design=None), own, None)
 
     def __repr__(self) -> str:
         constant = ", a constant term" if self.affine else ""
@@ -268,3 +262,16 @@ def state_space_matrices(system: Any) -> tuple[Array, Array]:
     if A.shape[0] != A.shape[1]:
         raise InputError("system.A", f"shape {A.shape}", "a square matrix")
     return A, B
+
+
+def sampling_time(system: Any, dt: float | None) -> float:
+    """Sampling time [s] of a `control.StateSpace`, its own or that of a continuous one."""
+    if not system.dt:
+        if dt is None:
+            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
+            raise InputError("dt", "nothing", "a sampling time [s]", cure)
+        return as_positive("dt", dt, unit="s")
+    own = as_positive("dt", 1.0 if system.dt is True else float(system.dt), unit="s")
+    if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
+        raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
+    return own
