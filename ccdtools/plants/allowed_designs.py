@@ -107,12 +107,12 @@ class AllowedDesigns:
         samples = samples[np.argsort(self.violation(samples), kind="stable")]
         tried = [*samples[:ALLOWED_STARTS], *samples[ALLOWED_STARTS :: max(1, len(samples) // ALLOWED_STARTS)]]
         if self.whole.any():
-            between = allowed_point(self.limits, samples[0], self._moving)[0]
+            between = _allowed_point(self.limits, samples[0], self._moving)[0]
             for centre in (between, samples[0]):
                 tried += list(self._by_whole_numbers(centre)[:TRIED_COMBINATIONS])
         least, violation = samples[0], np.inf
         for start in tried:
-            u, broken = allowed_point(self.limits, start, self.free)
+            u, broken = _allowed_point(self.limits, start, self.free)
             if broken < violation:
                 least, violation = u, broken
             if violation <= EXACT:
@@ -150,7 +150,7 @@ class AllowedDesigns:
         best = self._of_whole_numbers(v, v)
         known = sorted(self.known, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         if best is None and self.limits is not None:
-            between = nearest(self.limits, v, free=self._moving, starts=known, thorough=True)
+            between = _nearest(self.limits, v, self._moving, known, thorough=True)
             best = None if between is None else self._of_whole_numbers(between, v)
         return known[0] if best is None and known else best
 
@@ -170,13 +170,14 @@ class AllowedDesigns:
 
         Its whole numbers are those of `v`.
 
-        Searches begin at `v`, at `starts` and at known points: see `nearest`.
+        Searches begin at `v`, at `starts` and at known points. Unless `thorough`, the first point that is the nearest
+        of its surroundings will do.
         """
         if self.limits is None or self.limits.violation(v) <= EXACT:
             return v
         same = self.known[(np.abs(self.known - v) <= 1e-9)[:, ~self.free].all(axis=1)]
         known = sorted(same, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
-        return nearest(self.limits, v, free=self.free, starts=[*starts, *known], thorough=thorough)
+        return _nearest(self.limits, v, self.free, [*starts, *known], thorough=thorough)
 
 
 def whole_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -184,29 +185,17 @@ def whole_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
     return np.ceil(lower - 1e-9), np.floor(upper + 1e-9)
 
 
-def nearest(
-    limits: UnitConstraints, v: Array, *, free: Array, starts: Iterable[Array] = (), thorough: bool = False
+def _nearest(
+    limits: UnitConstraints, v: Array, free: Array, starts: Iterable[Array], *, thorough: bool
 ) -> Array | None:
-    """Nearest allowed point to `v`, held entries unchanged; None if none is found.
-
-    Parameters
-    ----------
-    v : (np,) array
-        In the unit box.
-    free : (np,) array of bool
-        Entries that may move.
-    starts : iterable of (np,) arrays
-        Where else the search begins.
-    thorough : bool
-        Go through every start; by default the first point that is the nearest of its surroundings will do.
-    """
+    """Nearest allowed point to `v` from every start, or the first that is one unless `thorough`; None without one."""
     if limits.violation(v) <= EXACT:
         return v
 
     def places() -> Iterator[Array]:
         """Starting points of the searches."""
         yield v
-        yield allowed_point(limits, v, free)[0]
+        yield _allowed_point(limits, v, free)[0]
         yield from starts
 
     best: Array | None = None
@@ -225,7 +214,7 @@ def nearest(
     return best
 
 
-def allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
+def _allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
     """Allowed or least violated point found, and its violation."""
     u = _searched(limits, start, free)
     violations = limits.violation(np.array([start, u]))

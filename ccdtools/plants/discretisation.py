@@ -184,7 +184,7 @@ def _accurate(
     lost: list[str] = []
     for method in methods:
         parts = 1
-        while parts <= MOST_PARTS[method]:
+        while parts <= MOST_PARTS:
             error = _error(plant, dt, method, parts, region)
             if error.relative <= accuracy:
                 low = parts // 2 if method == "rk4" else parts - 1

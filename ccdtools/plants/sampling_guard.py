@@ -19,16 +19,7 @@ from ccdtools.plants.tolerances import RESOLVED_SHARE
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> tuple[float, Array]:
-    """Damped frequency [Hz] and design (np,) of the fastest oscillation of ẋ = A(p) x over the box; 0 of none.
-
-    Parameters
-    ----------
-    A : callable
-        Design (np,) → state matrix (nx, nx).
-    design : DesignSpace
-    dt : float
-        Sampling time [s].
-    """
+    """Damped frequency [Hz] and design (np,) of the fastest oscillation of ẋ = A(p) x over the box; 0 of none."""
 
     def frequency(v: Array) -> float:
         """Fastest damped frequency [Hz] at a unit-box point."""
