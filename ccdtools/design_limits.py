@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable, Mask, frozen
 from ccdtools.checks import as_vector, shown
 from ccdtools.exceptions import InputError
-from ccdtools.limits import as_limits
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
@@ -22,8 +21,10 @@ from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools.tolerances import ON_LIMIT
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
+from invariant_sets.system_checks import as_set
 
 PAIR = "a function of p that returns two bounds (lower, upper)"
+FORBIDDEN = "No such design may be built, but data are drawn over the whole box: hold the bounds apart with ca.fmax."
 EXAMPLE = "Such as lambda p: (-3 * p[0], 3 * p[0])."
 
 
@@ -77,7 +78,8 @@ class DesignLimits(Immutable):
             if len(found):
                 k, i = found[0]
                 got = f"{lower[k, i]:.6g} and {upper[k, i]:.6g} for number {i + 1} at {space.describe(designs[k])}"
-                raise InputError(argument, got, f"{expected} over the whole box of designs", _cure(space, designs[k]))
+                over = f"{expected} over the whole box of designs"
+                raise InputError(argument, got, over, "" if space.violation(designs[k]) <= FEASIBLE else FORBIDDEN)
         return cls(argument, both, tuple(space.names), frozen(lower.min(axis=0)), frozen(upper.max(axis=0)))
 
     def __repr__(self) -> str:
@@ -187,7 +189,9 @@ def as_limits_over(argument: str, value: Any, size: int, of: str, space: DesignS
         return value
     if callable(value) and not isinstance(value, type):
         return DesignLimits.from_function(argument, value, size, of, space)
-    return as_limits(argument, value, size, of)
+    if isinstance(value, Polytope) and value.dim != size:
+        raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
+    return as_set(value, argument, size)
 
 
 def limits_at(limits: Limits, p: ArrayLike) -> Polytope:
@@ -203,13 +207,6 @@ def bounds_at(limits: Limits, p: Any) -> tuple[Any, Any]:
 def widest(limits: Limits) -> Polytope:
     """Fixed limits, or the box of the widest bounds."""
     return limits.widest if isinstance(limits, DesignLimits) else limits
-
-
-def _cure(space: DesignSpace, p: Array) -> str:
-    """Advice about wrong bounds at a design that constraints forbid."""
-    if space.violation(p[None])[0] <= FEASIBLE:
-        return ""
-    return "No such design may be built, but data are drawn over the whole box: hold the bounds apart with ca.fmax."
 
 
 def _compiled(argument: str, given: Callable[..., Any], size: int, of: str, designs: int) -> ca.Function:

@@ -1,28 +1,21 @@
-"""Limits of states, and frequency and depth of violations."""
+"""Limits of states; frequency and depth of violations, and their comparison."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.arrays import Array, Immutable, Mask, frozen
 from ccdtools.checks import as_array, as_floats, as_instance, as_names
 from ccdtools.exceptions import InputError
+from ccdtools.output_limits import OutputLimits
 from ccdtools.statistics import mean_interval, paired_difference
-from ccdtools.tolerances import FLAT_ROW, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
+from ccdtools.tolerances import FLAT_ROW, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART, STRETCHES
 from invariant_sets import Polytope
-from invariant_sets.system_checks import as_set
-
-
-def as_limits(argument: str, value: Any, size: int, of: str) -> Polytope:
-    """Set of limits on `size` numbers, from a Polytope or from bounds."""
-    if isinstance(value, Polytope) and value.dim != size:
-        raise InputError(argument, f"dimension {value.dim}", f"{size}, {of}")
-    return as_set(value, argument, size)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -195,6 +188,68 @@ def further_outside(own: Excursions, other: Excursions, *, stretches: bool = Fal
         if difference.ci95[0] > 0 and difference.mean > needed:
             return True
     return False
+
+
+def limits_in_words(outputs: OutputLimits | None) -> str:
+    """Name of the limits that count: X, or the limits with outputs."""
+    return "X" if outputs is None else "the limits"
+
+
+@dataclass(frozen=True, eq=False)
+class RunViolations:
+    """Frequency and depth with which one controller's runs leave X.
+
+    Attributes
+    ----------
+    whole : Excursions
+        Of the runs that did not diverge.
+    pieces : Excursions
+        Of all runs, or of the stretches of a single run: what is paired with another controller's.
+    single : bool
+        Whether they are stretches of one run, one after the other.
+    lost : (n,) bool array
+        Of the pieces, those of runs that diverged.
+    """
+
+    whole: Excursions
+    pieces: Excursions
+    single: bool
+    lost: Mask
+
+    @classmethod
+    def from_trajectory(
+        cls, run: Any, limits: StateLimits, plant: Any, outputs: OutputLimits | None = None
+    ) -> RunViolations:
+        """Violations of a `Trajectory`, by states and limited outputs."""
+        n, steps, nx = run.states[:, 1:].shape
+        names = getattr(plant, "state_names", None) or tuple(f"x{i + 1}" for i in range(nx))
+        by_row = limits.depths(run.states[:, 1:])
+        rows = by_row.shape[-1]
+        if outputs is not None:
+            by_row = np.concatenate([by_row, outputs.depths(run.states[:, :-1], run.inputs, run.design)], axis=-1)
+
+        def text(row: int) -> str:
+            """Text of exceeding a limit."""
+            return limits.row_text(row, names) if row < rows or outputs is None else outputs.row_text(row - rows)
+
+        left = limits_in_words(outputs)
+        whole = excursions_of(by_row[~run.diverged], text, left)
+        if n > 1 or steps < STRETCHES:
+            return cls(whole, excursions_of(by_row, text, left), False, run.diverged)
+        length = min(100, steps // STRETCHES)  # samples of a stretch
+        pieces = by_row[0, : steps // length * length].reshape(-1, length, by_row.shape[-1])
+        return cls(whole, excursions_of(pieces, text, left), True, np.repeat(run.diverged, len(pieces)))
+
+    def further_than(self, others: Mapping[str, RunViolations]) -> tuple[str, ...]:
+        """Names of the controllers that leave X less."""
+        return tuple(name for name, other in others.items() if self._further(other))
+
+    def _further(self, other: RunViolations) -> bool:
+        """Whether these leave X further than another controller's, where neither diverged."""
+        n = min(len(self.lost), len(other.lost))
+        kept = ~(self.lost[:n] | other.lost[:n])
+        own, others = (one.pieces.of(slice(n)).of(kept) for one in (self, other))
+        return further_outside(own, others, stretches=self.single)
 
 
 def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:

@@ -31,31 +31,25 @@ class Simulable(Protocol):
     @property
     def nx(self) -> int:
         """Number of states."""
-        ...
 
     @property
     def nu(self) -> int:
         """Number of inputs."""
-        ...
 
     @property
     def nw(self) -> int:
         """Number of disturbances."""
-        ...
 
     @property
     def dt(self) -> float:
         """Sampling time [s]."""
-        ...
 
     @property
     def design(self) -> DesignSpace | None:
         """Box of designs, if any."""
-        ...
 
     def stepper(self, p: Array, *, batch: int) -> Step:
         """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
-        ...
 
 
 def simulate(

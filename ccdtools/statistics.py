@@ -132,8 +132,10 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
         return MeanInterval(mean, (np.nan, np.nan), np.nan, np.nan)
     if np.ptp(settled) == 0:
         return MeanInterval(mean, (mean, mean), 0.0, 0.0)
-    means = _batch_means(settled)
-    correlation = _lag_one(means)
+    edges = np.linspace(0, len(settled), BATCHES + 1).round().astype(int)
+    means = np.array([settled[i:j].mean() for i, j in pairwise(edges)])
+    away = means - means.mean()
+    correlation = float(away[1:] @ away[:-1] / (away @ away)) if away.any() else 0.0
     cosines = dct(settled, norm="ortho")[1 : COSINES + 1]
     error = float(np.sqrt((cosines**2).mean() / len(values)))
     if correlation > float(stats.norm.ppf(INDEPENDENCE_LEVEL)) / np.sqrt(BATCHES) - 1 / BATCHES:
@@ -189,10 +191,7 @@ def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary
 
 def paired_returns(a: ArrayLike, b: ArrayLike, *, runs: int | None = None) -> PairedDifference:
     """Mean difference of returns with rewards (n, T) on common disturbances."""
-    first = _rewards("a", a)
-    second = _rewards("b", b)
-    if first.shape != second.shape:
-        raise InputError("a, b", f"shapes {first.shape} and {second.shape}", "as many of each")
+    first, second = _alike(a=a, b=b)
     summary = summarise_returns(first - second, runs=runs)
     most = float(np.abs(first - second).sum())
     if len(first) == 1 and 0 < most <= SAME_RETURN * float(np.abs(second).sum()):
@@ -208,10 +207,7 @@ def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = No
     change − ratio · base). It does not cover the change on rougher or calmer runs. Where rewards of `base` have both
     signs there is no level, and the interval is that of the change alone.
     """
-    changed = _rewards("change", change)
-    level = _rewards("base", base)
-    if changed.shape != level.shape:
-        raise InputError("change, base", f"shapes {changed.shape} and {level.shape}", "as many of each")
+    changed, level = _alike(change=change, base=base)
     whole = float(level.sum())
     one_sign = not ((level > 0).any() and (level < 0).any())
     ratio = float(changed.sum()) / whole if one_sign and whole != 0 else 0.0
@@ -229,16 +225,12 @@ def _rewards(argument: str, value: ArrayLike) -> Array:
     return rewards
 
 
-def _batch_means(values: Array) -> Array:
-    """Means (20,) of consecutive parts of a series."""
-    edges = np.linspace(0, len(values), BATCHES + 1).round().astype(int)
-    return np.array([values[i:j].mean() for i, j in pairwise(edges)])
-
-
-def _lag_one(means: Array) -> float:
-    """Autocorrelation of batch means at lag one."""
-    away = means - means.mean()
-    return float(away[1:] @ away[:-1] / (away @ away)) if away.any() else 0.0
+def _alike(**given: ArrayLike) -> list[Array]:
+    """Rewards of the same shape (n, T)."""
+    pair = [_rewards(name, value) for name, value in given.items()]
+    if pair[0].shape != pair[1].shape:
+        raise InputError(", ".join(given), f"shapes {pair[0].shape} and {pair[1].shape}", "as many of each")
+    return pair
 
 
 def _skewness(values: Array) -> float:

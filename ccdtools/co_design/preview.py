@@ -16,10 +16,10 @@ from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
-from ccdtools.limits import as_limits
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.preview import as_channels, previewed_state, with_preview
 from invariant_sets import Polytope
+from invariant_sets.system_checks import as_set
 
 
 def previewed_problem(
@@ -86,12 +86,12 @@ def previewed_limits(X: Any, W: Any, steps: int, *, channels: int = 1) -> Limits
     channels : int
         How many disturbances are known ahead.
     """
-    W = as_limits("W", W, as_count("channels", channels), "one per disturbance known ahead")
+    W = as_set(W, "W", as_count("channels", channels))
     if isinstance(X, DesignLimits):
         lower, upper = W.bounding_box()
         return X.followed_by(*(np.tile(bound, as_count("steps", steps)) for bound in (lower, upper)))
     nx = X.dim if isinstance(X, Polytope) else np.size(X[0])
-    limits: Polytope = as_limits("X", X, nx, "one per state")
+    limits: Polytope = as_set(X, "X", nx)
     for _ in range(as_count("steps", steps)):
         limits = limits.cartesian_product(W)
     return limits

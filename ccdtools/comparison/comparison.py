@@ -24,15 +24,15 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Surroundings, needs_of, one_call
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
-from ccdtools.limits import Excursions, StateLimits, as_limits
+from ccdtools.limits import Excursions, RunViolations, StateLimits, limits_in_words
 from ccdtools.output_limits import OutputLimits
-from ccdtools.outside import RunViolations, limits_in_words
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
 from ccdtools.table import Table
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
+from invariant_sets.system_checks import as_set
 
 MPC_RUNS = 100  # Online MPC sees so many runs by default.
 
@@ -253,7 +253,7 @@ def compare(
         if design is None:
             raise InputError("design", "nothing", "the design whose limits X(p) count")
         X = X.at(design)
-    X = as_limits("X", X, scenario.plant.nx, "one per state")
+    X = as_set(X, "X", scenario.plant.nx)
     if output_limits is not None:
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")

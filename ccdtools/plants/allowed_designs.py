@@ -1,8 +1,13 @@
-"""Allowed points of the unit box of designs."""
+"""Allowed points of the unit box of designs, and the nearest of them.
+
+References
+----------
+Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28, 1988 (SLSQP, in SciPy).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -10,12 +15,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array
 from ccdtools.plants.design_constraints import UnitConstraints
-from ccdtools.plants.nearest_design import allowed_point, nearest, nearest_whole
-from ccdtools.plants.tolerances import ALLOWED_STARTS, BOX_SAMPLES, EXACT, MAX_CORNERS, TRIED_COMBINATIONS
+from ccdtools.plants.tolerances import ALLOWED_STARTS, BOX_SAMPLES, EXACT, MAX_CORNERS, NEAREST, TRIED_COMBINATIONS
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +78,11 @@ class AllowedDesigns:
         corners[:, moving[:MAX_CORNERS]] = list(product((0.0, 1.0), repeat=min(len(moving), MAX_CORNERS)))
         return np.vstack([points, corners])
 
-    def where_not_finite(self) -> Array | None:
-        """Unit-box point where a constraint is not finite; None without one."""
-        if self.limits is None or not self.limits.not_finite.any():
-            return None
-        return np.asarray(self._samples[int(np.argmax(self.limits.not_finite))])
-
     def rounded(self, v: Array) -> Array:
         """Points (..., np) with whole-number entries rounded."""
         if not self.whole.any():
             return v
-        numbers = np.clip(np.round(self.lower + v * self.width), np.ceil(self.lower - 1e-9),
-                          np.floor(self.upper + 1e-9))  # fmt: skip
+        numbers = np.clip(np.round(self.lower + v * self.width), *whole_bounds(self.lower, self.upper))
         return np.where(self.whole, (numbers - self.lower) / self.width, v)
 
     def violation(self, v: Array) -> Any:
@@ -98,7 +96,8 @@ class AllowedDesigns:
         inside: Array = samples[self.violation(samples) <= EXACT]
         if len(inside):
             return inside[:64]  # kept to search from
-        return np.asarray(self.least_violated[None][self.violation(self.least_violated[None]) <= EXACT])
+        least = self.least_violated[None]
+        return np.asarray(least[self.violation(least) <= EXACT])
 
     @cached_property
     def least_violated(self) -> Array:
@@ -108,12 +107,12 @@ class AllowedDesigns:
         samples = samples[np.argsort(self.violation(samples), kind="stable")]
         tried = [*samples[:ALLOWED_STARTS], *samples[ALLOWED_STARTS :: max(1, len(samples) // ALLOWED_STARTS)]]
         if self.whole.any():
-            between = allowed_point(self.limits, samples[0], self._moving)[0]
+            between = _allowed_point(self.limits, samples[0], self._moving)[0]
             for centre in (between, samples[0]):
                 tried += list(self._by_whole_numbers(centre)[:TRIED_COMBINATIONS])
         least, violation = samples[0], np.inf
         for start in tried:
-            u, broken = allowed_point(self.limits, start, self.free)
+            u, broken = _allowed_point(self.limits, start, self.free)
             if broken < violation:
                 least, violation = u, broken
             if violation <= EXACT:
@@ -121,17 +120,24 @@ class AllowedDesigns:
         return np.asarray(least)
 
     def _by_whole_numbers(self, v: Array) -> Array:
-        """Copies (n, np) of `v` with other whole numbers, nearest first."""
+        """Copies (n, np) of `v` with other whole numbers, nearest first; of many, those in a box about it."""
         lower, upper, width = (part[self.whole] for part in (self.lower, self.upper, self.width))
-        numbers = nearest_whole(lower + v[self.whole] * width, lower, upper, width)
+        values = lower + v[self.whole] * width
+        low, high = whole_bounds(lower, upper)
+        count = high - low + 1
+        while np.prod(count) > 4096:  # combinations of whole numbers
+            longest = np.argmax(count)
+            count[longest] = np.ceil(count[longest] / 2)
+        first = np.clip(np.round(values) - count // 2, low, high + 1 - count)
+        numbers = np.array(list(product(*(np.arange(n) for n in count)))) + first
+        numbers = numbers[np.argsort((((numbers - values) / width) ** 2).sum(axis=1), kind="stable")]
         points = np.tile(v, (len(numbers), 1))
         points[:, self.whole] = (numbers - lower) / width
         return points
 
     def combinations(self) -> Array:
         """Combinations (n, np) of whole numbers in the unit box; others 0."""
-        first = np.zeros(len(self.lower))
-        return self._by_whole_numbers(self.rounded(first))
+        return self._by_whole_numbers(self.rounded(np.zeros(len(self.lower))))
 
     def near(self, v: Array) -> Array | None:
         """Nearest allowed point to `v` (np,); None if none is found.
@@ -144,7 +150,7 @@ class AllowedDesigns:
         best = self._of_whole_numbers(v, v)
         known = sorted(self.known, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         if best is None and self.limits is not None:
-            between = nearest(self.limits, v, free=self._moving, starts=known, thorough=True)
+            between = _nearest(self.limits, v, self._moving, known, thorough=True)
             best = None if between is None else self._of_whole_numbers(between, v)
         return known[0] if best is None and known else best
 
@@ -164,13 +170,84 @@ class AllowedDesigns:
 
         Its whole numbers are those of `v`.
 
-        Searches begin at `v`, at `starts` and at known points: see `nearest`.
+        Searches begin at `v`, at `starts` and at known points. Unless `thorough`, the first point that is the nearest
+        of its surroundings will do.
         """
         if self.limits is None or self.limits.violation(v) <= EXACT:
             return v
         same = self.known[(np.abs(self.known - v) <= 1e-9)[:, ~self.free].all(axis=1)]
         known = sorted(same, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
-        return nearest(self.limits, v, free=self.free, starts=[*starts, *known], thorough=thorough)
+        return _nearest(self.limits, v, self.free, [*starts, *known], thorough=thorough)
+
+
+def whole_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Least and largest whole numbers within bounds."""
+    return np.ceil(lower - 1e-9), np.floor(upper + 1e-9)
+
+
+def _nearest(
+    limits: UnitConstraints, v: Array, free: Array, starts: Iterable[Array], *, thorough: bool
+) -> Array | None:
+    """Nearest allowed point to `v` from every start, or the first that is one unless `thorough`; None without one."""
+    if limits.violation(v) <= EXACT:
+        return v
+
+    def places() -> Iterator[Array]:
+        """Starting points of the searches."""
+        yield v
+        yield _allowed_point(limits, v, free)[0]
+        yield from starts
+
+    best: Array | None = None
+    for place in places():
+        begun = np.where(free, place, v)
+        for u in (_searched(limits, begun, free, v), begun):
+            if limits.violation(u) <= EXACT:
+                break
+        else:
+            continue
+        away = float(np.linalg.norm(v - u))
+        if best is None or away < np.linalg.norm(v - best) - EXACT:
+            best = u
+        if not thorough and np.linalg.norm(limits.prices(u, v - u, free)[2]) <= NEAREST * away:
+            break
+    return best
+
+
+def _allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:
+    """Allowed or least violated point found, and its violation."""
+    u = _searched(limits, start, free)
+    violations = limits.violation(np.array([start, u]))
+    return (u, violations[1]) if violations[1] < violations[0] else (start, violations[0])
+
+
+def _searched(limits: UnitConstraints, start: Array, free: Array, target: Array | None = None) -> Array:
+    """Nearest allowed point to a target, or the least violated one."""
+    size = int(free.sum())
+    u = start.copy()
+    if not size:
+        return u
+    first = start[free] if target is not None else np.r_[start[free], float(limits.violation(start))]
+    wanted = np.zeros(size) if target is None else target[free]
+    slack = np.ones((limits.count, len(first) - size))
+
+    def at(z: Array) -> Array:
+        """Point with those free entries."""
+        u[free] = z[:size]
+        return u
+
+    def cost(z: Array) -> float:
+        """Half the squared distance, or t."""
+        return float(z[-1]) if target is None else 0.5 * float((z - wanted) @ (z - wanted))
+
+    with np.errstate(all="ignore"):
+        found = minimize(
+            cost, first, jac=lambda z: np.eye(size + 1)[-1] if target is None else z - wanted, method="SLSQP",
+            bounds=[(0.0, 1.0)] * size + [(0.0, None)] * (len(first) - size), options={"ftol": 1e-14, "maxiter": 100},
+            constraints={"type": "ineq", "fun": lambda z: slack @ z[size:] - limits.values(at(z)),
+                         "jac": lambda z: np.hstack([-limits.jacobian(at(z))[:, free], slack])},
+        )  # fmt: skip
+    return np.clip(at(found.x if np.isfinite(found.x).all() else first), 0.0, 1.0).copy()
 
 
 def _apart(u: Array, v: Array) -> float:

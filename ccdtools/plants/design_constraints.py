@@ -14,7 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known, term_sizes
-from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EPSILON, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE, TINY
+from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE, TINY
 from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
@@ -73,7 +73,7 @@ class UnitConstraints:
 
     Attributes
     ----------
-    not_finite : (n,) array of bool
+    not_finite : (m, np) array
         Samples at which a constraint is not finite.
 
     References
@@ -89,10 +89,10 @@ class UnitConstraints:
         prices = ca.SX.sym("prices", g.numel())
         self._g = ca.Function("g", [v], [g])
         self._rows = ca.Function("rows", [v], [ca.vec(ca.densify(ca.jacobian(g, v)).T)])
-        self._rounding = ca.Function("rounding", [v], [EPSILON * term_sizes(function, p)])
+        self._rounding = ca.Function("rounding", [v], [np.finfo(float).eps * term_sizes(function, p)])
         self._curvature = ca.Function("H", [v, prices], [ca.densify(ca.hessian(ca.dot(prices, g), v)[0])])
         raw = _mapped(self._g, samples)
-        self.not_finite = ~np.isfinite(raw).all(axis=1)
+        self.not_finite = samples[~np.isfinite(raw).all(axis=1)]
         known = np.where(np.isfinite(raw), raw, 0.0)
         extent = np.ptp(np.quantile(known, EXTENT_QUANTILES, axis=0), axis=0)
         size = np.abs(known).max(axis=0)

@@ -15,7 +15,7 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.allowed_designs import AllowedDesigns
+from ccdtools.plants.allowed_designs import AllowedDesigns, whole_bounds
 from ccdtools.plants.design_constraints import compiled, constraint_names
 from ccdtools.plants.tolerances import FEASIBLE, MAX_CORNERS
 
@@ -72,10 +72,8 @@ class DesignSpace(Immutable):
             if not (low <= high and np.isfinite(float(high) - float(low))):
                 expected = "finite lower < upper, or lower = upper for a fixed parameter"
                 raise InputError("lower, upper", f"[{low:g}, {high:g}] for {name}", expected)
-        default = ("-",) * len(names)
-        units = (
-            default if isinstance(self.units, tuple) and not self.units else as_names("units", self.units, len(names))
-        )
+        dimensionless = isinstance(self.units, tuple) and not self.units
+        units = as_names("units", ("-",) * len(names) if dimensionless else self.units, len(names))
         integer = _whole_numbers(self.integer, names, lower, upper)
         for key, value in {"names": names, "lower": lower, "upper": upper, "units": units, "integer": integer}.items():
             object.__setattr__(self, key, value)
@@ -92,12 +90,12 @@ class DesignSpace(Immutable):
             raise InputError("constraints", shown(self.constraints), "none, as there are no parameters")
         function = compiled(self.constraints, self.names)
         object.__setattr__(self, "constraints", function)
-        labels = constraint_names(self.constraint_names, function.numel_out(0))
-        object.__setattr__(self, "constraint_names", labels)
-        place = self.allowed.where_not_finite()
-        if place is not None:
+        object.__setattr__(self, "constraint_names", constraint_names(self.constraint_names, function.numel_out(0)))
+        limits = self.allowed.limits
+        assert limits is not None
+        for place in self.from_unit(limits.not_finite[:1]):
             raise InputError(
-                "constraints", f"a value that is not finite at {self.describe(self.from_unit(place))}",
+                "constraints", f"a value that is not finite at {self.describe(place)}",
                 "finite values over the whole box", "Move the bounds, or look for a division by zero.",
             )  # fmt: skip
         if not len(self.allowed.known):
@@ -225,8 +223,8 @@ class DesignSpace(Immutable):
     @property
     def outermost(self) -> tuple[Array, Array]:
         """Least and largest design, (np,) each, whole numbers within bounds."""
-        lower = np.where(self.whole, np.ceil(self.lower - 1e-9), self.lower)
-        return lower, np.where(self.whole, np.floor(self.upper + 1e-9), self.upper)
+        low, high = whole_bounds(self.lower, self.upper)
+        return np.where(self.whole, low, self.lower), np.where(self.whole, high, self.upper)
 
     @property
     def free(self) -> Any:
@@ -246,8 +244,7 @@ class DesignSpace(Immutable):
 
     def to_unit(self, p: ArrayLike) -> Array:
         """Designs in the unit box, same shape; fixed entries at 0."""
-        width = self.upper - self.lower
-        return np.asarray((self._sized(p, "p") - self.lower) / np.where(width > 0, width, 1.0))
+        return np.asarray((self._sized(p, "p") - self.lower) / self.allowed.width)
 
     def from_unit(self, v: ArrayLike) -> Array:
         """Designs of unit-box points, same shape, clipped to the bounds."""
@@ -306,7 +303,8 @@ class DesignSpace(Immutable):
         array = as_floats(argument, p)
         array = array.reshape(1) if array.ndim == 0 else array
         if array.ndim > 2 or array.shape[-1] != self.dim:
-            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({', '.join(self.names)})")
+            names = ", ".join(self.names) or "no design parameters"
+            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({names})")
         return array
 
 
@@ -319,16 +317,20 @@ def _whole_numbers(given: Any, names: tuple[str, ...], lower: Array, upper: Arra
         place = names.index(one) if isinstance(one, str) and one in names else one
         if isinstance(place, bool) or not isinstance(place, int | np.integer) or not 0 <= place < len(names):
             raise InputError("integer", shown(one), f"names among {', '.join(names)}, or places from 0")
-        if np.ceil(lower[place] - 1e-9) > np.floor(upper[place] + 1e-9):
+        low, high = whole_bounds(lower[place], upper[place])
+        if low > high:
             bounds = f"{names[place]} in [{lower[place]:g}, {upper[place]:g}]"
             raise InputError("integer", bounds, "bounds with a whole number between them")
         places.add(int(place))
     return tuple(names[i] for i in sorted(places))
 
 
+NO_DESIGN = DesignSpace([], [], [])
+
+
 def sample_designs(design: DesignSpace | None) -> Array:
     """Samples (n, np) of a box of designs; one empty design without a box."""
-    return np.zeros((1, 0)) if design is None else design.spread()
+    return (design or NO_DESIGN).spread()
 
 
 def check_finite(function: Callable[[Array], Any], design: DesignSpace | None, what: str) -> None:

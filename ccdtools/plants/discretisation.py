@@ -13,17 +13,15 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
-from ccdtools.limits import as_limits
-from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.holds import zero_order_hold
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.jumps import SMOOTHER, Jump
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant, linear_matrices
-from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
 from ccdtools.plants.tolerances import ACCURACY, MOST_PARTS
+from invariant_sets.system_checks import as_set
 
 
 def discretise(
@@ -93,7 +91,8 @@ def discretise(
         warn_of_aliasing(plant, dt, None if region is None else region.centre)
     if plant.linear:
         return _exact(plant, dt)
-    jump = _jump(plant, region)
+    boxes = () if region is None else region.boxes[:3]
+    jump = plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
     if not plant.continuous:
         model = SampledModel(plant, dt)
     elif region is None:
@@ -105,12 +104,6 @@ def discretise(
         model = replace(model, jump=_jump_text(plant, jump))
         warnings.warn(f"{model.jump}. {SMOOTHER}", JumpWarning, stacklevel=2)
     return model
-
-
-def _jump(plant: Plant, region: Region | None) -> Jump | None:
-    """Jump of the right-hand side within the region; None without one."""
-    boxes = () if region is None else region.boxes[:3]
-    return plant.switches.within(boxes, (plant.design.lower, plant.design.upper))
 
 
 def _jump_text(plant: Plant, jump: Jump) -> str:
@@ -129,9 +122,6 @@ def _exact(plant: Plant, dt: float) -> LinearModel:
     A, B, E, constant = linear_matrices(plant)
     if not plant.continuous:
         return LinearModel(plant.p, A, B, E, dt, plant.design, constant)
-    if constant.is_zero():
-        A, B, E = zero_order_hold(A, B, E, dt, symbols=plant.p, design=plant.design)
-        return LinearModel(plant.p, A, B, E, dt, plant.design)
     A, B, both = zero_order_hold(A, B, ca.horzcat(E, constant), dt, symbols=plant.p, design=plant.design)
     return LinearModel(plant.p, A, B, both[:, :-1], dt, plant.design, both[:, -1])
 
@@ -143,9 +133,9 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
         return None
     boxes = [
-        _box("X", _over_designs("X", X, plant), plant.nx, "one per state"),
-        _box("U", _over_designs("U", U, plant), plant.nu, "one per input"),
-        _box("W", W, plant.nw, "one per disturbance"),
+        _box("X", _over_designs("X", X, plant), plant.nx),
+        _box("U", _over_designs("U", U, plant), plant.nu),
+        _box("W", W, plant.nw),
     ]
     of_design = tuple(value if _narrows(value) else None for value in (X, U))
     region = Region.of(*boxes, (plant.design.lower, plant.design.upper), of_design=of_design)  # type: ignore[arg-type]
@@ -168,14 +158,14 @@ def _over_designs(name: str, value: Any, plant: Plant) -> Any:
         raise InputError(name, f"a function that fails: {error}", expected) from error
 
 
-def _box(name: str, value: Any, size: int, of: str) -> tuple[Array, Array]:
+def _box(name: str, value: Any, size: int) -> tuple[Array, Array]:
     """Bounds (size,) of a set; zeros where there is none."""
     if value is None or size == 0:
         return np.zeros(size), np.zeros(size)
     if _narrows(value):
         lower, upper = value.box
         return np.asarray(lower), np.asarray(upper)
-    limits = as_limits(name, value, size, of)
+    limits = as_set(value, name, size)
     if limits.is_empty or not np.isfinite(np.concatenate(limits.bounding_box())).all():
         raise InputError(name, "an empty or unbounded set", "a bounded one with at least one point")
     return limits.bounding_box()
@@ -194,11 +184,17 @@ def _accurate(
     lost: list[str] = []
     for method in methods:
         parts = 1
-        while parts <= MOST_PARTS[method]:
+        while parts <= MOST_PARTS:
             error = _error(plant, dt, method, parts, region)
             if error.relative <= accuracy:
-                if method == "rk4":
-                    parts, error = _fewest(plant, dt, parts, error, accuracy, region)
+                low = parts // 2 if method == "rk4" else parts - 1
+                while parts - low > 1:  # the fewest Runge–Kutta parts that keep the accuracy
+                    middle = (low + parts) // 2
+                    found = _error(plant, dt, method, middle, region)
+                    if found.relative <= accuracy:
+                        parts, error = middle, found
+                    else:
+                        low = middle
                 return SampledModel(plant, dt, method, parts, error, region.extent)
             best = error if best is None or not error.relative >= best.relative else best
             parts *= 2
@@ -216,25 +212,10 @@ def _accurate(
     raise InputError("accuracy", got, "a larger error", cure)
 
 
-def _fewest(
-    plant: Plant, dt: float, parts: int, error: IntegrationError, accuracy: float, region: Region
-) -> tuple[int, IntegrationError]:
-    """Fewest Runge–Kutta parts that keep the accuracy, with their error."""
-    low = parts // 2
-    while parts - low > 1:
-        middle = (low + parts) // 2
-        found = _error(plant, dt, "rk4", middle, region)
-        if found.relative <= accuracy:
-            parts, error = middle, found
-        else:
-            low = middle
-    return parts, error
-
-
 def _error(plant: Plant, dt: float, method: str, parts: int, region: Region) -> IntegrationError:
     """Integration error of a step of `parts` parts."""
-    coarse, fine = (_step(plant, dt, method, number, region) for number in (parts, 2 * parts))
-    return measured_error(coarse, fine, region)
+    coarse, fine = (SampledModel(plant, dt, method, n, scale=region.extent) for n in (parts, 2 * parts))
+    return measured_error(coarse.advance, fine.advance, region)
 
 
 def _place(plant: Plant, error: IntegrationError) -> str:
@@ -242,9 +223,3 @@ def _place(plant: Plant, error: IntegrationError) -> str:
     parts = {"x": error.x, "u": error.u, "w": error.w}
     return ", ".join([*(f"{name} = {v.round(6).tolist()}" for name, v in parts.items() if v.size),
                       *([plant.design.describe(error.p)] if plant.design.dim else [])])  # fmt: skip
-
-
-def _step(plant: Plant, dt: float, method: str, parts: int, region: Region) -> ExplicitStep | ImplicitStep:
-    """A step of `parts` parts."""
-    f = plant.right_hand_side
-    return ExplicitStep.of(f, dt, parts) if method == "rk4" else ImplicitStep(f, dt, parts, region.extent)

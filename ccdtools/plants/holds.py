@@ -23,7 +23,7 @@ from ccdtools.checks import as_instance, as_positive, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.plant import Plant, linear_matrices
-from ccdtools.plants.tolerances import TAYLOR_DEGREE
+from ccdtools.plants.tolerances import TAYLOR_DEGREE, TINY
 
 
 def zero_order_hold(
@@ -55,7 +55,7 @@ def balanced(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> tuple[A
     samples = np.array([np.asarray(function(p), dtype=float) for p in sample_designs(design)])
     _, (scale, _) = matrix_balance(np.max(np.abs(samples), axis=0), permute=False, separate=True)
     norm = max(float(np.linalg.norm(S / scale[:, None] * scale[None, :], 1)) for S in samples)
-    return scale, max(0, math.ceil(math.log2(max(norm, 1e-300))) + 2)
+    return scale, max(0, math.ceil(math.log2(max(norm, TINY))) + 2)
 
 
 def expm(M: ca.SX, *, squarings: int) -> ca.SX:

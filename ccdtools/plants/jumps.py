@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.plants.casadi_arrays import Tape, Vectorised
+from ccdtools.plants.casadi_arrays import Operations, Tape, Vectorised
 from ccdtools.plants.symbols import elements
 from ccdtools.plants.tolerances import AT_POINT, JUMP_LINES, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
 
@@ -23,6 +24,7 @@ NAMES = {
     ca.OP_NE: "!=", ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_NOT: "not",
 }  # fmt: skip
 DECIDES = {ca.OP_IF_ELSE_ZERO: (0,), ca.OP_COPYSIGN: (1,)}  # These inputs throw a switch; all of them in others.
+GOES_ON = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_IF_ELSE_ZERO)  # These vary between their switches.
 SMOOTHER = "State the jump as something steep that is smooth, such as tanh(v / width) in place of sign(v)."
 
 
@@ -57,39 +59,31 @@ class Switches:
         self.f = f
         self.sizes = [f.numel_in(i) for i in range(4)]
         self.names: list[tuple[str, ...]] = [()] * f.numel_out(0)
-        instructions = Tape(f, "dynamics").instructions
-        if any(op in NAMES for op, *_ in instructions):
+        tape = Tape(f, "dynamics")
+        if any(op in NAMES for op, *_ in tape.instructions):
             arguments = [ca.SX.sym(name, n) for name, n in zip("xuwp", self.sizes)]
-            positions = ca.SX(ca.vertcat(*self._read(instructions, arguments)))
+            positions = ca.SX(ca.vertcat(*self._read(tape, arguments)))
             self._positions = ca.Function("positions", arguments, [positions])
 
-    def _read(self, instructions: list[Any], arguments: list[ca.SX]) -> list[ca.SX]:
+    def _read(self, tape: Tape, arguments: list[ca.SX]) -> list[ca.SX]:
         """Fill in `names`; expressions that change where a switch is thrown."""
-        given = [elements(argument) for argument in arguments]
-        work: dict[int, tuple[Any, bool, bool, frozenset[str]]] = {}  # value, by z, constant but for switches, by which
-        positions: list[Any] = []
-        for op, inputs, outputs, number in instructions:
-            if op == ca.OP_INPUT:
-                work[outputs[0]] = (given[inputs[0]][inputs[1]], inputs[0] < 3, False, frozenset())
-                continue
-            if op == ca.OP_CONST:
-                work[outputs[0]] = (ca.SX(number), False, True, frozenset())
-                continue
-            if op == ca.OP_OUTPUT:
-                self.names[outputs[1]] = tuple(sorted(work[inputs[0]][3]))
-                continue
-            own = [work[i] for i in inputs]
-            values = [value for value, _, _, _ in own]
+        positions: list[ca.SX] = []
+
+        def carried_out(op: int, *own: tuple[Any, bool, bool, set[str]]) -> tuple[Any, ...]:
+            """(value, whether it depends on z, whether it is constant but for switches, by which) of an operation."""
+            values, by_z, steps, names = zip(*own)
             value = ca.SX.unary(op, *values) if len(own) == 1 else ca.SX.binary(op, *values)
-            names = frozenset[str]().union(*(one[3] for one in own))
-            deciding = [own[i] for i in DECIDES.get(op, range(len(own)))]
-            thrown = op in NAMES and any(by_z for _, by_z, _, _ in deciding)
-            if thrown and not all(steps for _, _, steps, _ in deciding):
+            deciding = DECIDES.get(op, range(len(own)))
+            thrown = op in NAMES and any(by_z[i] for i in deciding)
+            if thrown and not all(steps[i] for i in deciding):
                 positions.append(_position(op, values, value))
-            names = names | {NAMES[op]} if thrown else names
-            steps = all(one[2] for one in own) or (thrown and op not in (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN,
-                                                                        ca.OP_IF_ELSE_ZERO))  # fmt: skip
-            work[outputs[0]] = (value, any(one[1] for one in own), steps, names)
+            own_name = {NAMES[op]} if thrown else set[str]()
+            return value, any(by_z), all(steps) or (thrown and op not in GOES_ON), own_name.union(*names)
+
+        entries = [[(z, i < 3, False, set[str]()) for z in elements(column)] for i, column in enumerate(arguments)]
+        operations: Operations = {op: partial(carried_out, op) for op, *_ in tape.instructions}
+        (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), False, True, set[str]()))
+        self.names = [tuple(sorted(names)) for *_, names in rows]
         return positions
 
     def __bool__(self) -> bool:
@@ -151,7 +145,7 @@ class Switches:
         return Jump(int(row), self.names[row], x, u, w, p[run])
 
 
-def _position(op: int, values: list[Any], value: Any) -> Any:
+def _position(op: int, values: Any, value: Any) -> Any:
     """Number that changes only where a switch is thrown."""
     if op == ca.OP_FMOD or op == ca.OP_REMAINDER:
         return ca.floor((values[0] - value) / values[1] + 0.5)

@@ -15,13 +15,59 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace, check_finite
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace, check_finite
 from ccdtools.plants.holds import zero_order_hold
 from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
 
 
+class DiscreteModel:
+    """Base of the discrete models: matrices as functions of the design."""
+
+    nx: Any
+    nu: Any
+    design: Any
+    function: Any
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
+        kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
+        p = kind.sym("p", *self.function.size_in(0))
+        return ca.Function("jacobian", [p], [ca.densify(ca.jacobian(ca.vec(self.function(p)), p))])
+
+    def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
+        """A (nx, nx), B (nx, nu), E (nx, nw) about 0 at a design (np,); stacked for (n, np).
+
+        Raises
+        ------
+        InputError
+            If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
+        """
+        p = self._box.check(p)
+        stacked = np.asarray(self.function(np.atleast_2d(p).T), dtype=float)
+        if not np.isfinite(stacked).all():
+            where = f"a design at which the model is not finite: {p.tolist()}"
+            raise InputError("design", where, "one where A, B and E are finite", "Leave it out of the design bounds.")
+        matrices = stacked.reshape(self.nx, -1, self.function.size2_out(0)).transpose(1, 0, 2)
+        M = matrices if p.ndim == 2 else matrices[0]
+        A, B, E = (np.ascontiguousarray(part) for part in np.split(M, [self.nx, self.nx + self.nu], axis=-1))
+        return A, B, E
+
+    def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
+        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
+        p = self._box.check_one(p)
+        T = np.asarray(self.jacobian(p), dtype=float).reshape(-1, self.nx, len(p)).transpose(1, 0, 2)
+        A, B, E = np.split(T, [self.nx, self.nx + self.nu], axis=1)
+        return A, B, E
+
+    @property
+    def _box(self) -> DesignSpace:
+        """Box of designs, empty for a model without a design."""
+        return NO_DESIGN if self.design is None else self.design
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearModel:
+class LinearModel(DiscreteModel):
     """Exact model x⁺ = A(p) x + B(p) u + E(p) w + c(p).
 
     Made by `discretise` or `LinearModel.from_state_space`.
@@ -51,7 +97,7 @@ class LinearModel:
     E: ca.SX
     dt: float
     design: DesignSpace | None
-    c: ca.SX | None = None
+    c: Any = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -67,8 +113,8 @@ class LinearModel:
         for name, M in (("B", self.B), ("E", self.E)):
             if M.shape[0] != nx:
                 raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
-        if self._c.shape != (nx, 1):
-            raise InputError("c", f"shape {self._c.shape}", f"({nx}, 1), one row per state")
+        if self.c.shape != (nx, 1):
+            raise InputError("c", f"shape {self.c.shape}", f"({nx}, 1), one row per state")
         set_(self, "dt", as_positive("dt", self.dt, unit="s"))
         if self.design is not None:
             as_instance("design", self.design, DesignSpace, "a DesignSpace or None")
@@ -95,6 +141,7 @@ class LinearModel:
             a different `dt`; or if `E` has the wrong number of rows.
         """
         A, B = state_space_matrices(system)
+        own = sampling_time(system, dt)
         E = np.zeros((len(A), 0)) if E is None else as_floats("E", E)
         E = E.reshape(len(E), -1) if E.ndim == 1 else E
         if E.ndim != 2 or len(E) != len(A):
@@ -103,15 +150,8 @@ class LinearModel:
         p = ca.SX(0, 1)
         constants = (ca.SX(ca.DM(A)), ca.SX(ca.DM(B)), ca.SX(ca.DM(E)) if E.size else ca.SX(len(A), 0))
         if system.dt:
-            own = 1.0 if system.dt is True else float(system.dt)
-            if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
-                raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
             return cls(p, *constants, own, None)
-        if dt is None:
-            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
-            raise InputError("dt", "nothing", "a sampling time [s]", cure)
-        dt = as_positive("dt", dt, unit="s")
-        return cls(p, *zero_order_hold(*constants, dt, symbols=p, design=None), dt, None)
+        return cls(p, *zero_order_hold(*constants, own, symbols=p, design=None), own, None)
 
     def __repr__(self) -> str:
         constant = ", a constant term" if self.affine else ""
@@ -119,7 +159,7 @@ class LinearModel:
         return f"LinearModel({sizes}, design: {self.design!r})"
 
     def __getstate__(self) -> dict[str, Any]:
-        packed = pack([self.symbols], [self.A, self.B, self.E, self._c])
+        packed = pack([self.symbols], [self.A, self.B, self.E, self.c])
         return {"expressions": packed, "dt": self.dt, "design": self.design}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -146,18 +186,12 @@ class LinearModel:
     @property
     def affine(self) -> bool:
         """Whether a constant term moves the equilibrium from 0."""
-        return not self._c.is_zero()
-
-    @property
-    def _c(self) -> ca.SX:
-        """Constant term."""
-        assert self.c is not None
-        return self.c
+        return not bool(self.c.is_zero())
 
     @cached_property
     def _constant(self) -> ca.Function:
         """p → c, (nx, 1)."""
-        return ca.Function("constant", [self.symbols], [ca.densify(self._c)])
+        return ca.Function("constant", [self.symbols], [ca.densify(self.c)])
 
     @cached_property
     def function(self) -> ca.Function:
@@ -165,37 +199,17 @@ class LinearModel:
         return ca.Function("matrices", [self.symbols], [ca.densify(ca.horzcat(self.A, self.B, self.E))])
 
     @cached_property
-    def jacobian(self) -> ca.Function:
-        """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
-        return derivative(self.function)
-
-    @cached_property
     def step(self) -> ca.Function:
         """(x, u, w, p) → x⁺, in CasADi."""
         x, u, w = (ca.SX.sym(name, size) for name, size in zip("xuw", (self.nx, self.nu, self.nw)))
-        after = self.A @ x + self.B @ u + self.E @ w + self._c
+        after = self.A @ x + self.B @ u + self.E @ w + self.c
         return ca.Function("step", [x, u, w, self.symbols], [ca.densify(after)], ["x", "u", "w", "p"], ["x_next"])
-
-    def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """A (nx, nx), B (nx, nu), E (nx, nw) at a design (np,); stacked for (n, np).
-
-        Raises
-        ------
-        InputError
-            If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
-        """
-        return evaluated(self.function, self._checked(p), self.nu)
 
     def constant(self, p: ArrayLike = ()) -> Array:
         """c (nx,) at a design (np,); stacked for designs (n, np)."""
-        p = self._checked(p)
+        p = self._box.check(p)
         c = np.asarray(self._constant(np.atleast_2d(p).T), dtype=float).T
         return np.ascontiguousarray(c if p.ndim == 2 else c[0])
-
-    def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
-        p = self._checked(p) if self.design is None else self.design.check_one(p)
-        return derivatives_at(self.jacobian, p, self.nx, self.nu)
 
     def state_space(self, p: ArrayLike = ()) -> Any:
         """Model at one design as a `control.StateSpace` with outputs x.
@@ -237,14 +251,6 @@ class LinearModel:
         c = self.constant(p)
         return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T + c
 
-    def _checked(self, p: ArrayLike) -> Array:
-        """Designs within their bounds; empty for a model without a design."""
-        if self.design is not None:
-            return self.design.check(p)
-        if np.size(p) > 0:
-            raise InputError("design", shown(p), "nothing, because the model has no design parameters")
-        return np.zeros(0)
-
 
 def state_space_matrices(system: Any) -> tuple[Array, Array]:
     """A (nx, nx) and B (nx, nu) of a `control.StateSpace`."""
@@ -258,34 +264,14 @@ def state_space_matrices(system: Any) -> tuple[Array, Array]:
     return A, B
 
 
-def evaluated(function: ca.Function, p: Array, nu: int) -> tuple[Array, Array, Array]:
-    """A (nx, nx), B (nx, nu), E (nx, nw) at a design (np,), or stacked.
-
-    Raises
-    ------
-    InputError
-        If one of them is not finite.
-    """
-    stacked = np.asarray(function(np.atleast_2d(p).T), dtype=float)
-    if not np.isfinite(stacked).all():
-        where = f"a design at which the model is not finite: {p.tolist()}"
-        raise InputError("design", where, "one where A, B and E are finite", "Leave it out of the design bounds.")
-    nx, columns = function.size_out(0)
-    matrices = np.ascontiguousarray(stacked.reshape(nx, -1, columns).transpose(1, 0, 2))
-    M = matrices if p.ndim == 2 else matrices[0]
-    parts = (M[..., :nx], M[..., nx : nx + nu], M[..., nx + nu :])
-    A, B, E = (np.ascontiguousarray(part) for part in parts)
-    return A, B, E
-
-
-def derivative(function: ca.Function) -> ca.Function:
-    """p → ∂vec[A B E]/∂p of p → [A B E], vec by columns."""
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    p = kind.sym("p", *function.size_in(0))
-    return ca.Function("jacobian", [p], [ca.densify(ca.jacobian(ca.vec(function(p)), p))])
-
-
-def derivatives_at(jacobian: ca.Function, p: Array, nx: int, nu: int) -> tuple[Array, Array, Array]:
-    """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
-    T = np.asarray(jacobian(p), dtype=float).reshape(-1, nx, len(p)).transpose(1, 0, 2)
-    return T[:, :nx], T[:, nx : nx + nu], T[:, nx + nu :]
+def sampling_time(system: Any, dt: float | None) -> float:
+    """Sampling time [s] of a `control.StateSpace`, its own or that of a continuous one."""
+    if not system.dt:
+        if dt is None:
+            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
+            raise InputError("dt", "nothing", "a sampling time [s]", cure)
+        return as_positive("dt", dt, unit="s")
+    own = as_positive("dt", 1.0 if system.dt is True else float(system.dt), unit="s")
+    if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
+        raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
+    return own

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_array, as_floats, as_positive, shown
+from ccdtools.checks import as_array, as_floats, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import state_space_matrices
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools.plants.linear_model import sampling_time, state_space_matrices
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import as_expression
 
 OPTIONS = ("continuous", "state_names", "input_names", "output_names", "output_limits", "substeps")  # of Plant
-NO_DESIGN = DesignSpace([], [], [])
 
 
 def plant_from_matrices(
@@ -103,16 +101,10 @@ def plant_from_state_space(system: Any, *, dt: float | None = None, E: ArrayLike
         If `system` is no state space, or a continuous one comes without a positive `dt`.
     """
     A, B = state_space_matrices(system)
-    continuous = not system.dt
-    own = None if continuous else 1.0 if system.dt is True else float(system.dt)
-    if continuous and dt is None:
-        raise InputError("dt", "nothing", "a sampling time [s]", "The system is continuous.")
-    if own is not None and dt is not None and not np.isclose(own, as_positive("dt", dt, unit="s")):
-        raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
-    sampled = as_positive("dt", dt if own is None else own, unit="s")
     return plant_from_matrices(
-        A, B, E, dt=sampled, C=system.C, D=system.D, continuous=continuous, state_names=list(system.state_labels),
-        input_names=list(system.input_labels), output_names=list(system.output_labels),
+        A, B, E, dt=sampling_time(system, dt), C=system.C, D=system.D, continuous=not system.dt,
+        state_names=list(system.state_labels), input_names=list(system.input_labels),
+        output_names=list(system.output_labels),
     )  # fmt: skip
 
 

@@ -59,8 +59,7 @@ def linearise(
         w = np.zeros(plant.nw) if w is None else as_vector("w", w, plant.nw)
         point = origin = ca.SX(ca.DM(np.r_[x, u, w]))
     J, H = (ca.substitute(ca.jacobian(f, z), z, point) for f in (plant.dynamics, plant.outputs))
-    _check_smooth(plant, ca.vertcat(J, H))
-    _check_no_jump(plant, point)
+    _check_smooth(plant, ca.vertcat(J, H), point)
     at, y = (ca.substitute(f, z, point) for f in (plant.dynamics, plant.outputs))
     rest = ca.SX.zeros(plant.nx, 1) if isinstance(about, Equilibrium) else at - J @ point
     return replace(plant, dynamics=ca.densify(J @ z + rest), outputs=ca.densify(y + H @ (z - origin)))
@@ -116,27 +115,19 @@ def _point(plant: Plant, about: Equilibrium) -> ca.SX:
     return ca.vertcat(x, u, ca.SX(ca.DM(about.w)) if plant.nw else ca.SX(0, 1))
 
 
-def _check_smooth(plant: Plant, J: ca.SX) -> None:
-    """Raise an `InputError` unless the derivatives are finite at sample designs."""
-    function = ca.Function("J", [plant.p], [ca.densify(J)])
-    for p in plant.design.spread():
-        if not np.isfinite(np.asarray(function(p), dtype=float)).all():
-            place = f" at {plant.design.describe(p)}" if plant.design.dim else ""
-            got = f"a point where a derivative is not finite{place}"
-            raise InputError("about", got, "one where the plant is smooth")
-
-
-def _check_no_jump(plant: Plant, point: ca.SX) -> None:
-    """Raise an `InputError` if dynamics or outputs jump at the point."""
+def _check_smooth(plant: Plant, J: ca.SX, point: ca.SX) -> None:
+    """Raise an `InputError` where a derivative is not finite, or dynamics or outputs jump, at a sample design."""
     given = [plant.x, plant.u, plant.w, plant.p]
     switches = Switches(ca.Function("rows", given, [ca.vertcat(plant.dynamics, plant.outputs)]))
-    if not switches:
-        return
     names = [*(f"the dynamics of {name}" for name in plant.state_names), *plant.output_names]
-    function = ca.Function("point", [plant.p], [ca.densify(point)])
+    function = ca.Function("point", [plant.p], [ca.densify(J), ca.densify(point)])
     for p in plant.design.spread():
-        jump = switches.at(np.asarray(function(p), dtype=float).ravel(), p)
+        slopes, z = (np.asarray(part, dtype=float) for part in function(p))
+        jump = switches.at(z.ravel(), p)
+        place = f" at {plant.design.describe(p)}" if plant.design.dim else ""
+        if not np.isfinite(slopes).all():
+            got = f"a point where a derivative is not finite{place}"
+            raise InputError("about", got, "one where the plant is smooth")
         if jump is not None:
-            place = f" at {plant.design.describe(p)}" if plant.design.dim else ""
             got = f"a point at which {names[jump.row]} jump ({', '.join(jump.names)}){place}"
             raise InputError("about", got, "one where the plant is smooth", SMOOTHER)

@@ -74,18 +74,8 @@ def with_preview(model: Model | Plant, steps: int, *, channels: Sequence[int] | 
         return _linear(model, steps, known)
     if isinstance(model, SampledModel):
         return _sampled(model, steps, known)
-    step = _exact_step(model) if model.linear else model.step
+    step = discretise(model, sampling_guard="ignore").step if model.linear else model.step  # exact where it can be
     return _plant(model, step, model.nw, steps, known)
-
-
-def _exact_step(plant: Plant) -> ca.Function:
-    """(x, u, w, p) → x⁺ of a linear plant."""
-    exact = discretise(plant, sampling_guard="ignore")
-    assert isinstance(exact, LinearModel)
-    assert exact.c is not None
-    x, u, w = plant.x, plant.u, plant.w
-    after = exact.A @ x + exact.B @ u + exact.E @ w + exact.c
-    return ca.Function("step", [x, u, w, exact.symbols], [after])
 
 
 def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:
@@ -125,7 +115,6 @@ def _linear(model: LinearModel, steps: int, known: tuple[int, ...]) -> LinearMod
         direct[:, channel] = 0
     A = ca.vertcat(ca.horzcat(model.A, acting), ca.horzcat(ca.SX.zeros(length, model.nx), shift))
     B = ca.vertcat(model.B, ca.SX.zeros(length, model.nu))
-    assert model.c is not None
     c = ca.vertcat(model.c, ca.SX.zeros(length, 1))
     return LinearModel(model.symbols, A, B, ca.vertcat(direct, entering), model.dt, model.design, c)
 

@@ -31,8 +31,20 @@ class ExplicitStep:
 
     @classmethod
     def of(cls, f: ca.Function, dt: float, substeps: int) -> ExplicitStep:
-        """Runge–Kutta steps of dx/dt = f(x, u, w, p) over `dt` seconds."""
-        return cls(runge_kutta(f, dt / substeps), substeps)
+        """Runge–Kutta steps of dx/dt = f(x, u, w, p) over `dt` seconds, u and w held.
+
+        References
+        ----------
+        Hairer, Nørsett and Wanner, "Solving ordinary differential equations I", 2nd ed., 1993, table II.1.2.
+        """
+        h = dt / substeps
+        x, u, w, p = (ca.SX.sym(name, *f.size_in(i)) for i, name in enumerate("xuwp"))
+        k1 = f(x, u, w, p)
+        k2 = f(x + h / 2 * k1, u, w, p)
+        k3 = f(x + h / 2 * k2, u, w, p)
+        k4 = f(x + h * k3, u, w, p)
+        after = ca.cse(ca.densify(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
+        return cls(ca.Function("substep", [x, u, w, p], [after], list("xuwp"), ["x_next"]), substeps)
 
     @cached_property
     def function(self) -> ca.Function:
@@ -94,19 +106,3 @@ class ExplicitStep:
             state[:] = step.out
             states.append(state.copy())
         return states
-
-
-def runge_kutta(f: ca.Function, h: float) -> ca.Function:
-    """(x, u, w, p) → x after one Runge–Kutta step of `h` seconds, u and w held.
-
-    References
-    ----------
-    Hairer, Nørsett and Wanner, "Solving ordinary differential equations I", 2nd ed., 1993, table II.1.2.
-    """
-    x, u, w, p = (ca.SX.sym(name, *f.size_in(i)) for i, name in enumerate("xuwp"))
-    k1 = f(x, u, w, p)
-    k2 = f(x + h / 2 * k1, u, w, p)
-    k3 = f(x + h / 2 * k2, u, w, p)
-    k4 = f(x + h * k3, u, w, p)
-    after = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("substep", [x, u, w, p], [ca.cse(ca.densify(after))], list("xuwp"), ["x_next"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,13 +11,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_array, as_choice, as_count, as_instance, as_positive, as_vector
 from ccdtools.exceptions import InputError
 from ccdtools.plants.collocation import ImplicitStep
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
-from ccdtools.plants.linear_model import derivative, derivatives_at, evaluated
+from ccdtools.plants.linear_model import DiscreteModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
 
@@ -50,7 +50,7 @@ class WithErrors:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SampledModel:
+class SampledModel(Immutable, DiscreteModel):
     """Model x⁺ = f(x, u, w, p) of a nonlinear plant.
 
     Made by `discretise`.
@@ -95,13 +95,6 @@ class SampledModel:
         error = f", error {known}" if self.plant.continuous else ""
         sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances, dt = {self.dt:g} s"
         return f"SampledModel({sizes}, {parts}{error}, design: {self.design!r})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {column.name: getattr(self, column.name) for column in fields(self)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:
@@ -175,25 +168,6 @@ class SampledModel:
         p = ca.MX.sym("p", self.design.dim)
         at_rest = self._jacobian(*(ca.DM.zeros(size, 1) for size in (self.nx, self.nu, self.nw)), p)
         return ca.Function("matrices", [p], [at_rest])
-
-    @cached_property
-    def jacobian(self) -> ca.Function:
-        """p → ∂vec[A B E]/∂p, (nx·(nx + nu + nw), np), vec by columns."""
-        return derivative(self.function)
-
-    def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """Linearisation about 0 at a design (np,), or stacked for designs (n, np).
-
-        Raises
-        ------
-        InputError
-            If a design has the wrong shape, lies outside its bounds, or makes a matrix infinite.
-        """
-        return evaluated(self.function, self.design.check(p), self.nu)
-
-    def derivatives(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """∂A/∂p (nx, nx, np), ∂B/∂p (nx, nu, np), ∂E/∂p (nx, nw, np) at a design."""
-        return derivatives_at(self.jacobian, self.design.check_one(p), self.nx, self.nu)
 
     @property
     def step(self) -> ca.Function:

@@ -5,57 +5,21 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.arrays import Array
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.tolerances import RESOLVED_SHARE
 
 
-@dataclass(frozen=True, eq=False)
-class FastestMode(Immutable):
-    """Fastest oscillation in a box of designs."""
-
-    frequency: float  # damped frequency [Hz]; 0 where nothing oscillates
-    design: ArrayField  # (np,): where it is reached
-    dt: float  # sampling time [s] it was judged for
-
-    @property
-    def nyquist(self) -> float:
-        """Half the sampling rate [Hz]."""
-        return 0.5 / self.dt
-
-    @property
-    def resolved(self) -> bool:
-        """Whether the oscillation stays below 0.8 of the Nyquist frequency."""
-        return self.frequency < RESOLVED_SHARE * self.nyquist
-
-    @property
-    def better_dt(self) -> float:
-        """Sampling time [s] for ten samples a period, rounded down."""
-        wanted = 1 / (10 * self.frequency) if self.frequency > 0 else self.dt  # 10 samples a period
-        digit = 10.0 ** math.floor(math.log10(wanted))
-        return math.floor(wanted / digit * (1 + 1e-12)) * digit
-
-
-def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> FastestMode:
-    """Fastest oscillation of ẋ = A(p) x over the box.
-
-    Parameters
-    ----------
-    A : callable
-        Design (np,) → state matrix (nx, nx).
-    design : DesignSpace
-    dt : float
-        Sampling time [s].
-    """
+def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> tuple[float, Array]:
+    """Damped frequency [Hz] and design (np,) of the fastest oscillation of ẋ = A(p) x over the box; 0 of none."""
 
     def frequency(v: Array) -> float:
         """Fastest damped frequency [Hz] at a unit-box point."""
@@ -77,7 +41,7 @@ def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> F
         if -search.fun > found:
             fastest = search.x
             found = -float(search.fun)
-    return FastestMode(found, design.from_unit(fastest), dt)
+    return found, design.from_unit(fastest)
 
 
 def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None) -> str:
@@ -94,21 +58,21 @@ def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None)
     """
     if not plant.continuous:
         return ""
+    dt = plant.dt if dt is None else dt
     given = [plant.x, plant.u, plant.w, plant.p]
     jacobian = ca.Function("A", given, [ca.densify(ca.jacobian(plant.dynamics, plant.x))])
     state = np.zeros(plant.nx) if x is None else x
-
-    def A(p: Array) -> Any:
-        """∂f/∂x at a design."""
-        return jacobian(state, 0, 0, p)
-
-    mode = fastest_mode(A, plant.design, plant.dt if dt is None else dt)
-    if mode.resolved:
+    frequency, design = fastest_mode(lambda p: jacobian(state, 0, 0, p), plant.design, dt)
+    nyquist = 0.5 / dt
+    if frequency < RESOLVED_SHARE * nyquist:
         return ""
-    where = f" at {plant.design.describe(mode.design)}" if plant.design.dim else ""
+    wanted = 1 / (10 * frequency)  # ten samples a period, rounded down
+    digit = 10.0 ** math.floor(math.log10(wanted))
+    better = math.floor(wanted / digit * (1 + 1e-12)) * digit
+    where = f" at {plant.design.describe(design)}" if plant.design.dim else ""
     return (
-        f"dt = {mode.dt:g} s samples at most {mode.nyquist:.3g} Hz, but the plant oscillates at {mode.frequency:.3g} Hz"
-        f"{where}: the samples do not show that oscillation as it is. dt = {mode.better_dt:g} s would"
+        f"dt = {dt:g} s samples at most {nyquist:.3g} Hz, but the plant oscillates at {frequency:.3g} Hz"
+        f"{where}: the samples do not show that oscillation as it is. dt = {better:g} s would"
     )
 
 

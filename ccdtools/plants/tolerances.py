@@ -14,13 +14,12 @@ NEAR_EDGE = 1e-3  # Samples closer to an edge than this in the unit box say noth
 BESIDE_LEVEL = 1e-6  # Where a constraint is level on its edge, its normal is taken so far beside it in the unit box.
 LEVEL = 1e-12  # A constraint is level where its slope is below this part of its value.
 TINY = 1e-300  # A divisor that stands for zero has this size.
-EPSILON = 2.0**-52  # A number in double precision is rounded by at most this part of it.
 CURVED = 0.1  # Constraints' curvature is left out where that of the distance along them would fall below this.
 NEAREST = 1e-5  # A point is the nearest if its distance has at most this part along the constraints.
 
 # --- discretisation ---------------------------------------------------------------------------------------------------
 ACCURACY = 1e-6  # By default a step is accurate to this part of half the range of each state, a sample.
-MOST_PARTS = {"rk4": 64, "collocation": 64}  # A sample is cut into at most so many parts.
+MOST_PARTS = 64  # A sample is cut into at most so many parts.
 STAGES = 3  # Radau collocation has so many stages.
 NEWTON_ITERATIONS = 50  # Newton's method has at most so many iterations.
 CLOSE = 1e-7  # A Newton step below this part of a state's size is followed by one last, which doubles the digits.

@@ -17,8 +17,7 @@ from ccdtools.co_design.limit_tolerance import Pair
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MPC_RUNS
 from ccdtools.evidence.evidence import Violation
-from ccdtools.limits import StateLimits
-from ccdtools.outside import RunViolations
+from ccdtools.limits import RunViolations, StateLimits
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.trajectory import Trajectory

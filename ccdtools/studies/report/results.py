@@ -10,7 +10,7 @@ from typing import Any
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
-from ccdtools.outside import limits_in_words
+from ccdtools.limits import limits_in_words
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.stage_storage import Stage, jsonable
