@@ -12,8 +12,8 @@ from ccdtools.checks import as_choice, as_count, as_number, as_share, shown
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.descent import descend, value_of
-from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.descent import descend
+from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.laws import LQRLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
@@ -150,7 +150,7 @@ def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: 
         drawn = scenario_tensors(problem, fewer_runs(runs, problem.steps), np.random.default_rng(seed))
         cost = LoopCost(problem, LQRLaw(), drawn)
     v = space.allowed.rounded(np.clip(space.to_unit(design), 0.0, 1.0))
-    value = value_of(cost, v)
+    value = cost(v)[0]
     size = float(problem.made_by_control(-value, space.from_unit(v))) if np.isfinite(value) else 1.0
     found = descend(cost, space, v, size=size or 1.0, evaluations=100)
     if not np.isfinite(found.cost):

@@ -28,7 +28,7 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limit_tolerance import BY_MPC, NOTHING, UNTIL_LEFT, Pair, tolerance_at
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.method_pairs import RUNS as LOOP_RUNS, closed_loop_returns
-from ccdtools.co_design.methods.holding import start_points
+from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem

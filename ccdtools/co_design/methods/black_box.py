@@ -39,8 +39,7 @@ class ClosedLoop:
                 seen, self.penalty = self.cost.updated(self.penalty, v)
         except NotStabilisableError:
             return np.inf, 0.0
-        value = float(-self.cost.problem.risk.values(seen.total).mean())
-        return value, 0.0 if self.penalty is None else self.penalty.violation(seen)
+        return self.cost.plain(seen), 0.0 if self.penalty is None else self.penalty.violation(seen)
 
     def outcome(self, v: Array) -> Any:
         """Violation of the limits beside the tolerance measured at a point.

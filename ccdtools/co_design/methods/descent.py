@@ -8,43 +8,34 @@ Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.feasible import DesignRegion
 from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import EXACT
 
-Cost = Callable[[Array], tuple[float, Array]]
-
+Cost = Callable[[Array], tuple[float, Callable[[], Array]]]
+"""Point (np,) of the unit box → cost, and a function that returns its slope (np,); infinite where there is none."""
 
 
 class _SpentError(Exception):
     """Raised when no evaluation is left."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Descent:
     """End of a local search."""
 
     v: Array  # (np,): the best feasible point of the unit box that was evaluated
     cost: float
     slope: Array  # (np,): of the cost there, per unit-box length
-    evaluations: int = 0
-    # the points that were better than all before
-    path: list[tuple[Array, float]] = field(default_factory=list)  # (v, cost)
     spent: bool = False  # whether the evaluations ran out
-
-
-def value_of(cost: Any, v: Array) -> float:
-    """Cost at a point, without its slope where that is expensive."""
-    value: float = cost.value(v) if getattr(cost, "slope_is_expensive", False) else cost(v)[0]
-    return value
 
 
 def compressed(relative: float) -> float:
@@ -60,120 +51,97 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
 
     Parameters
     ----------
-    cost : callable
-        Point (np,) of the unit box → cost and its slope (np,); infinite where there is none.
+    cost : Cost
+        Its slope is asked for only where the search takes a step from.
     v : (np,) array
     size : float
         Of costs: what gains are compared with.
     evaluations : int
         At most.
     """
-    region = DesignRegion(space, v)
     limits = space.allowed.limits
-    free = region.free
+    free = space.allowed.free
+    watched = _Watched(cost, space, v, evaluations)
     if not free.any():
-        value, slope = cost(v)
-        return Descent(v, value, slope, 1, [(v, value)])
-    watched = _Watched(cost, space, v, size, evaluations)
-    found = watched.found
+        watched.at(v[free])
+        return watched.ended()
     constraints = [] if limits is None else [{
-        "type": "ineq", "fun": lambda z: -limits.values(watched.at(z)) - INSIDE_EDGES,
-        "jac": lambda z: -limits.jacobian(watched.at(z))[:, free],
+        "type": "ineq", "fun": lambda z: -limits.values(watched.point(z)) - INSIDE_EDGES,
+        "jac": lambda z: -limits.jacobian(watched.point(z))[:, free],
     }]  # fmt: skip
-    try:
+
+    def value(z: Array) -> float:
+        """Relative cost, beyond `COMPRESS_ABOVE` its logarithm."""
+        relative = watched.at(z).cost / size
+        return compressed(relative) if np.isfinite(relative) else LOST_COST
+
+    def slope(z: Array) -> Array:
+        """Slope of the relative cost by free entries."""
+        here = watched.at(z)
+        relative = here.cost / size
+        own = here.slope()[free] if np.isfinite(relative) else np.full(len(z), np.nan)
+        if not np.isfinite(own).all():
+            return np.zeros(len(z))
+        return np.asarray(own / size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0))
+
+    with suppress(_SpentError):
         for _ in range(3):  # searches follow one another while they gain
-            before = found.cost
-            minimize(watched.value, found.v[free], jac=watched.slope, method="SLSQP",
-                     bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,
-                     options={"maxiter": evaluations, "ftol": 1e-10})  # fmt: skip
-            if not found.cost < before - GAINED * size:
+            before = watched.best.cost
+            minimize(value, watched.best.v[free], jac=slope, method="SLSQP", bounds=[(0.0, 1.0)] * int(free.sum()),
+                     constraints=constraints, options={"maxiter": evaluations, "ftol": 1e-10})  # fmt: skip
+            if not watched.best.cost < before - GAINED * size:
                 break
-    except _SpentError:
-        pass
-    watched.complete()
-    return found
+    return watched.ended()
 
 
-@dataclass(eq=False)
-class _Point:
-    """Evaluated point of the unit box, with its slope if asked for."""
+@dataclass(frozen=True, eq=False)
+class _Looked:
+    """Evaluated point of the unit box."""
 
     v: Array
     cost: float
-    slope: Array | None
+    slope: Callable[[], Array]
 
 
 class _Watched:
-    """Cost of free entries z; `found` keeps the best so far."""
+    """Cost of free entries z that remembers its last and its best point."""
 
-    def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
-        self.cost = cost
-        self.apart: Any = cost if getattr(cost, "slope_is_expensive", False) else None
-        self.space = space
-        self.start = v
-        self.size = size
-        self.evaluations = evaluations
-        self.free = DesignRegion(space, v).free
-        self.found = Descent(v, np.inf, np.zeros(len(v)))
-        self._last: _Point | None = None
-        self._best: _Point | None = None
+    def __init__(self, cost: Cost, space: DesignSpace, v: Array, evaluations: int) -> None:
+        self._cost = cost
+        self._space = space
+        self._start = v
+        self._left = evaluations
+        self._last: _Looked | None = None
+        self._spent = False
+        self.best = _Looked(v, np.inf, lambda: np.zeros(len(v)))
 
-    def at(self, z: Array) -> Array:
+    def point(self, z: Array) -> Array:
         """Whole point with the free entries `z`."""
-        point = self.start.copy()
-        point[self.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
-        return point
+        v = self._start.copy()
+        v[self._space.allowed.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
+        return v
 
-    def value(self, z: Array) -> float:
-        """Relative cost, beyond `COMPRESS_ABOVE` its logarithm."""
-        point = self._point(z)
-        relative = point.cost / self.size
-        if not np.isfinite(relative) or (point.slope is not None and not np.isfinite(point.slope).all()):
-            return LOST_COST
-        return compressed(relative)
-
-    def slope(self, z: Array) -> Array:
-        """Slope of the relative cost by free entries."""
-        point = self._point(z)
-        relative = point.cost / self.size
-        if not np.isfinite(relative):
-            return np.zeros(len(z))
-        slope = self._slope(point)[self.free]
-        if not np.isfinite(slope).all():
-            return np.zeros(len(z))
-        return np.asarray(slope / self.size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0))
-
-    def complete(self) -> None:
-        """Have the slope at the best point."""
-        if self._best is not None:
-            self.found.slope = self._slope(self._best)
-
-    def _slope(self, point: _Point) -> Array:
-        """Slope at a point, computed at most once."""
-        if point.slope is None:
-            assert self.apart is not None
-            point.slope = self.apart.slope(point.v)
-        return point.slope
-
-    def _point(self, z: Array) -> _Point:
-        """Evaluation at a point; the last is remembered.
+    def at(self, z: Array) -> _Looked:
+        """Evaluation at free entries.
 
         Raises
         ------
         _SpentError
             If that would be an evaluation too many.
         """
-        v = self.at(z)
+        v = self.point(z)
         if self._last is not None and np.array_equal(v, self._last.v):
             return self._last
-        found = self.found
-        if found.evaluations >= self.evaluations:
-            found.spent = True
+        if not self._left:
+            self._spent = True
             raise _SpentError
-        point = _Point(v, *self.cost(v)) if self.apart is None else _Point(v, self.apart.value(v), None)
-        found.evaluations += 1
-        self._last = point
-        if point.cost < found.cost and self.space.allowed.violation(v) <= EXACT:
-            found.v, found.cost, self._best = v, point.cost, point
-            found.path.append((v, point.cost))
-        return point
+        self._left -= 1
+        value, slope = self._cost(v)
+        self._last = _Looked(v, value, cache(slope))
+        if value < self.best.cost and self._space.allowed.violation(v) <= EXACT:
+            self.best = self._last
+        return self._last
+
+    def ended(self) -> Descent:
+        """Best point, with its slope."""
+        return Descent(self.best.v, self.best.cost, self.best.slope(), self._spent)

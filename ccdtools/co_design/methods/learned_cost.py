@@ -10,6 +10,7 @@ learning" (the bi-level framework); Milgrom and Segal, Econometrica 70(2), 2002 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import episode_at
-from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
+from ccdtools.co_design.methods.design_search import DesignCost, HistoryRow
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import POLICY_ITERATIONS
@@ -57,7 +58,7 @@ class LearnedCost(DesignCost):
         """Description of the cost in words."""
         return f"a policy trained by {self.by} at every design, on {len(self.scenarios[0])} scenarios"
 
-    def __call__(self, v: Array) -> tuple[float, Array]:
+    def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost and slope (np,) at a unit-box point (np,)."""
         p = self.problem.design.from_unit(v)
         config = CoDesignConfig(iterations=POLICY_ITERATIONS, design_rate=0.0, starts=1)
@@ -67,11 +68,10 @@ class LearnedCost(DesignCost):
         point = torch.tensor(v, dtype=torch.float32, requires_grad=True)
         seen = episode_at(self.problem, self.agent, point, self.scenarios)
         cost = -self.problem.risk.values(seen.total).mean()
-        (slope,) = torch.autograd.grad(cost, point)
         count = len(self.rows) + 1
         lost = float(seen.diverged.double().mean())
         self.rows.append((count, count * POLICY_ITERATIONS, p, -cost.item(), 0.0, lost))
-        return cost.item(), slope.double().numpy()
+        return cost.item(), lambda: torch.autograd.grad(cost, point)[0].double().numpy()
 
     def controller(self, p: Array) -> Controller:
         """Policy trained nearest to a design, at that design."""

@@ -1,12 +1,12 @@
-"""Closed-loop cost of a law, with its slope by the design.
+"""Closed-loop cost of a law within its limits, with its slope by the design.
 
-With limits it is searched again while they are priced.
+The search over designs is repeated while leaving the limits is cheap.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -16,13 +16,21 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
 from ccdtools.co_design.episodes import Episode, simulated
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
+from ccdtools.co_design.methods.descent import descend
+from ccdtools.co_design.methods.design_search import DesignCost, End, HistoryRow
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk_intervals import of_kept_runs
-from ccdtools.co_design.task import LimitPenalty
-from ccdtools.co_design.tolerances import COST_STEP
+from ccdtools.co_design.tolerances import (
+    COST_STEP,
+    NEGLIGIBLE_GAIN,
+    PRICE_GROWTH,
+    ROUNDS_AT_ONE_DESIGN,
+    ROUNDS_WITHOUT_GAIN,
+    USED_SHARE,
+)
 from ccdtools.controllers.controllers import Controller
+from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError
 
 
@@ -36,14 +44,14 @@ class LoopCost(DesignCost):
         Its discrepancy, risk and limits are honoured.
     law : DesignLaw
     scenarios : tensors (n, nx) and (n, T, nw)
-    penalty : LimitPenalty, optional
-        What leaving the limits costs.
+    penalty : StateLimitPenalty, optional
+        What leaving the limits costs; `least` raises it until they are kept, where they have a tolerance.
     """
 
     problem: CoDesignProblem
     law: DesignLaw
     scenarios: ScenarioTensors
-    penalty: LimitPenalty | None = None
+    penalty: StateLimitPenalty | None = None
     rows: list[HistoryRow] = field(default_factory=list)  # of the history: one for every evaluation
     evaluations: int = 0  # closed loops on all scenarios, those of differences included
 
@@ -51,33 +59,29 @@ class LoopCost(DesignCost):
         self.problem = in_double(self.problem)
         x0, w = self.scenarios
         self.scenarios = x0.double(), w.double()
-        self.slope_is_expensive = not self.law.differentiable  # differences of whole closed loops
 
     @property
     def words(self) -> str:
         """Description of the cost in words."""
         return f"{self.law.words} in closed loop on {len(self.scenarios[0])} scenarios"
 
-    def __call__(self, v: Array) -> tuple[float, Array]:
-        """Cost and slope (np,) at a point (np,); infinite without a gain."""
-        if self.slope_is_expensive:
-            return self.value(v), self.slope(v)
-        point = torch.tensor(v, dtype=torch.float64, requires_grad=True)
-        cost = self._cost(point, v)
+    def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
+        """Cost at a point (np,), and its slope (np,): exact, or by differences of whole closed loops."""
+        exact = self.law.differentiable
+        point = torch.tensor(v, dtype=torch.float64, requires_grad=exact)
+        with torch.set_grad_enabled(exact):
+            cost = self._cost(point, v)
+        if cost is not None and not exact:
+            return float(cost), lambda: np.asarray(self._differences(v, self._value_at, 1)[0])
         if cost is None or not cost.requires_grad:
-            return np.inf if cost is None else float(cost), np.zeros(len(v))
-        (slope,) = torch.autograd.grad(cost, point)
-        return float(cost.detach()), slope.numpy()
+            return np.inf if cost is None else float(cost), lambda: np.zeros(len(v))
+        return float(cost.detach()), lambda: torch.autograd.grad(cost, point)[0].numpy()
 
     @torch.no_grad()
-    def value(self, v: Array, *, remember: bool = True) -> float:
-        """Cost alone."""
-        cost = self._cost(torch.tensor(v, dtype=torch.float64), v if remember else None)
-        return np.inf if cost is None else float(cost)
-
-    def slope(self, v: Array) -> Array:
-        """Slopes (np,) by differences of whole closed loops."""
-        return np.asarray(self._differences(v, lambda at: np.array([self.value(at, remember=False)]), 1)[0])
+    def _value_at(self, v: Array) -> Array:
+        """Cost alone (1,), not in the history."""
+        cost = self._cost(torch.tensor(v, dtype=torch.float64), None)
+        return np.array([np.inf if cost is None else float(cost)])
 
     def _differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
         """Slopes (count, np) of values (count,), central or one-sided at a bound."""
@@ -95,15 +99,18 @@ class LoopCost(DesignCost):
     def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
         """Cost at a point, None without a gain; `v` adds a history row."""
         self.evaluations += 1
+        priced = self.penalty is not None and self.penalty.active
         try:
-            seen = self._episode(point)
+            seen = self._episode(point, depths=priced)
         except NotStabilisableError:  # any other error is a mistake in what was stated
             return None
-        values = self.problem.risk.values(seen.total)
         if v is not None:
-            self._remember(v, seen)
-        cost: Tensor = -values.mean()
-        if self.penalty is not None and self.penalty.active and not bool(seen.diverged.any()):
+            mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
+            count = len(self.rows) + 1
+            samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
+            self.rows.append((count, count * samples, self.problem.design.from_unit(v), mean, std, lost))
+        cost: Tensor = -self.problem.risk.values(seen.total).mean()
+        if self.penalty is not None and priced and not bool(seen.diverged.any()):
             cost = cost + self.penalty.cost(seen, point)
         return cost
 
@@ -120,24 +127,18 @@ class LoopCost(DesignCost):
         """Episodes of the law at a point, with limit violations."""
         return self._episode(torch.tensor(v, dtype=torch.float64), depths=True)
 
-    def _episode(self, v: Tensor, *, depths: bool = False) -> Episode:
+    def _episode(self, v: Tensor, *, depths: bool) -> Episode:
         """Episodes at a unit-box point."""
         p = to_design(self.problem, v)
-        law = self.law.law(self.problem, p)
-        watched = depths or (self.penalty is not None and self.penalty.active)
-        return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=watched)
+        return simulated(Stepper.at(self.problem, p), self.law.law(self.problem, p), self.scenarios, depths=depths)
 
-    def _remember(self, v: Array, seen: Episode) -> None:
-        """Add a row to the history."""
-        mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
-        count = len(self.rows) + 1
-        samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
-        design = self.problem.design.from_unit(v)
-        self.rows.append((count, count * samples, design, mean, std, lost))
+    def plain(self, seen: Episode) -> float:
+        """Cost of episodes, whatever they do to the limits."""
+        return float(-self.problem.risk.values(seen.total).mean())
 
     def worth_a_start(self, v: Array) -> bool:
         """Whether saturated LQR, which is cheap, loses no run at a point."""
-        if not self.slope_is_expensive:
+        if self.law.differentiable:
             return True
         try:
             return not bool(LoopCost(self.problem, LQRLaw(), self.scenarios).seen(v).diverged.any())
@@ -147,3 +148,91 @@ class LoopCost(DesignCost):
     def controller(self, p: Array) -> Controller:
         """Law at a design, for use."""
         return self.law.controller(self.problem, p)
+
+    def least(self, v: Array, *, size: float, evaluations: int) -> End:
+        """End of repeated searches, from where one ended without a price."""
+        end = super().least(v, size=size, evaluations=evaluations)
+        if self.problem.limit_tolerance == "off" or not np.isfinite(end.found.cost):
+            return end
+        found = end.found
+        penalty = StateLimitPenalty(self.problem)
+        ends: list[End] = []
+        for _ in range(30):  # rounds of the multipliers
+            seen, penalty = self.updated(penalty, found.v)
+            if bool(seen.diverged.any()):
+                break
+            violation = penalty.violation(seen)
+            ends.append(End(self, replace(found, cost=self.plain(seen)), size, violation, penalty))
+            unpriced = self.penalty is None
+            enough = violation <= 0 and (unpriced or found.spent)
+            if not penalty.active or enough or _settled(ends):
+                break
+            self.penalty = penalty.dearer(PRICE_GROWTH) if violation > 0 and not unpriced else penalty
+            penalty = self.penalty
+            found = descend(self, self.problem.design, found.v, size=size, evaluations=evaluations)
+        if not ends:
+            return end
+        best = min(ends, key=lambda end: end.order)
+        broken = [end for end in ends if end.violation > 0 and end.found.cost < best.found.cost]
+        if best.violation > 0 or not broken:
+            return best
+        return self.nearer(best, min(broken, key=lambda end: end.violation).found.v)
+
+    def nearer(self, best: End, broken: Array) -> End:
+        """Cheapest design within limits, on the way from `best` to a point outside.
+
+        Prices aim a little within the limits, so that something of the way is left.
+        """
+        begin = best.found.v
+        assert best.penalty is not None
+        near, far = 0.0, 1.0
+        for _ in range(8):
+            share = (near + far) / 2
+            v = begin + share * (broken - begin)
+            self.evaluations += 1
+            try:
+                seen = self.seen(v)
+            except NotStabilisableError:
+                far = share
+                continue
+            plain = self.plain(seen)
+            penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
+            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > EXACT
+            if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
+                far = share
+            else:
+                near = share
+                best = replace(best, found=replace(best.found, v=v, cost=plain), penalty=penalty)
+        return best
+
+    def examined(self, end: End) -> End:
+        """End with its limits; those priced and used up count as constraints."""
+        if end.penalty is None:
+            return end
+        v = end.found.v
+        outcome = end.penalty.outcome(self.seen(v))
+        if not end.penalty.active:
+            return replace(end, limits=outcome)
+        slope, *violations = self._differences(v, self._cost_and_violations, 3)
+        named = zip(("mean violation of the limits", "peak violation of the limits"), violations)
+        measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
+        used = zip(*(measure.values() for measure in measures))
+        active = [price > 0 and value + error >= USED_SHARE * most for value, error, most, price in used]
+        return replace(end, limits=outcome, found=replace(end.found, slope=slope),
+                       active=dict(one for one, is_so in zip(named, active) if is_so))  # fmt: skip
+
+    def _cost_and_violations(self, v: Array) -> Array:
+        """Cost without penalty, and mean and peak violation, (3,)."""
+        seen = self.seen(v)
+        return np.array([self.plain(seen), float(seen.depth.mean()), float(seen.peak.mean())])
+
+
+def _settled(ends: list[End]) -> bool:
+    """Whether further rounds of prices would change nothing."""
+    kept = [end.violation <= 0 for end in ends]
+    if any(kept):
+        costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
+        n = ROUNDS_WITHOUT_GAIN
+        return len(ends) > n and bool(costs[-1 - n] - costs[-1] <= n * NEGLIGIBLE_GAIN * ends[-1].size)
+    last = [end.found.v for end in ends[-ROUNDS_AT_ONE_DESIGN:]]
+    return len(last) == ROUNDS_AT_ONE_DESIGN and all(np.array_equal(v, last[0]) for v in last)

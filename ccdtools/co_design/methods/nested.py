@@ -20,11 +20,10 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.design_cost import DesignCost
+from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch
 from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, SecantLaw
-from ccdtools.co_design.methods.limited_loop_cost import loop_cost
+from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
-from ccdtools.co_design.methods.searched import SearchBudget, searched
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
@@ -35,8 +34,6 @@ from mpc import NotStabilisableError
 
 RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # Scenarios of 100 steps
 NAMES = {"lqr": "LQR", "mpc": "MPC", "nmpc": "NMPC", "riccati": "Riccati", "trajectory": "trajectory", "rl": "RL"}
-OUTER = {"rl": 12}  # Evaluations, where the inside takes long.
-EVALUATIONS = 100  # Evaluations of the others.
 
 
 @dataclass(frozen=True)
@@ -105,31 +102,30 @@ class Nested:
     ) -> CoDesignResult:
         """Best design and its controller, from a feasible one (np,) and other starts."""
         starts = 1 if self.inner == "rl" else self.starts
-        budget = SearchBudget(self.name, starts, self.evaluations or OUTER.get(self.inner, EVALUATIONS))
+        most = self.evaluations or (12 if self.inner == "rl" else 100)
+        search = DesignSearch(problem, self.name, starts, most, progress)
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
-            return self._of_better_linearisation(budget, problem, design, rng, progress)
-        return searched(budget, problem, self._cost_from(problem, rng, progress), design, rng, progress=progress)
+            return self._of_better_linearisation(search, design, rng)
+        return search.best(self._cost_from(problem, rng, progress), design, rng)
 
     def _of_better_linearisation(
-        self, budget: SearchBudget, problem: CoDesignProblem, design: Array, rng: np.random.Generator, progress: bool
+        self, search: DesignSearch, design: Array, rng: np.random.Generator
     ) -> CoDesignResult:  # fmt: skip
         """Result of the tangent's LQR, or the secant's if asked for or better."""
+        problem = search.problem
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
-                tangent = searched(
-                    budget, problem, lambda v: loop_cost(problem, LQRLaw(), scenarios), design, rng, progress=progress
-                )
+                tangent = search.best(lambda v: LoopCost(problem, LQRLaw(), scenarios), design, rng)
         scenario = visited(problem, rng)
         if tangent is not None:
             here = fitted(problem, tangent.design, scenario)
             if not here.better:
                 return replace(tangent, notes=(*tangent.notes, str(here)))
-        budget = replace(budget, starts=1)
         first = design if tangent is None else np.asarray(tangent.design)
         law = SecantLaw(scenario)
-        found = searched(budget, problem, lambda v: loop_cost(problem, law, scenarios), first, rng, progress=progress)
+        found = replace(search, starts=1).best(lambda v: LoopCost(problem, law, scenarios), first, rng)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
         return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))
@@ -157,4 +153,4 @@ class Nested:
         laws: dict[str, DesignLaw] = {
             "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": MPCLaw(self.horizon, nonlinear=True)
         }  # fmt: skip
-        return lambda v: loop_cost(problem, laws[self.inner], scenarios)
+        return lambda v: LoopCost(problem, laws[self.inner], scenarios)

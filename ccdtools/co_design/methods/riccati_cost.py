@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -11,7 +12,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
-from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
+from ccdtools.co_design.methods.design_search import DesignCost, HistoryRow
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Mean
@@ -57,29 +58,26 @@ class RiccatiCost(DesignCost):
         self._starts = x0.T @ x0 / len(x0)
         self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
-    def __call__(self, v: Array) -> tuple[float, Array]:
+    def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost and slope (np,) at a point (np,); infinite without LQR."""
         problem = self.problem
         p = problem.design.from_unit(v)
         try:
             found = regulator_of(problem, p)
         except NotStabilisableError:
-            return np.inf, np.zeros(len(v))
+            return np.inf, lambda: np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
         spread = self._starts + problem.steps * (E @ self._noise @ E.T)
-        cost = float(np.sum(found.P * spread)) - self._first()
+        objective = problem.objective  # of the first states, next-state rewards count nothing
+        first = float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
+        cost = float(np.sum(found.P * spread)) - first
         slope = np.einsum("xyp,xy->p", found.dP, spread)
         slope = slope + 2 * problem.steps * np.einsum("xy,ywp,wv,xv->p", found.P, dE, self._noise, E)
         at_rest, rest_slope = self._at_rest(p)
         value = cost + at_rest
         count = len(self.rows) + 1
         self.rows.append((count, count, p, -value, 0.0, 0.0))
-        return value, (slope + rest_slope) * problem.design.allowed.width
-
-    def _first(self) -> float:
-        """Cost of the first states, left out by next-state rewards."""
-        objective = self.problem.objective
-        return float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
+        return value, lambda: (slope + rest_slope) * problem.design.allowed.width
 
     def _at_rest(self, p: Array) -> tuple[float, Array]:
         """Cost of the design and an episode at rest, with slope (np,)."""

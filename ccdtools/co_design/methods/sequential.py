@@ -17,9 +17,9 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.methods.design_search import DesignSearch
 from ccdtools.co_design.methods.laws import PassiveLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.methods.searched import SearchBudget, searched
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
@@ -73,13 +73,8 @@ class Sequential:
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            budget = SearchBudget(self.name, self.starts, self.evaluations)
-
-            def cost(v: Array) -> LoopCost:
-                """Cost of the plant alone."""
-                return LoopCost(unlimited, PassiveLaw(), scenarios)
-
-            plant = searched(budget, unlimited, cost, design, rng, progress=progress)
+            search = DesignSearch(unlimited, self.name, self.starts, self.evaluations, progress)
+            plant = search.best(lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng)
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
 

@@ -16,7 +16,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.methods.holding import OTHERS, start_points
+from ccdtools.co_design.methods.design_search import OTHERS, start_points
 from ccdtools.co_design.methods.open_loop import (
     Feedback,
     at_the_mean,

@@ -5,6 +5,7 @@ The program is that of simultaneous co-design with p held.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
-from ccdtools.co_design.methods.design_cost import DesignCost, HistoryRow
+from ccdtools.co_design.methods.design_search import DesignCost, HistoryRow
 from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
@@ -64,19 +65,19 @@ class TrajectoryCost(DesignCost):
         """Description of the cost in words."""
         return f"the best inputs in {len(self.scenarios[0])} scenarios whose disturbances are known ahead"
 
-    def __call__(self, v: Array) -> tuple[float, Array]:
+    def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost and slope (np,) at a point (np,); infinite where limits break."""
         p = self.problem.design.settled(v)
         self.evaluations += 1
         found: list[Solution] = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
         if not all(solution.solved for solution in found):
-            return np.inf, np.zeros(len(v))
+            return np.inf, lambda: np.zeros(len(v))
         self._last = list(found)
         cost, slope = self._counted(np.array([solution.cost for solution in found]),
                                     np.array([solution.p_gradient for solution in found]))  # fmt: skip
         count = len(self.rows) + 1
         self.rows.append((count, count, p, -cost, 0.0, 0.0))
-        return cost, slope * self.problem.design.allowed.width
+        return cost, lambda: slope * self.problem.design.allowed.width
 
     def _counted(self, costs: Array, slopes: Array) -> tuple[float, Array]:
         """Risk of costs (n,) and its slope (np,) from slopes (n, np)."""

@@ -12,13 +12,10 @@ import mpc
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import Descent
-from ccdtools.co_design.methods.design_cost import DesignCost, End
-from ccdtools.co_design.methods.holding import confirmed
+from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, End, confirmed
 from ccdtools.co_design.methods.laws import LQRLaw
 from ccdtools.co_design.methods.learned_cost import LearnedCost
-from ccdtools.co_design.methods.limited_loop_cost import LimitedEnd, LimitedLoopCost
-from ccdtools.co_design.methods.searched import SearchBudget, _status, searched
-from ccdtools.co_design.result import History
+from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.status import CoDesignStatus
 
 
@@ -33,15 +30,11 @@ class Cliff(DesignCost):
 
     def __call__(self, v):
         value = 2.0 - v[0] if v[0] <= 0.5 else np.inf
-        self.rows.append(value)
-        return value, np.array([-1.0 if v[0] < 0.4 else np.nan])
+        self.rows.append((1, 1, np.ones(1), 1.0, 0.0, 0.0))
+        return value, lambda: np.array([-1.0 if v[0] < 0.4 else np.nan])
 
     def controller(self, p):
         return cc.Passive(1)
-
-    def history(self):
-        count = np.arange(1, 3)
-        return History(count, count, np.ones((2, 1)), np.ones(2), np.zeros(2), np.zeros(2))
 
 
 @pytest.mark.parametrize("constraints", [{}, {"constraints": lambda p: p - 9}])
@@ -51,8 +44,8 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -2 * x[0] - (1 + p) * x[1] + u + w), space, dt=0.1)
     problem = replace(problem, model=cc.discretise(plant))
-    budget = SearchBudget("cliff", 1, 50)
-    found = searched(budget, problem, lambda v: Cliff(problem), np.array([0.45]), np.random.default_rng(0))
+    search = DesignSearch(problem, "cliff", 1, 50)
+    found = search.best(lambda v: Cliff(problem), np.array([0.45]), np.random.default_rng(0))
     assert found.status.name == "GRADIENT_UNTRUSTED"
     assert found.multipliers == {}
     assert np.isnan(found.slope)
@@ -60,7 +53,7 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
 
 def test_differences_across_the_end_of_a_cost_confirm_no_slope():
     def ended(v):
-        return 2.0 - v[0] if v[0] <= 0.5 else np.inf, np.array([-1.0])
+        return 2.0 - v[0] if v[0] <= 0.5 else np.inf, lambda: np.array([-1.0])
 
     space = cc.DesignSpace(["m"], [0.0], [1.0])
     assert confirmed(ended, space, np.array([0.4]), size=1.0)
@@ -70,7 +63,7 @@ def test_differences_across_the_end_of_a_cost_confirm_no_slope():
 def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
     problem = mass()
 
-    class Gap(LimitedLoopCost):
+    class Gap(LoopCost):
         def seen(self, v):
             if v[0] < 0.9:
                 return super().seen(v)
@@ -78,14 +71,13 @@ def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
 
     cost = Gap(problem, LQRLaw(), scenario_tensors(problem, 4, np.random.default_rng(0)))
     first, cheaper = np.array([0.85]), np.array([1.0])
-    plain = cost.value(first)
-    kept = LimitedEnd(cost, Descent(first, plain, np.zeros(1)), 1.0, penalty=StateLimitPenalty(problem))
-    broken = LimitedEnd(cost, Descent(cheaper, plain - 1, np.zeros(1)), 1.0, 1.0, penalty=StateLimitPenalty(problem))
-    assert 0.85 <= cost.nearer(kept, broken).found.v[0] < 0.9
+    plain = cost(first)[0]
+    kept = End(cost, Descent(first, plain, np.zeros(1)), 1.0, penalty=StateLimitPenalty(problem))
+    assert 0.85 <= cost.nearer(kept, cheaper).found.v[0] < 0.9
 
 
 def test_policies_trained_anew_are_not_blamed_on_their_slope():
     problem = mass()
     cost = LearnedCost(problem, None, (np.zeros((1, 2)), np.zeros((1, 1, 1))), np.random.default_rng(0))
-    found = Descent(np.array([0.5]), 1.0, np.array([1.0]), 12, spent=True)
-    assert _status(problem, End(cost, found, 1.0), rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT
+    end = End(cost, Descent(np.array([0.5]), 1.0, np.array([1.0]), spent=True), 1.0)
+    assert DesignSearch(problem, "rl", 1, 12).status(end, rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT

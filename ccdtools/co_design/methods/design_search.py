@@ -1,0 +1,279 @@
+"""Best design by a cost of the design, from several starts."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+from ccdtools.co_design.methods.descent import Cost, Descent, descend
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import CoDesignResult, History, Valley
+from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
+from ccdtools.controllers.controllers import Controller
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_constraints import held
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.tolerances import ON_EDGE
+from ccdtools.progress import bar
+
+OTHERS = "other whole numbers were never looked at: raise starts"
+
+HistoryRow = tuple[int, int, Array, float, float, float]
+
+
+class DesignCost(ABC):
+    """Cost (minus a return) over the unit box, with slope and controller.
+
+    Attributes
+    ----------
+    problem : CoDesignProblem
+    rows : list
+        Row of the history for every evaluation.
+    repeatable : bool
+        Whether the same point has the same cost again.
+    """
+
+    problem: CoDesignProblem
+    rows: list[HistoryRow]
+    repeatable = True
+
+    @property
+    @abstractmethod
+    def words(self) -> str:
+        """Name of the cost in tables."""
+
+    @abstractmethod
+    def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
+        """Cost at a point (np,), and a function for its slope (np,); infinite without a controller."""
+
+    @abstractmethod
+    def controller(self, p: Array) -> Controller:
+        """Controller of a design, for use."""
+
+    @property
+    def evaluations(self) -> int:
+        """Number of evaluations."""
+        return len(self.rows)
+
+    def worth_a_start(self, v: Array) -> bool:
+        """True if a cheap evaluation allows a search from a point."""
+        return True
+
+    def first_point(self, v: Array) -> tuple[Array, float]:
+        """Point to search from, and its cost."""
+        return v, self(v)[0]
+
+    def least(self, v: Array, *, size: float, evaluations: int) -> End:
+        """End of a search from a point."""
+        return End(self, descend(self, self.problem.design, v, size=size, evaluations=evaluations), size)
+
+    def examined(self, end: End) -> End:
+        """Best end with its limits, once known."""
+        return end
+
+    def without_design(self, name: str, v: Array) -> CoDesignResult:
+        """Explanation where no start has a cost."""
+        space = self.problem.design
+        got = f"{space.describe(space.settled(v))} to start from, where there is nothing to search by: {self.words}"
+        cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
+        raise InputError("design", got, "a design with a controller", cure)
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """End of the search from one start.
+
+    Attributes
+    ----------
+    cost : DesignCost
+    found : Descent
+    size : float
+        Part of the return that control makes: what gains are compared with.
+    violation : float
+        Excess over the tolerance of the limits.
+    penalty : StateLimitPenalty or None
+        What leaving the limits cost.
+    limits : LimitsOutcome or None
+    active : mapping
+        Slopes (np,) of the violations of active limits, by name.
+    """
+
+    cost: DesignCost
+    found: Descent
+    size: float
+    violation: float = 0.0
+    penalty: StateLimitPenalty | None = None
+    limits: LimitsOutcome | None = None
+    active: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """Violation, then cost; the best end has least."""
+        return (self.violation, self.found.cost)
+
+
+@dataclass(frozen=True)
+class DesignSearch:
+    """Search from a design and other valleys of the landscape.
+
+    Attributes
+    ----------
+    problem : CoDesignProblem
+    name : str
+        Of the method, in tables.
+    starts, evaluations : int
+        Starts at most, and evaluations of each.
+    progress : bool
+    """
+
+    problem: CoDesignProblem
+    name: str
+    starts: int
+    evaluations: int
+    progress: bool = False
+
+    def best(
+        self, cost_from: Callable[[Array], DesignCost], design: Array, rng: np.random.Generator
+    ) -> CoDesignResult:
+        """Best design from a feasible one (np,) and other valleys.
+
+        Parameters
+        ----------
+        cost_from : callable
+            Point (np,) of the unit box that a search starts from → `DesignCost`.
+        design : (np,) array
+        rng : numpy.random.Generator
+            Draws the landscape.
+
+        Raises
+        ------
+        InputError
+            If there is no controller at any start.
+        """
+        space = self.problem.design
+        found = valleys(self.problem, design, rng=rng) if self.starts > 1 else ()
+        points = start_points(space, design, found, self.starts)
+        starts = [(cost_from(v), v) for v in points]
+        if len(starts) > 1:
+            starts = [(cost, v) for cost, v in starts if cost.worth_a_start(v)] or starts
+        ends = []
+        with bar(label=self.name, total=len(starts), progress=self.progress) as shown:
+            for cost, v in starts:
+                first, value = cost.first_point(v)
+                if np.isfinite(value):
+                    ends.append(cost.least(first, size=self._size(value, first), evaluations=self.evaluations))
+                else:
+                    ends.append(End(cost, Descent(first, np.inf, np.zeros(len(v))), 1.0))
+                shown.update()
+        best = min(ends, key=lambda end: end.order)
+        evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
+        if not np.isfinite(best.found.cost):
+            return replace(best.cost.without_design(self.name, points[0]), evaluations=evaluations, valleys=found)
+        result = self._result(best, evaluations)
+        if space.integer and self.starts == 1:
+            status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
+            result = replace(result, status=status, notes=(*result.notes, OTHERS))
+        return replace(result, valleys=tuple(self._with_end(valley, starts, ends) for valley in found))
+
+    def _size(self, value: float, v: Array) -> float:
+        """Size of the return at a point, without design cost."""
+        size = float(self.problem.made_by_control(-value, self.problem.design.from_unit(v)))
+        return size if np.isfinite(size) and size > 0 else 1.0
+
+    def _result(self, best: End, evaluations: int) -> CoDesignResult:
+        """Result of the best end."""
+        space = self.problem.design
+        best = best.cost.examined(best)
+        design = space.check_feasible(space.settled(best.found.v))
+        multipliers, rest = active_set_at(space, best.found.v, best.found.slope, best.active)
+        rest /= self._size(best.found.cost, best.found.v)
+        history = History(*(np.array(column) for column in zip(*best.cost.rows)))
+        return CoDesignResult(
+            design=design, controller=best.cost.controller(design), method=self.name, history=history,
+            status=self.status(best, rest, bool(multipliers)), objective=-best.found.cost,
+            criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
+            active_constraints=space.active_constraints(design), multipliers=multipliers, slope=rest,
+            evaluations=evaluations, limits=best.limits,
+        )  # fmt: skip
+
+    def status(self, best: End, rest: float, held: bool) -> CoDesignStatus:
+        """Status of a search, whatever its closed loop does."""
+        if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
+            agree = not best.cost.repeatable or confirmed(best.cost, self.problem.design, best.found.v, size=best.size)
+            return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
+        return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
+
+    def _with_end(self, valley: Valley, starts: list[tuple[DesignCost, Array]], ends: list[End]) -> Valley:
+        """Valley with the end of the best search from it."""
+        space = self.problem.design
+        v = space.to_unit(valley.design)
+        begun = [end for (_, point), end in zip(starts, ends) if np.abs(v - point).max() <= SAME_PLACE]
+        if not begun:
+            return valley
+        first = min(begun, key=lambda end: end.order).found
+        return replace(valley, found=space.settled(first.v), found_return=-first.cost)
+
+
+def active_set_at(
+    space: DesignSpace, v: Array, slope: Array, violations: Mapping[str, Array]
+) -> tuple[dict[str, float], float]:
+    """Prices of active bounds and constraints at a point with this slope (np,), and the slope left.
+
+    A price is by how much the return would rise per unit of a bound or constraint; the slope along the directions that
+    are left is per unit-box length, NaN where the slope is unknown. Active limits of the closed loop are constraints,
+    too: by name, the slopes (np,) of their violations.
+    """
+    if not np.isfinite(slope).all():
+        return {}, float("nan")
+    free = space.allowed.free
+    push = np.where(free, -slope, 0.0)
+    eye = np.eye(len(v))
+    at = free & ((v <= 0) | (v >= 1))
+    edges = [np.asarray(normal) for normal in violations.values()]
+    named = [(name, 1.0) for name in violations]
+    if space.allowed.limits is not None:
+        normals, distances = space.allowed.limits.edges(v, push)
+        p = ca.SX.sym("p", space.dim)
+        J = ca.Function("J", [p], [ca.densify(ca.jacobian(space.constraints(p), p))])(space.from_unit(v))
+        steepness = np.linalg.norm((np.asarray(J, dtype=float) * space.allowed.width)[:, free], axis=1)
+        for k in np.flatnonzero(distances <= ON_EDGE):
+            edges.append(normals[k])
+            named.append((space.constraint_names[int(k)], steepness[k] if steepness[k] > 0 else np.inf))
+    edges += [eye[i] if v[i] >= 1 else -eye[i] for i in np.flatnonzero(at)]
+    named += [(space.names[i], space.allowed.width[i]) for i in map(int, np.flatnonzero(at))]
+    normals = np.reshape(edges, (-1, len(v))) * free
+    paid = held(normals, push)
+    prices = {name: float(price / unit) for (name, unit), price in zip(named, paid) if price > 0}
+    return prices, float(np.linalg.norm(push - paid @ normals))
+
+
+def confirmed(cost: Cost, space: DesignSpace, v: Array, *, size: float) -> bool:
+    """True if differences confirm the slope along a random free direction."""
+    free = space.allowed.free
+    if not free.any():
+        return True
+    direction = np.where(free, np.random.default_rng(0).standard_normal(len(v)), 0.0)
+    direction /= np.abs(direction).max()
+    centre = np.where(free, np.clip(v, COST_STEP, 1 - COST_STEP), v)
+    ahead, behind = (cost(centre + side * COST_STEP * direction)[0] for side in (1, -1))
+    about = cost(centre)[1]()
+    shown = (ahead - behind) / (2 * COST_STEP)
+    return bool(np.isfinite(shown) and abs(shown - about @ direction) <= AGREEING * abs(shown) + LEVEL_SLOPE * size)
+
+
+def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
+    """Starting points: the given design and the best other optima."""
+    starts = [space.allowed.rounded(space.to_unit(design))]
+    for valley in found:
+        v = space.to_unit(valley.design)
+        if len(starts) < most and all(np.abs(v - one).max() > SAME_PLACE for one in starts):
+            starts.append(v)
+    return starts
