@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.evidence.percent import share, signed_percent
-from ccdtools.studies.gains import SOURCES
+from ccdtools.studies.held_out import SOURCES
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import axis_label, generation_name, place
 from ccdtools.studies.report.gains import gain_percent
