@@ -30,12 +30,11 @@ from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
 from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
-from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.distributions import ServedDistributions, logged
 from ccdtools.twin.judge import Judge
-from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.residuals import Residuals, is_common
 from ccdtools.twin.transport import ErrorSplit
 from invariant_sets import AdmissibleInputs
 
