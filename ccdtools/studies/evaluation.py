@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -30,15 +30,13 @@ from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
 from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
-from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.distributions import ServedDistributions, logged
 from ccdtools.twin.judge import Judge
-from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.residuals import Residuals, is_common
 from ccdtools.twin.transport import ErrorSplit
 from invariant_sets import AdmissibleInputs
-from learning.networks import ActorCritic
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,53 +193,41 @@ class Evaluation:
         return {name: Scenario(real.plant, x0, w) for name, w in drawn.items()}
 
     @cached_property
-    def _baselines(self) -> dict[bytes, dict[str, Controller]]:
-        """Unused baselines of the designs asked for."""
-        return {}
+    def _tuned(self) -> Callable[[tuple[float, ...]], dict[str, Controller]]:
+        """Unused baselines of a design, tuned once."""
+        return cache(lambda design: baselines(self.problem, np.array(design), rng=self.rng("baselines")))
 
     def baselines(self, design: Array) -> dict[str, Controller]:
         """Baselines at a design, tuned once and copied."""
-        key = np.asarray(design, dtype=float).tobytes()
-        if key not in self._baselines:
-            self._baselines[key] = baselines(self.problem, design, rng=self.rng("baselines"))
-        return deepcopy(self._baselines[key])
+        return deepcopy(self._tuned(tuple(design)))
 
     def comparison(
-        self,
-        generation: int,
-        design: Array,
-        *,
-        designed: ActorCritic,
-        deployed: ActorCritic,
-        judged_on: Sequence[Residuals],
-        rng: np.random.Generator,
-    ) -> Stage:
+        self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
+        logs: Sequence[Residuals],
+    ) -> Stage:  # fmt: skip
         """Comparison of every controller at one design, on model and real plant.
 
         On the model stands the policy as designed, on the real plant the one deployed at the end.
         """
         at("baselines at the design")
+        design = designed.design
         controllers = self.baselines(design)
-        model = model_name(judged_on)
         rows: list[dict[str, Any]] = []
         arrays: dict[str, Array] = {}
-        for plant, name, scenario, agent in (
-            ("model", model, self.on_model(judged_on), designed),
+        for plant, name, scenario, one in (
+            ("model", "replayed errors" if logs else "nominal", self.on_model(logs), designed),
             ("real", "real", self.on_real(), deployed),
         ):
-            policy = LearnedPolicy(agent, design)
+            policy = LearnedPolicy(one.agent, design)
             admissible = self.admissible(design) if plant == "real" else None
-            as_deployed = Deployable(agent, design).controller(admissible)
+            as_deployed = one.controller(admissible)
             everyone = {**controllers, "learned": as_deployed, "learned (sampled)": policy.sampled(rng)}
             if admissible is not None:
                 everyone["learned, no filter"] = policy
-            scores = compare(
-                everyone, scenario, design=design, objective=self.study.objective, X=self.problem.state_limits(design),
-                limit=self.problem.limit, few={"MPC": self.config.mpc_runs}, metrics=self.study.metrics,
-                output_limits=self.problem.output_limits, risk=self._shown_risk(plant, judged_on),
+            rows += self.rows(
+                everyone, scenario, design, {"plant": plant, "model": name, "generation": generation},
+                mpc_runs=self.config.mpc_runs, risk=self._shown_risk(plant, logs),
             )  # fmt: skip
-            place = {"plant": plant, "model": name, "generation": generation}
-            rows += [place | self.row(design, score) for score in scores]
             bands = self._bands(scenario, design, {"LQR": controllers["LQR"], "learned": as_deployed})
             arrays |= {f"{plant}_{key}": band for key, band in bands.items()}
         return Stage({"rows": rows}, arrays)
@@ -256,12 +242,7 @@ class Evaluation:
 
     def admissible(self, design: Array) -> AdmissibleInputs | None:
         """Input filter of a design; None if the study has none."""
-        if self.study.filter == "none":
-            return None
-        key = np.asarray(design, dtype=float).tobytes()
-        if key not in self._filters:
-            self._filters[key] = admissible_inputs(self.problem, design)
-        return self._filters[key]
+        return None if self.study.filter == "none" else self._filters(tuple(design))
 
     def can_serve(self, design: Array) -> bool:
         """Whether the filter has a set at a design, or is absent."""
@@ -272,22 +253,20 @@ class Evaluation:
         return True
 
     @cached_property
-    def _filters(self) -> dict[bytes, AdmissibleInputs]:
-        """Filters of the designs asked for."""
-        return {}
+    def _filters(self) -> Callable[[tuple[float, ...]], AdmissibleInputs]:
+        """Filter of a design, computed once."""
+        return cache(lambda design: admissible_inputs(self.problem, np.array(design)))
 
     def deployed(self, one: Deployable) -> Controller:
         """Policy as deployed on the real plant, behind the study's filter."""
         return one.controller(self.admissible(one.design))
 
-    def returns(
-        self, agent: ActorCritic, design: Array, *, judged_on: Sequence[Residuals], learned: Discrepancy
-    ) -> Stage:
+    def returns(self, designed: Deployable, logs: Sequence[Residuals], learned: Discrepancy) -> Stage:
         """Returns of a policy as designed, on judged, nominal and updated model."""
-        policy = LearnedPolicy(agent, design)
+        policy = LearnedPolicy(designed.agent, designed.design)
         return Stage({
-            "model": model_name(judged_on),
-            "model_return": self._mean_return(policy, self.on_model(judged_on)),
+            "model": "replayed errors" if logs else "nominal",
+            "model_return": self._mean_return(policy, self.on_model(logs)),
             "nominal_return": self._mean_return(policy, self.on_model(())),
             "updated_model_return": {
                 "median": self._mean_return(policy, self.on_updated(learned, noise="none")),
@@ -295,7 +274,19 @@ class Evaluation:
             },
         })  # fmt: skip
 
-    def row(self, design: Array, score: Score) -> dict[str, Any]:
+    def rows(
+        self, everyone: Mapping[str, Controller], scenario: Scenario, design: Array, place: dict[str, Any], *,
+        mpc_runs: int, risk: Risk | None = None,
+    ) -> list[dict[str, Any]]:  # fmt: skip
+        """Table rows of controllers compared in one place, of which MPC sees a few runs."""
+        scores = compare(
+            everyone, scenario, design=design, objective=self.study.objective, X=self.problem.state_limits(design),
+            limit=self.problem.limit, few={"MPC": mpc_runs}, metrics=self.study.metrics,
+            output_limits=self.problem.output_limits, risk=risk,
+        )  # fmt: skip
+        return [place | self._row(design, score) for score in scores]
+
+    def _row(self, design: Array, score: Score) -> dict[str, Any]:
         """Table row of one controller."""
         space = self.problem.design
         return {
@@ -326,8 +317,3 @@ class Evaluation:
                 low, high = np.percentile(kept, [2.5, 97.5], axis=0)
                 bands[f"{name}_{kind}"] = np.stack([low, kept.mean(axis=0), high])
         return bands
-
-
-def model_name(logs: Sequence[Residuals]) -> str:
-    """Name of the model that a generation is judged on."""
-    return "replayed errors" if logs else "nominal"

@@ -13,7 +13,7 @@ from ccdtools.checks import as_count
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord
+from ccdtools.studies.held_out import GenerationRecord, held_out_stage
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder
@@ -95,7 +95,7 @@ class Generations:
         service = state.service
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, self.compute.held_out, state.history)
+        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, state.history))
         notes = {"study": self.evaluation.study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = results(
@@ -110,9 +110,8 @@ class Generations:
         study = self.evaluation.study
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
         service = Deployable(initial.networks["agent"], np.asarray(study.p0), "the start")
-        start = self._stage(
-            "comparison-0", "Comparison at the start design", self.compute.compare, 0, service, service, ()
-        )
+        title = "Comparison at the start design"
+        start = self._stage("comparison-0", title, self.evaluation.comparison, 0, service, service, ())
         rows = tuple(start.values["rows"])
         twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
         record = GenerationRecord(service, service)
@@ -138,12 +137,13 @@ class Generations:
         following = self._following(generation, state, found, deployed, log)
         designed = following.served.designed if following.served is not None else following.service
         compared = self._stage(
-            f"comparison-{generation}", f"{title}: comparison", self.compute.compare, generation, designed,
+            f"comparison-{generation}", f"{title}: comparison", self.evaluation.comparison, generation, designed,
             following.service, known,
         )  # fmt: skip
-        returns = self._stage(
-            f"evaluation-{generation}", f"{title}: evaluation", self.compute.evaluate, designed, known, twin
-        )
+        assert twin.discrepancy is not None
+        discrepancy = twin.discrepancy
+        returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
+                              lambda _: self.evaluation.returns(designed, known, discrepancy))  # fmt: skip
         stayed = deployed.values["delivery"]["replaces"]
         record = GenerationRecord(deployable_of(found), following.service, stayed=stayed)
         entry = generation_entry(

@@ -1,26 +1,39 @@
-"""Comparisons and gains on disturbances that no generation has met."""
+"""Comparisons, and gains by source, where no generation has been."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.comparison.comparison import compare
 from ccdtools.comparison.metrics import MetricChange, metric_changes
+from ccdtools.controllers.controllers import Controller
+from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
+from ccdtools.statistics import change_of_level
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.gains import SOURCES, Step, gains_by_source
 from ccdtools.studies.redesign import same_design
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.twin.deployable import Deployable
 
 OWN_START = "the study's start"
+SOURCES = ("start", "design", "policy", "updates", "redesign")
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Controller at its design, and the source of the change to it."""
+
+    source: str
+    controller: Controller
+    design: Array
+    key: bytes  # equal for equal controllers at equal designs
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +95,8 @@ def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) 
     everyone = evaluation.baselines(service.design) | {"learned": evaluation.deployed(service)}
     rows = []
     for name, scenario in list(places_of(evaluation).items())[1:]:
-        scores = compare(
-            everyone, scenario, design=service.design, objective=evaluation.study.objective,
-            X=evaluation.problem.state_limits(service.design), limit=evaluation.problem.limit, few={"MPC": 2},
-            metrics=evaluation.study.metrics, output_limits=evaluation.problem.output_limits,
-        )  # fmt: skip
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}
-        rows += [place | evaluation.row(service.design, score) for score in scores]
+        rows += evaluation.rows(everyone, scenario, service.design, place, mpc_runs=2)
     return rows
 
 
@@ -128,7 +136,44 @@ def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) 
     metrics = evaluation.study.metrics
     changes: Sequence[MetricChange] = () if metrics is None else metric_changes(metrics, runs[0], runs[-1])
     of = {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean(), "design_cost": paid}
-    return of | asdict(gains) | {"metrics": [asdict(change) for change in changes]}
+    return of | gains | {"metrics": [asdict(change) for change in changes]}
+
+
+def gains_by_source(sources: Sequence[str], rewards: Sequence[Array], *, runs: int | None = None) -> dict[str, Any]:
+    """Gains from the first to the last of several controllers, on the same runs.
+
+    Under "start" stands the mean return of the first. Under each source stands what it has changed, with the interval
+    at the level of these runs (`change_of_level`): divided by |start| it is that of a part of the first return. The
+    means add up to that under "total", last minus first.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        What the change to each of them is due to: "start" for the first, then "design", "policy", "updates" or
+        "redesign", each as often as it occurs.
+    rewards : sequence of (n, T) arrays
+        Of each of them.
+    runs : int, optional
+        Runs that were begun, where some have been left out; see `summarise_returns`.
+
+    Raises
+    ------
+    InputError
+        If the sources are others, or not as many as the rewards.
+    """
+    if not sources or sources[0] != SOURCES[0] or not set(sources[1:]) <= set(SOURCES[1:]):
+        raise InputError("sources", list(sources), f"{SOURCES[0]!r}, then any of {', '.join(SOURCES[1:])}")
+    if len(sources) != len(rewards):
+        raise InputError("rewards", f"{len(rewards)}", f"{len(sources)}, one per source")
+    first = rewards[0]
+    changes = dict.fromkeys(SOURCES[1:], np.zeros_like(first))
+    for source, (before, after) in zip(sources[1:], pairwise(rewards), strict=True):
+        changes[source] = changes[source] + (after - before)
+    changes["total"] = rewards[-1] - first
+    start = float(first.sum(axis=1).mean()) if len(first) else float("nan")
+    return {"start": start} | {
+        source: asdict(change_of_level(change, first, runs=runs)) for source, change in changes.items()
+    }
 
 
 def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
@@ -138,10 +183,6 @@ def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
 
 def _learned(evaluation: Evaluation, source: str, service: Deployable) -> Step:
     """Step to a policy at its design."""
-    return Step(source, evaluation.deployed(service), service.design, _key(service))
-
-
-def _key(service: Deployable) -> bytes:
-    """Bytes that identify a policy at its design."""
     weights = [value.numpy(force=True).tobytes() for value in service.agent.state_dict().values()]
-    return b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])
+    key = b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])
+    return Step(source, evaluation.deployed(service), service.design, key)

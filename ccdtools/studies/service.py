@@ -16,8 +16,8 @@ from ccdtools.statistics import Summary, summarise_returns
 from ccdtools.studies.tolerances import FALSE_ALARM
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.residuals import is_common
 
 DEPLOYMENT = "the deployment"
 

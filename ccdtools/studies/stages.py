@@ -19,7 +19,7 @@ from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
 from ccdtools.studies.account import account, region_line
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.held_out import GenerationRecord, formerly_deployed, held_out_stage
+from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
 from ccdtools.studies.redesign import RedesignJudge, described, predicted, same_design
 from ccdtools.studies.report.formatting import FORMER
 from ccdtools.studies.service import Deployed, judge_deployment
@@ -32,7 +32,7 @@ from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.replay import Replay, replay_problem, updated_problem
-from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
@@ -255,26 +255,6 @@ class LoopStages:
             copula=learned.networks.get("copula"),
         )  # fmt: skip
         return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
-
-    def compare(
-        self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
-        logs: Sequence[Residuals],
-    ) -> Stage:  # fmt: skip
-        """Comparison of every controller at the design."""
-        return self.evaluation.comparison(
-            generation, designed.design, designed=designed.agent, deployed=deployed.agent, judged_on=logs, rng=rng
-        )
-
-    def held_out(self, rng: np.random.Generator, history: Sequence[GenerationRecord]) -> Stage:
-        """Comparison and gains under held-out disturbances."""
-        return held_out_stage(self.evaluation, history)
-
-    def evaluate(
-        self, rng: np.random.Generator, designed: Deployable, logs: Sequence[Residuals], twin: DigitalTwin
-    ) -> Stage:
-        """Returns of the policy as designed, on every model."""
-        assert twin.discrepancy is not None
-        return self.evaluation.returns(designed.agent, designed.design, judged_on=logs, learned=twin.discrepancy)
 
 
 def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:

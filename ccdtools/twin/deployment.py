@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -23,13 +23,12 @@ from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.common_runs import is_common
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged, on_updated
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
-from ccdtools.twin.residuals import Residuals, check_errors, residuals
+from ccdtools.twin.residuals import Residuals, check_errors, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
@@ -153,9 +152,10 @@ def deploy_and_update(
     served = ServedDistributions(problem, whole.x0[0], runs=config.judged) if served is None else served
     as_instance("served", served, ServedDistributions, "a ServedDistributions or None")
     deployed = Deployable(agent, design, "the deployed policy")
-    return _DeployedPolicy(whole, deployed, rng, config, admissible, former, served).run(progress)
+    return _DeployedPolicy(served, whole, deployed, rng, rng.spawn(1)[0], config, admissible, former).run(progress)
 
 
+@dataclass(eq=False)
 class _DeployedPolicy:
     """Deployed policy with its log and updates so far.
 
@@ -166,31 +166,31 @@ class _DeployedPolicy:
         single run, `test` holds whole stretches, of which only the last part is judged.
     """
 
-    def __init__(
-        self, whole: Scenario, deployed: Deployable, rng: np.random.Generator, config: OnlineConfig,
-        admissible: AdmissibleInputs | None, former: Sequence[Residuals], served: ServedDistributions,
-    ) -> None:  # fmt: skip
-        self.problem = served.problem
-        self.whole = whole
-        self.deployed = deployed
-        self.rng = rng
-        self.config = config
-        self.admissible = admissible
-        self.former = former
+    served: ServedDistributions
+    whole: Scenario
+    deployed: Deployable
+    rng: np.random.Generator
+    judged_by: np.random.Generator
+    config: OnlineConfig
+    admissible: AdmissibleInputs | None
+    former: Sequence[Residuals]
+    pieces: list[Trajectory] = field(default_factory=list)
+    updates: list[OnlineUpdate] = field(default_factory=list)
+    logs: list[Residuals] = field(default_factory=list)
+    train: list[Residuals] = field(default_factory=list)
+    test: list[Residuals] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        config = self.config
+        self.problem = self.served.problem
         self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
-        self.served = served
-        self.pieces: list[Trajectory] = []
-        self.updates: list[OnlineUpdate] = []
-        self.judged_by = rng.spawn(1)[0]
-        self.judge = Judge(self.problem, whole.plant, lambda _: admissible, config.window, config.accept_loss)
-        self.logs: list[Residuals] = []
-        self.train: list[Residuals] = []
-        self.test: list[Residuals] = []
+        self.judge = Judge(self.problem, self.whole.plant, lambda _: self.admissible, config.window, config.accept_loss)
 
     def run(self, progress: bool) -> Deployment:
         """Result of the whole deployment."""
         runs, steps = self.whole.disturbance.shape[:2]
-        count = possible_updates(runs, steps, self.config)
+        parts = runs // 2 if runs > 1 else int(steps * self.config.held_out // self.config.window)
+        count = min(self.config.updates, max(0, parts - 1))  # every part keeps a window to judge on
         for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
             at(f"part {k + 1} of {count + 1}")
             piece = self._run_part(*part, progress)
@@ -291,19 +291,11 @@ def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
     return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
 
 
-def possible_updates(runs: int, steps: int, config: OnlineConfig) -> int:
-    """Number of updates, at most `config.updates`, that leave every part a window to judge."""
-    parts = runs // 2 if runs > 1 else int(steps * config.held_out // config.window)
-    return min(config.updates, max(0, parts - 1))
-
-
 def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:
     """Runs and steps of each part: groups of runs, or pieces of the only one."""
-    if runs > 1:
-        edges = np.unique(np.linspace(0, runs, pieces + 1).round().astype(int))
-        return [(slice(a, b), slice(0, steps)) for a, b in pairwise(edges)]
-    edges = np.unique(np.linspace(0, steps, pieces + 1).round().astype(int))
-    return [(slice(0, 1), slice(a, b)) for a, b in pairwise(edges)]
+    edges = np.unique(np.linspace(0, runs if runs > 1 else steps, pieces + 1).round().astype(int))
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    return [(part, slice(0, steps)) if runs > 1 else (slice(0, 1), part) for part in parts]
 
 
 def joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:

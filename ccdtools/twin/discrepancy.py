@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,30 +153,25 @@ class TwinPlant(Immutable, PlantOfModel):
         """Number of disturbances, one per state."""
         return self.model.nx
 
-    def stepper(self, p: Array, *, batch: int) -> TwinStepper:
-        """Stepper (x, u, w) → x⁺ at design `p` (np,), remembering e from 0 or the error given."""
+    def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """Steps (x, u, w) → x⁺ at design `p` (np,), which remember e from 0 or the error given."""
         if self.error is not None and len(self.error) != batch:
             raise InputError("error", f"those of {len(self.error)} runs", f"one for each of the {batch} runs")
-        return TwinStepper(self, p, batch)
+        undisturbed = self.model.undisturbed(p)
+        transport = self.discrepancy.transport
+        carry = np.eye(self.nx) if transport is None else transport.matrix(self.model.matrices(p)[2])
+        design = torch.tensor(p, dtype=torch.float32)
+        e = np.zeros((batch, self.nx)) if self.error is None else self.error  # at the log's design
 
+        def step(x: Array, u: Array, w: Array) -> Array:
+            """Next states (n, nx) for inputs (n, nu) and noise (n, nx)."""
+            nonlocal e
+            before, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (e, x, u, w))
+            with torch.no_grad():
+                e = self.discrepancy.advance(before, state, applied, design, drawn)[0].double().numpy()
+            return undisturbed(x, u) + e @ carry.T
 
-class TwinStepper:
-    """Steps of a `TwinPlant` that remember e at the log's design."""
-
-    def __init__(self, plant: TwinPlant, p: Array, batch: int) -> None:
-        self._discrepancy = plant.discrepancy
-        self._model = plant.model.undisturbed(p)
-        transport = plant.discrepancy.transport
-        self._carry = np.eye(plant.nx) if transport is None else transport.matrix(plant.model.matrices(p)[2])
-        self._p = torch.tensor(p, dtype=torch.float32)
-        self._e = np.zeros((batch, plant.nx)) if plant.error is None else plant.error
-
-    def __call__(self, x: Array, u: Array, w: Array) -> Array:
-        """Next states (n, nx) for inputs (n, nu) and noise (n, nx)."""
-        e, state, applied, drawn = (torch.tensor(a, dtype=torch.float32) for a in (self._e, x, u, w))
-        with torch.no_grad():
-            self._e = self._discrepancy.advance(e, state, applied, self._p, drawn)[0].double().numpy()
-        return self._model(x, u) + self._e @ self._carry.T
+        return step
 
 
 @dataclass(frozen=True)

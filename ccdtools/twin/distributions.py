@@ -14,9 +14,8 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.random_starts import RandomStarts, uniform_in
 from ccdtools.evidence.evidence import Asked
 from ccdtools.scenario import Scenario
-from ccdtools.twin.common_runs import groups
 from ccdtools.twin.replay import Replay
-from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.residuals import Residuals, groups
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.updated_plant import UpdatedPlant
 from mpc import MPCError
@@ -117,25 +116,23 @@ def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: 
         Runs at most.
     """
     replay = Replay(tuple(logs), split)
-    return _whole(REPLAY, split.replayed_model, replay, Asked.GAIN, series=series, most=most, rng=rng,
-                  held_out=held_out)  # fmt: skip
+    return _whole(REPLAY, split.replayed_model, replay, series=series, most=most, rng=rng, held_out=held_out)
 
 
 def on_updated(
     plant: UpdatedPlant, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator
 ) -> Distribution:  # fmt: skip
     """Updated model on whole logged runs, where errors follow the candidate."""
-    replay = Replay(plant.unexplained(logs), plant.split)
-    return _whole(UPDATED, plant, replay, Asked.GAIN, series=series, most=most, rng=rng)
+    return _whole(UPDATED, plant, Replay(plant.unexplained(logs), plant.split), series=series, most=most, rng=rng)
 
 
 def _whole(
-    name: str, plant: Any, replay: Replay, asked: Asked, *, series: bool, most: int, rng: np.random.Generator,
+    name: str, plant: Any, replay: Replay, *, series: bool, most: int, rng: np.random.Generator,
     held_out: float | None = None,
 ) -> Distribution:  # fmt: skip
-    """Whole runs of a replay, at most `most`."""
+    """Whole runs of a replay, at most `most`, on which a change must bring a gain."""
     x0, w = replay.whole()
     chosen = np.arange(len(x0)) if series or len(x0) <= most else rng.permutation(len(x0))[:most]
     counted = None if held_out is None else round(held_out * w.shape[1])
-    return Distribution(name, Scenario(plant, x0[chosen], w[chosen]), asked, groups(replay.logs)[chosen], series,
-                        counted)  # fmt: skip
+    scenario = Scenario(plant, x0[chosen], w[chosen])
+    return Distribution(name, scenario, Asked.GAIN, groups(replay.logs)[chosen], series, counted)

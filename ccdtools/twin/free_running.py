@@ -128,7 +128,8 @@ def free_running_bands(
     horizons = _fitting(steps, spans)
     starts = _starts(spans, horizons[-1], windows)
     drawn = _draws(twin, errors, controller, starts, horizons[-1], draws, rng)
-    states = np.concatenate([errors.x, _last(twin, errors)], axis=1)
+    last = twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
+    states = np.concatenate([errors.x, last], axis=1)
     return _compared(horizons, drawn, np.stack([states[starts[:, 0], starts[:, 1] + h] for h in horizons]))
 
 
@@ -193,24 +194,15 @@ def _draws(
     """Drawn states (n, draws, length + 1, nx) from the logged starts (n, 2)."""
     assert twin.discrepancy is not None
     discrepancy = replace(twin.discrepancy, noise="quantiles")
-    past = _as_learned(twin, errors).e[starts[:, 0], starts[:, 1]]
+    assert twin.scale is not None
+    newest = twin.logs[-1].p  # the network works in the coordinates of its design
+    past = carried(twin.model, errors, newest, twin.scale).e[starts[:, 0], starts[:, 1]]
     plant = TwinPlant(twin.model, discrepancy, np.repeat(past, draws, axis=0))
     x0 = np.repeat(errors.x[starts[:, 0], starts[:, 1]], draws, axis=0)
     w = rng.random((len(x0), length, twin.model.nx))
     limit = RUNAWAY * np.maximum(np.abs(errors.x).max(axis=(0, 1)), np.finfo(float).tiny)
     run = simulate(plant, controller, x0=x0, steps=length, disturbance=w, design=errors.p, limit=limit)
     return np.clip(run.states, -limit, limit).reshape(len(starts), draws, length + 1, -1)
-
-
-def _as_learned(twin: DigitalTwin, errors: Residuals) -> Residuals:
-    """Errors carried to the newest log's design, where the network works."""
-    assert twin.scale is not None
-    return carried(twin.model, errors, twin.logs[-1].p, twin.scale)
-
-
-def _last(twin: DigitalTwin, errors: Residuals) -> Array:
-    """Final states (n, 1, nx) of every run."""
-    return twin.model.undisturbed(errors.p)(errors.x[:, -1:], errors.u[:, -1:]) + errors.e_next[:, -1:]
 
 
 def _compared(horizons: NDArray[np.int64], drawn: Array, actual: Array) -> FreeRunningBands:

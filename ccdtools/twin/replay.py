@@ -12,8 +12,7 @@ from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
-from ccdtools.twin.common_runs import groups
-from ccdtools.twin.residuals import Residuals
+from ccdtools.twin.residuals import Residuals, groups
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 
@@ -70,7 +69,9 @@ class Replay(Immutable):
         """Samples from logged states, with one group per logged stretch."""
         as_count("runs", runs)
         as_generator("rng", rng)
-        self._require(steps)
+        longest = max(errors.steps for errors in self.logs)
+        if longest < as_count("steps", steps):
+            raise InputError("steps", steps, f"at most {longest}, the length of the longest logged run")
         windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.logs])
         draw = np.sort(rng.integers(0, windows.sum(), runs))
         edges = np.concatenate([[0], np.cumsum(windows)])
@@ -101,13 +102,6 @@ class Replay(Immutable):
         if len(lengths) > 1:
             raise InputError("logs", f"runs of {min(lengths)} to {max(lengths)} steps", "logs of one length")
         return np.concatenate([errors.x[:, 0] for errors in self.logs]), np.concatenate(self._entering)
-
-    def _require(self, steps: int) -> None:
-        """Raise an `InputError` if all logged runs are shorter."""
-        as_count("steps", steps)
-        longest = max(errors.x.shape[1] for errors in self.logs)
-        if longest < steps:
-            raise InputError("steps", steps, f"at most {longest}, the length of the longest logged run")
 
 
 def replay_problem(

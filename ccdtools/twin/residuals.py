@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
 from ccdtools.checks import as_floats, as_instance, finite
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
@@ -85,19 +85,6 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
         If every run diverged, or the log is not of such a plant, or of a design outside the model's box.
     """
     as_model("model", model)
-    check_log(model, log)
-    kept = ~log.diverged
-    if not kept.any():
-        raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
-    x = log.states[kept]
-    u = log.inputs[kept]
-    e_next = x[:, 1:] - model.undisturbed(log.design)(x[:, :-1], u)
-    e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
-    return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
-
-
-def check_log(model: Model, log: Trajectory) -> None:
-    """Raise an `InputError` unless sizes, sampling time and design fit `model`."""
     as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
     sizes = (log.states.shape[2], log.inputs.shape[2])
     if sizes != (model.nx, model.nu):
@@ -106,6 +93,14 @@ def check_log(model: Model, log: Trajectory) -> None:
         raise InputError("log", f"dt = {log.dt:g} s", f"dt = {model.dt:g} s of the model")
     if model.design is not None:
         model.design.check_one(log.design, argument="log.design")
+    kept = ~log.diverged
+    if not kept.any():
+        raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
+    x = log.states[kept]
+    u = log.inputs[kept]
+    e_next = x[:, 1:] - model.undisturbed(log.design)(x[:, :-1], u)
+    e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
+    return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 
 
 def check_errors(argument: str, model: Model, log: Residuals) -> None:
@@ -143,3 +138,16 @@ def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> 
 def stacked(parts: Sequence[Residuals]) -> list[Array]:
     """Columns e, x, u, p and e⁺ of all parts."""
     return [np.concatenate(column) for column in zip(*(part.columns() for part in parts))]
+
+
+def is_common(numbers: Indices) -> NDArray[np.bool_]:
+    """Whether runs of these numbers meet the same disturbance in every deployment: every second one, from the first."""
+    common: NDArray[np.bool_] = numbers % 2 == 0
+    return common
+
+
+def groups(logs: Sequence[Residuals]) -> Indices:
+    """Group of every run: its number if all logs share its disturbance, else a unique one."""
+    several = 1 + max(int(log.numbers.max()) for log in logs)
+    own = [(k + 1) * several + log.numbers for k, log in enumerate(logs)]
+    return np.concatenate([np.where(is_common(log.numbers), log.numbers, alone) for log, alone in zip(logs, own)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,20 @@ from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import ParametricSet
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
+
+
+@dataclass(frozen=True, eq=False)
+class ReportFigure:
+    """Figure with file name, title and caption."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
 
 
 @dataclass(frozen=True, eq=False)

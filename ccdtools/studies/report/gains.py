@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ccdtools.evidence.percent import percent_interval, signed_percent, with_minus
-from ccdtools.studies.gains import SOURCES
+from ccdtools.studies.held_out import SOURCES
 from ccdtools.studies.report.formatting import generation_name, number
 from ccdtools.studies.report.verdicts import on_same_runs, reference_of, saw_fewer_runs, size_of, verdict
 

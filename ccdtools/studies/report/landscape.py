@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
@@ -10,11 +13,9 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.risk import Mean, measure
 from ccdtools.evidence.percent import share, with_minus
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.simulation import simulate
-from ccdtools.studies.report import return_plots
-from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.scenario import Scenario
+from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import axis_label, number
-from ccdtools.studies.report.report_figure import ReportFigure
 from ccdtools.studies.tolerances import DIVERGED_RUNS, LANDSCAPE
 from mpc import MPCError
 
@@ -32,36 +33,39 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
     grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()
     grid[..., shown] = over
-    columns = _returns_over(run, grid.reshape(-1, space.dim))
-    mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in columns)
-    feasible = np.reshape(space.feasible(grid.reshape(-1, space.dim)), grid.shape[:-1])
-    diverged = np.where(feasible, diverged, 1.0)
-    fine = diverged <= DIVERGED_RUNS
-    paths = [np.vstack([h.design[: k + 1], p])[:, shown] for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
-    labels = [axis_label(space.names[i], space.units[i]) for i in shown]
+    designs = grid.reshape(-1, space.dim)
+    runs = 100 if run.quick else 400  # of a nonlinear plant, 400 take longer than a generation
+    mean, interval, diverged = (np.reshape(v, grid.shape[:-1]) for v in _returns_over(run, designs, runs).T)
+    feasible = np.reshape(space.feasible(designs), grid.shape[:-1])
+    fine = feasible & (diverged <= DIVERGED_RUNS)
+    whole = bool(space.whole[shown].any())
     figure = style.blank(8, 4.6, quick=run.quick)
     ax = figure.add_subplot()
+    ax.set_xlabel(axis_label(space.names[shown[0]], space.units[shown[0]]))
     if len(shown) == 1:
-        return_plots.plot_landscape_curve(
-            ax, axes[0], mean, interval, diverged, [path[:, 0] for path in paths], label=labels[0],
-            allowed=DIVERGED_RUNS, whole=bool(space.whole[shown[0]]),
-        )  # fmt: skip
+        draw_curve(ax, axes[0], mean, interval, fine, whole=whole)
+        ax.set_ylabel("return, nominal model")
     else:
-        return_plots.plot_landscape_map(ax, axes[0], axes[1], mean, fine, paths, labels=(labels[0], labels[1]),
-                                        whole=bool(space.whole[shown].any()))  # fmt: skip
-    start = run.designs[0][shown]
-    height = start[1] if len(shown) == 2 else np.interp(start[0], axes[0], mean)
-    ax.plot(start[0], height, "D", color=style.generation_colour(0), mec="k", ms=9, label="start design", zorder=5)
+        style.draw_map(ax, axes[0], axes[1], mean, fine, label="return of LQR, nominal model", whole=whole)
+        ax.set_ylabel(axis_label(space.names[shown[1]], space.units[shown[1]]))
+    ways = [np.vstack([h.design[: k + 1], p]) for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
+    *paths, start = (
+        (way[:, shown[0]], way[:, shown[1]] if len(shown) == 2 else np.interp(way[:, shown[0]], axes[0], mean))
+        for way in (*ways, run.designs[0][None])
+    )
+    for g, path in enumerate(paths):
+        draw_path(ax, *path, g, line="none" if len(shown) == 1 else "-")
+    ax.plot(*start, "D", color=style.generation_colour(0), mec="k", ms=9, label="start design", zorder=5)
     ax.legend(loc="best", markerscale=0.5)
     caption = (
         f"Mean return of saturated LQR on the nominal model over the design box ({mean.size} designs, "
-        f"{_runs(run)} runs each on common random numbers), computed apart from the co-design; "
+        f"{runs} runs each on common random numbers), computed apart from the co-design; "
     )
     if isinstance(run.problem.risk, Mean):
         caption += "diamond: the start design; square: where a co-design began; star, above it: where it ended."
     else:
         caption += f"the co-design followed the {measure(run.problem.risk)}, whose best design may lie elsewhere."
-    if space.whole[shown].any():
+    if whole:
         caption += " Of whole numbers there is nothing between those shown."
     if fine.any():
         top = np.unravel_index(np.where(fine, mean, -np.inf).argmax(), mean.shape)
@@ -80,31 +84,53 @@ def _axis(space: DesignSpace, i: int, n: int, visited: Array) -> Array:
     return np.unique(np.round(np.r_[values, visited])) if space.whole[i] else values
 
 
-def _runs(run: FinishedRun) -> int:
-    """Number of runs of every design."""
-    return 100 if run.quick else 400  # of a nonlinear plant, 400 take longer than a generation
-
-
-def _returns_over(run: FinishedRun, designs: Array) -> tuple[list[float], list[float], list[float]]:
-    """Mean LQR returns, half-widths of 95 % intervals and diverged fractions."""
+def _returns_over(run: FinishedRun, designs: Array, runs: int) -> Array:
+    """Mean LQR return, half-width of its 95 % interval and diverged fraction of designs, (n, 3)."""
     rng = np.random.default_rng(np.random.SeedSequence(run.results["seed"], spawn_key=tuple(b"landscape")))
-    x0, w = run.problem.scenarios.sample(_runs(run), run.study.steps, rng)
-    columns = [_return_at(run, design, x0, w) for design in designs]
-    mean, interval, diverged = (list(column) for column in zip(*columns))
-    return mean, interval, diverged
+    x0, w = run.problem.scenarios.sample(runs, run.study.steps, rng)
+    scenario = Scenario(run.study.model, x0, w)
+    return np.array([_return_at(run, design, scenario) for design in designs])
 
 
-def _return_at(run: FinishedRun, design: Array, x0: Array, w: Array) -> tuple[float, float, float]:
+def _return_at(run: FinishedRun, design: Array, scenario: Scenario) -> tuple[float, float, float]:
     """Values of `_returns_over` at one design; all diverged without LQR."""
     try:
         controller = saturated_lqr(run.problem, design)
     except MPCError:
-        return float("nan"), float("nan"), 1.0
-    loop = simulate(
-        run.study.model, controller, x0=x0, steps=run.study.steps, disturbance=w, design=design,
-        limit=run.problem.limit,
-    )  # fmt: skip
+        return np.nan, np.nan, 1.0
+    loop = scenario.run(controller, design=design, limit=run.problem.limit)
     kept = loop.returns(run.study.objective)[~loop.diverged]
-    mean = float(kept.mean()) if len(kept) else float("nan")
-    interval = 1.96 * float(kept.std()) / np.sqrt(max(len(kept), 1)) if len(kept) else float("nan")
-    return mean, interval, float(loop.diverged.mean())
+    if not len(kept):
+        return np.nan, np.nan, 1.0
+    return float(kept.mean()), 1.96 * float(kept.std()) / np.sqrt(len(kept)), float(loop.diverged.mean())
+
+
+def draw_curve(ax: Axes, designs: Array, mean: Array, interval: Array, fine: NDArray[np.bool_], *, whole: bool) -> None:
+    """Draw LQR's return over one design parameter; whole numbers with nothing between them.
+
+    Designs that are not fine, because too many runs diverge, are shaded and do not set the scale.
+    """
+    colour = style.COLOURS["LQR"]
+    name = "LQR at this design"
+    if whole:
+        ax.errorbar(designs, mean, yerr=interval, fmt="_", color=colour, ms=14, mew=2, capsize=3, label=name)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
+        ax.fill_between(designs, mean - interval, mean + interval, color=colour, alpha=0.2, lw=0)
+        ax.plot(designs, mean, color=colour, label=name)
+    edges = np.r_[designs[0], (designs[1:] + designs[:-1]) / 2, designs[-1]]
+    for i in np.flatnonzero(~fine):
+        ax.axvspan(edges[i], edges[i + 1], color="#DDDDDD", lw=0, zorder=0)
+    if fine.any():
+        spread = np.ptp(mean[fine])
+        ax.set_ylim(mean[fine].min() - 0.1 * spread - 1e-9, mean[fine].max() + 0.15 * spread + 1e-9)
+    for edge in designs[[0, -1]]:
+        ax.axvline(edge, **style.BOUND)
+
+
+def draw_path(ax: Axes, x: Array, y: Array, g: int, *, line: str) -> None:
+    """Draw the design's path through one generation: square, dots, star."""
+    colour = style.generation_colour(g + 1)
+    ax.plot(x, y, ls=line, marker="o", color=colour, ms=4, lw=1.5, label=f"path of generation {g + 1}", zorder=4)
+    ax.plot(x[0], y[0], "s", color=style.generation_colour(g), mec="k", ms=8, zorder=5)
+    ax.plot(x[-1], y[-1], "*", color=colour, mec="k", ms=15, zorder=6)

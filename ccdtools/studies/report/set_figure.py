@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.studies.report import plotting
-from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
+from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.studies.report.report_figure import ReportFigure
-from invariant_sets import Polytope
+from invariant_sets import Polytope, SetResult, plot_polytope
 from invariant_sets.results import Status
 
 _Cut = tuple[Callable[[Polytope, tuple[int, int]], Polytope], str]  # the planar set of a pair of states, its title
+_Line = tuple[str, Any]  # colour and style
 NEAR = "near the "  # begins the label of the nearest design to one that cannot be built
 
 
@@ -30,8 +29,9 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     nx = run.study.plant.nx
     if nx < 2 or run.results["configuration"]["sets"] != "auto":
         return []
-    shown = _shown_sets(run)
-    if not shown.sets:
+    results = _results(run)
+    sets = {title: result.set for title, (result, _) in results.items() if not result.set.is_empty}
+    if not sets:
         return []
     caption = (
         "X_fea(p), the largest set of states from which the limits can be kept for ever, at different designs; "
@@ -40,29 +40,32 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     local = not run.study.plant.linear
     if local:
         caption += "They are those of the linearisation at rest, which the plant itself may leave. "
-    if any(label.startswith(NEAR) for label in (*shown.sets, *shown.missing)):
+    if any(title.startswith(NEAR) for title in results):
         caption += "Where a design of the box cannot be built, the nearest that can stands for it. "
-    if shown.inner:
+    inner = [title for title in sets if results[title][0].status is not Status.CONVERGED]
+    if inner:
         caption += (
             f"Not the largest, but a part of it that the limits can be kept in, as far as {SET_SECONDS:g} s went: "
-            f"{'; '.join(shown.inner)}. "
+            f"{'; '.join(inner)}. "
         )
-    if shown.missing:
-        caption += f"There is none to show at {'; '.join(shown.missing)}. "
-    pairs = [(0, 1)] if nx == 2 else _most_different_pairs(shown.sets, nx)
+    missing = [f"{title} ({result.status.name.lower().replace('_', ' ')})"
+               for title, (result, _) in results.items() if title not in sets]  # fmt: skip
+    if missing:
+        caption += f"There is none to show at {'; '.join(missing)}. "
+    pairs = [(0, 1)] if nx == 2 else _most_different_pairs(sets, nx)
     cuts = _cuts(nx)
     figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 4.1 * len(cuts), quick=run.quick)
     grid = figure.subplots(len(cuts), len(pairs), squeeze=False)
     names = run.study.plant.state_names
     X = run.problem.state_limits(run.designs[-1])
+    lines = {title: line for title, (_, line) in results.items()}
+    final = _title(run, generation_name(run.last), run.designs[-1])
     for c, pair in enumerate(pairs):
         frame = X if nx == 2 else X.projection(pair)
         for r, (cut, title) in enumerate(cuts):
-            flat = {label: cut(S, pair) for label, S in shown.sets.items()}
-            artists = plotting.plot_sets(
-                grid[r, c], flat, shown.lines, frame=frame, labels=(names[pair[0]], names[pair[1]]), filled=shown.final
-            )
-            grid[r, c].set_title(title)
+            flat = {label: cut(S, pair) for label, S in sets.items()}
+            artists = _draw_sets(grid[r, c], flat, lines, frame, filled=final)
+            grid[r, c].set(xlabel=names[pair[0]], ylabel=names[pair[1]], title=title)
             if (r, c) == (0, 0):
                 figure.legend(handles=artists, loc="outside lower center", ncols=2, frameon=False)
     heading = "Feasible sets of the linearisation" if local else "Feasible sets"
@@ -73,50 +76,32 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     return [ReportFigure("feasible_sets", heading, caption + f"The dashed frame is X{of_final}.", figure)]
 
 
-@dataclass(frozen=True, eq=False)
-class _ShownSets:
-    """Sets by label with their (colour, line style).
-
-    `final` is the label of the final design; `missing` have no set, `inner` one that is not the largest.
-    """
-
-    sets: dict[str, Polytope]
-    lines: dict[str, tuple[str, Any]]
-    final: str
-    missing: list[str]
-    inner: list[str]
-
-
-def _shown_sets(run: FinishedRun) -> _ShownSets:
-    """Sets X_fea of up to four designs."""
+def _results(run: FinishedRun) -> dict[str, tuple[SetResult, _Line]]:
+    """Sets X_fea by title with their lines, of designs until four have one."""
     space = run.problem.design
+    ends = (run.last, 0)
+    candidates = [(generation_name(g), run.designs[g], (style.generation_colour(g), "-")) for g in ends]
     places = {"lower corner": 0.0, "upper corner": 1.0, "centre": 0.5, "between": 0.25}
-    candidates = [(generation_name(run.last), run.designs[-1]), (generation_name(0), run.designs[0])]
-    for place, v in places.items():
+    for (place, v), line in zip(places.items(), style.OTHER_DESIGNS):
         design = space.from_unit(np.full(space.dim, v))
         if space.feasible(design):
-            candidates.append((place, design))
+            candidates.append((place, design, line))
         elif (nearest := _nearest(space, design)) is not None:
-            candidates.append((f"{NEAR}{place}", nearest))
-    lines = {generation_name(g): (style.generation_colour(g), "-") for g in (0, run.last)}
-    lines |= dict(zip(places, style.OTHER_DESIGNS))
+            candidates.append((f"{NEAR}{place}", nearest, line))
     seen: list[Array] = []
-    shown = _ShownSets({}, {}, f"{generation_name(run.last)}: {run.describe(run.designs[-1])}", [], [])
-    for label, design in candidates:
+    found: dict[str, tuple[SetResult, _Line]] = {}
+    for label, design, line in candidates:
         unit = space.to_unit(design)
-        title = f"{label}: {run.describe(design)}"
-        if len(shown.sets) == 4 or any(np.abs(unit - other).max() <= 1e-2 for other in seen):
-            continue
-        seen.append(unit)
-        result = run.sets.result(design)
-        if result.set.is_empty:
-            shown.missing.append(f"{title} ({result.status.name.lower().replace('_', ' ')})")
-        else:
-            shown.sets[title] = result.set
-            shown.lines[title] = lines[label.removeprefix(NEAR)]
-            if result.status is not Status.CONVERGED:
-                shown.inner.append(title)
-    return shown
+        several = sum(not result.set.is_empty for result, _ in found.values())
+        if several < 4 and all(np.abs(unit - other).max() > 1e-2 for other in seen):
+            seen.append(unit)
+            found[_title(run, label, design)] = (run.sets.result(design), line)
+    return found
+
+
+def _title(run: FinishedRun, label: str, design: Array) -> str:
+    """Label of a design with its values."""
+    return f"{label}: {run.describe(design)}"
 
 
 def _nearest(space: DesignSpace, design: Array) -> Array | None:
@@ -125,6 +110,25 @@ def _nearest(space: DesignSpace, design: Array) -> Array | None:
         return space.project(design)
     except InputError:
         return None
+
+
+def _draw_sets(
+    ax: Axes, sets: dict[str, Polytope], lines: dict[str, _Line], frame: Polytope, *, filled: str
+) -> list[Any]:
+    """Draw planar sets by name over their frame X (dashed), one of them shaded."""
+    bound = {"facecolor": "none", "edgecolor": style.BOUND["color"], "linestyle": style.BOUND["ls"]}
+    artists = [plot_polytope(frame, ax=ax, **bound, label="X", zorder=4)]
+    for name, shown in sets.items():
+        if not shown.is_empty:  # a slice can miss its set
+            colour, dashes = lines[name]
+            face = f"{colour}22" if name == filled else "none"
+            artists.append(
+                plot_polytope(shown, ax=ax, facecolor=face, edgecolor=colour, linestyle=dashes, lw=1.8, label=name)
+            )
+    lower, upper = frame.bounding_box()
+    room = 0.06 * (upper - lower)
+    ax.set(xlim=(lower[0] - room[0], upper[0] + room[0]), ylim=(lower[1] - room[1], upper[1] + room[1]))
+    return artists
 
 
 def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
@@ -144,16 +148,11 @@ def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int,
 
 def _cuts(nx: int) -> list[_Cut]:
     """Cuts drawn of sets of `nx` states; no projections beyond four."""
-    projected: _Cut = (_projected, "" if nx == 2 else "projection")
+    projected: _Cut = (lambda S, pair: S if S.dim == 2 else S.projection(pair), "" if nx == 2 else "projection")
     sliced: _Cut = (_sliced, "slice, other states 0")
     if nx == 2:
         return [projected]
     return [projected, sliced] if nx <= 4 else [sliced]  # projections take hours beyond four
-
-
-def _projected(S: Polytope, pair: tuple[int, int]) -> Polytope:
-    """Projection of a set on two states."""
-    return S if S.dim == 2 else S.projection(pair)
 
 
 def _sliced(S: Polytope, pair: tuple[int, int]) -> Polytope:

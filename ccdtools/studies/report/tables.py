@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdtools.evidence.percent import share
-from ccdtools.studies.gains import SOURCES
+from ccdtools.studies.held_out import SOURCES
 from ccdtools.studies.report.formatting import (
     active_bounds_text,
     design_text,

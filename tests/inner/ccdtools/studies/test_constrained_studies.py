@@ -19,7 +19,7 @@ from ccdtools.co_design.result import History
 from ccdtools.studies import preparation
 from ccdtools.studies.fingerprint import jsonable_of
 from ccdtools.studies.report.landscape import landscape
-from ccdtools.studies.report.return_plots import plot_history
+from ccdtools.studies.report.return_figures import history as history_figure
 from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.trust_region import within
 from invariant_sets import Polytope, Status
@@ -91,12 +91,14 @@ def test_a_run_is_told_apart_by_its_constraints_and_an_older_one_is_continued():
 
 
 def test_the_course_of_a_design_is_drawn_without_its_fixed_entries():
-    figure = plt.figure()
     designs = np.array([[2.0, 2, 2], [3.0, 2, 2]])
     history = History(*(np.arange(2.0) for _ in range(2)), designs, *(np.zeros(2) for _ in range(3)))
-    axes = plot_history(figure, [history], [1], problem().design, ["model"])
-    assert [ax.get_ylabel() for ax in axes] == ["return", "k", "n"]
-    plt.close(figure)
+    run = SimpleNamespace(
+        problem=problem(), last=1, quick=True, histories=[history], chosen=[1],
+        results={"generations": [{"model": "nominal"}]},
+    )  # fmt: skip
+    [figure] = history_figure(run)
+    assert [ax.get_ylabel() for ax in figure.figure.axes] == ["return", "k", "n"]
 
 
 @pytest.mark.parametrize("bounds", [(1.5, 2.4), (2.0 + 1e-12, 3.9)])

@@ -9,8 +9,14 @@ from small_runs import SPRING, tiny
 from ccdtools import InputError, Recorded
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.gains import gains_by_source
-from ccdtools.studies.held_out import GenerationRecord, formerly_deployed, gains_in, places_of, steps_of
+from ccdtools.studies.held_out import (
+    GenerationRecord,
+    formerly_deployed,
+    gains_by_source,
+    gains_in,
+    places_of,
+    steps_of,
+)
 from ccdtools.twin.deployable import Deployable
 from learning import ActorCritic
 
@@ -73,12 +79,12 @@ def test_gains_by_source_add_up_and_name_their_source():
     rewards = np.random.default_rng(0).standard_normal((4, 6, 50))
     gains = gains_by_source(["start", "design", "policy", "design"], rewards)
     returns = rewards.sum(axis=2).mean(axis=1)
-    assert gains.start == pytest.approx(returns[0])
-    assert gains.design.mean == pytest.approx(returns[1] - returns[0] + returns[3] - returns[2])
-    assert gains.policy.mean == pytest.approx(returns[2] - returns[1])
-    assert (gains.updates.mean, gains.redesign.ci95) == (0.0, (0.0, 0.0))
-    parts = (gains.design, gains.policy, gains.updates, gains.redesign)
-    assert sum(part.mean for part in parts) == pytest.approx(gains.total.mean)
+    assert gains["start"] == pytest.approx(returns[0])
+    assert gains["design"]["mean"] == pytest.approx(returns[1] - returns[0] + returns[3] - returns[2])
+    assert gains["policy"]["mean"] == pytest.approx(returns[2] - returns[1])
+    assert (gains["updates"]["mean"], gains["redesign"]["ci95"]) == (0.0, (0.0, 0.0))
+    parts = (gains[name]["mean"] for name in ("design", "policy", "updates", "redesign"))
+    assert sum(parts) == pytest.approx(gains["total"]["mean"])
 
 
 def test_gains_of_unknown_sources_are_refused():

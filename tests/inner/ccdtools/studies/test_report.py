@@ -18,10 +18,11 @@ from spring_run import run_spring
 from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective, figure_style as style
 from ccdtools.exceptions import InputError
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
-from ccdtools.studies.report import return_plots, set_figure
+from ccdtools.studies.report import set_figure
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.formatting import number
 from ccdtools.studies.report.gains import gain_text
+from ccdtools.studies.report.landscape import draw_curve, draw_path
 from ccdtools.studies.report.report import render, write_report
 from ccdtools.studies.report.set_figure import feasible_set_figure
 from ccdtools.studies.report.tables import console_table
@@ -266,15 +267,14 @@ def test_landscape_of_nothing_but_divergence_is_still_drawn():
         ax = figure.add_subplot()
         mean = np.full((3, 3), -1.0 if fine else np.nan)
         axis = np.linspace(0, 1, 3)
-        return_plots.plot_landscape_map(
-            ax, axis, axis, mean, np.full((3, 3), fine), [np.array([[0.1, 0.1], [0.5, 0.5]])], labels=("a", "b")
-        )
+        style.draw_map(ax, axis, axis, mean, np.full((3, 3), fine), label="return")
+        draw_path(ax, np.array([0.1, 0.5]), np.array([0.1, 0.5]), 0, line="-")
         assert style.png(figure).startswith(b"\x89PNG")
     figure = Figure()
+    ax = figure.add_subplot()
     nothing = np.full(3, np.nan)
-    return_plots.plot_landscape_curve(
-        figure.add_subplot(), axis, nothing, nothing, np.ones(3), [axis], label="a", allowed=0.01
-    )
+    draw_curve(ax, axis, nothing, nothing, np.zeros(3, dtype=bool), whole=False)
+    draw_path(ax, axis, nothing, 0, line="none")
     assert style.png(figure).startswith(b"\x89PNG")
 
 
