@@ -10,12 +10,12 @@ import daqp
 import numpy as np
 
 from invariant_sets.engine.certificate import tightened_rows
-from invariant_sets.engine.local_problem import left_inverse
+from invariant_sets.engine.local_problem import LinearSystem, left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
-from invariant_sets.system_checks import CheckedSystem, Set, checked_system
+from invariant_sets.system_checks import Set, checked_system
 from invariant_sets.tolerances import ADMISSIBLE, FAR_PROPOSAL, INPUT_SLACK, LARGEST_ROOM, LP_SOLVER
 from invariant_sets.validation import as_batch, as_vector, frozen
 
@@ -64,12 +64,12 @@ class AdmissibleInputs:
     _rows: _LocalRows = field(repr=False)
 
     def __init__(self, A: Any, B: Any, S: Set, U: Set, *, E: Any = None, W: Set | None = None) -> None:
-        system = checked_system(A, B, S, U, E, W, name="S")
-        if system.U.is_empty:
+        system, S, U = checked_system(A, B, S, U, E, W, name="S")
+        if U.is_empty:
             raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
-        if not system.U.is_bounded:
+        if not U.is_bounded:
             raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
-        for name, value in (("S", system.states), ("U", system.U), ("_rows", _local_rows(system))):
+        for name, value in (("S", S), ("U", U), ("_rows", _local_rows(system, S, U))):
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
@@ -228,11 +228,11 @@ class _LocalRows:
             return np.asarray(np.clip((u - self.middle) @ self.back.T, -LARGEST_ROOM, LARGEST_ROOM))
 
 
-def _local_rows(system: CheckedSystem) -> _LocalRows:
+def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     """Rows of S and U in coordinates with unit extents of U."""
-    body = system.U._body
+    body = U._body
     assert body is not None
-    F, g = tightened_rows(system.states, system.motion.disturbances)
+    F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B
     arrays = (body.centre, body.basis, left_inverse(body.basis), after, push @ body.basis, g - push @ body.centre,

@@ -21,25 +21,24 @@ via set-induced Lyapunov functions, IEEE TAC 39(2).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from invariant_sets.engine import certificate
-from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
+from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
 from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
-from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
+from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import inscribed_ball
 from invariant_sets.polytope import Polytope
-from invariant_sets.results import Certificate, SetResult, Status, no_set
+from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING, STOP
+from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING
 
 Array = np.ndarray
 
@@ -64,21 +63,16 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
         if guess is None and not task.X.is_bounded and task.U.is_bounded:
             Q = observed_directions(task.system.A, task.X)
             if Q is not None:
-                return _extended(_largest(replace(task, **_quotient_of(task, Q))), Q)
+                system, X = quotient(task.system, task.X, Q)
+                return _extended(_largest(replace(task, system=system, X=X)), Q)
         return _largest(task, guess)
     except LimitReached as limit:  # before the recursion has begun
-        status = Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
+        status = status_of(limit)
     except TimeLimitError:  # the vertices of X itself are too many
         status = Status.FACET_LIMIT
     except NumericalError:
         status = Status.NOT_CERTIFIED
     return no_set(task.X.dim, 0, task.X, status)
-
-
-def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
-    """System and state set in coordinates z = Q x."""
-    system, X = quotient(task.system, task.X, Q)
-    return {"system": system, "X": X}
 
 
 def _extended(result: SetResult, Q: Array) -> SetResult:
@@ -111,15 +105,17 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
             return _point(task, problem, X, iterations)
         start = _bounded_modes(problem, _start(problem, X))
         if guess is not None and start.shape is Shape.SOLID:
-            start = _guessed(problem, start, guess)
+            start = start.cut(*problem.frame.rows_of(guess))
             guess = None
         steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-        caps = limits.caps(STOP, max(steps, 1))
         deadline = outer_deadline if reserve is None else reserve.deadline
-        outcome = _recursion(problem, start, replace(caps, deadline=deadline))
+        own = replace(limits, iterations=max(steps, 1), deadline=deadline)
+        outcome = Outcome(start, 0)
+        if start.shape is Shape.SOLID and not start.is_small:
+            outcome = iterate(start, predecessor_of(problem, deadline=deadline), own)
         if outcome.limit is not None and reserve is None and np.isfinite(limits.deadline.end):
             reserve = _reserve(task, problem, start)
-            outcome = _continued(problem, outcome, replace(caps, deadline=reserve.deadline))
+            outcome = _continued(problem, outcome, replace(own, deadline=reserve.deadline))
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
@@ -134,20 +130,13 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     return _fallback(task, reserve, X, _unfinished(limits, X.is_bounded), iterations)
 
 
-def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
-    """Outcome of the recursion from `start`, run only if well-shaped."""
-    if start.shape is not Shape.SOLID or start.is_small:
-        return Outcome(start, 0)
-    return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
-
-
-def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
-    """Outcome continued where time stopped it; `caps` are the whole's."""
-    left = caps.iterations - outcome.iterations
+def _continued(problem: LocalProblem, outcome: Outcome, limits: Limits) -> Outcome:
+    """Outcome continued where time stopped it; `limits` are the whole's."""
+    left = limits.iterations - outcome.iterations
     if outcome.limit is not Status.TIME_LIMIT or left == 0:
         return outcome
-    predecessor = predecessor_of(problem, deadline=caps.deadline)
-    later = iterate(outcome.region, predecessor, replace(caps, iterations=left), outcome.fresh)
+    predecessor = predecessor_of(problem, deadline=limits.deadline)
+    later = iterate(outcome.region, predecessor, replace(limits, iterations=left), fresh=outcome.fresh)
     return replace(later, iterations=outcome.iterations + later.iterations)
 
 
@@ -180,11 +169,6 @@ def _start(problem: LocalProblem, X: Polytope) -> Region:
     if not problem.bounded:
         return Region(F, g, None)
     return Region(F, g, (X.vertices - problem.frame.centre) @ problem.frame.back.T)
-
-
-def _guessed(problem: LocalProblem, region: Region, guess: Polytope) -> Region:
-    """Region cut by the rows of a guess."""
-    return region.cut(*problem.frame.rows_of(guess))
 
 
 def _bounded_modes(problem: LocalProblem, region: Region) -> Region:

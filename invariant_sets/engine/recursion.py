@@ -13,9 +13,9 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import inscribed_ball, maximise_rows
 from invariant_sets.projection import needed_rows
-from invariant_sets.results import Status
-from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, FLAT, LEAST_RIGHT, SMALL, UNRESOLVED
+from invariant_sets.results import Status, status_of
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
+from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, FLAT, LEAST_RIGHT, SMALL, STOP, UNRESOLVED
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -69,7 +69,8 @@ class Region:
                 return Region(F, g, None, Shape.EMPTY if radius < -FLAT else Shape.FLAT)
         room = g - F @ middle
         if self.V is None:
-            kept = _irredundant(F, room, deadline)
+            few = F.shape[1] <= CHEAP_HULL_DIM
+            kept = hulls.irredundant_rows(F, room) if few else needed_rows(F, room, deadline)
             return Region(F[kept], g[kept], None, minimal=True)
         deadline.check_hull(len(g), F.shape[1])
         try:
@@ -91,11 +92,6 @@ class Region:
         return region if region.V is None else replace(region, V=hulls.merge_points(region.V))
 
 
-def _irredundant(F: Array, g: Array, deadline: Deadline) -> Array:
-    """Indices of the irredundant rows."""
-    return hulls.irredundant_rows(F, g) if F.shape[1] <= CHEAP_HULL_DIM else needed_rows(F, g, deadline)
-
-
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a recursion: converged, capped, or no longer solid."""
@@ -109,17 +105,18 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Caps:
-    """Limits at which a recursion stops."""
+class Limits:
+    """Limits at which a computation stops."""
 
-    stop: float  # it has converged when no row cuts more than this part of its right-hand side
+    tol: float  # largest relative gap between the outer and the inner set [-]
     # most steps, and most facets
     iterations: int
     facets: int
     deadline: Deadline = NO_DEADLINE  # latest end
 
 
-def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array | None = None) -> Outcome:
+def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: float = STOP,
+            fresh: Array | None = None) -> Outcome:
     """Outcome of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
@@ -129,29 +126,30 @@ def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array |
     predecessor : callable
         ((F, g), fresh) → rows (R, r) of the predecessor set; those that follow from the `fresh` rows of (F, g)
         suffice, because what followed from the others was cut off a step before.
-    caps : Caps
-        When to stop.
+    limits : Limits
+        When to give up.
+    stop : float
+        It has converged when no row cuts more than this part of its right-hand side.
     fresh : (m,) bool array, optional
         Rows of the region that the step before brought, where a recursion goes on; all of them by default.
     """
-    for iteration in range(1, caps.iterations + 1):
+    for iteration in range(1, limits.iterations + 1):
         try:
-            caps.deadline.check()
-            smaller, cut = _one_step(region, predecessor, fresh, caps.deadline)
+            limits.deadline.check()
+            smaller, cut = _one_step(region, predecessor, fresh, limits.deadline)
         except LimitReached as limit:
-            late = isinstance(limit, TimeLimitReached)
-            return Outcome(region, iteration - 1, limit=Status.TIME_LIMIT if late else Status.FACET_LIMIT, fresh=fresh)
+            return Outcome(region, iteration - 1, limit=status_of(limit), fresh=fresh)
         if smaller.shape is Shape.UNRESOLVED:
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
         if smaller is region or smaller.shape is not Shape.SOLID:
             return Outcome(smaller, iteration, converged=smaller is region)
         fresh = _new_rows(smaller, region)
         region = smaller
-        if cut <= caps.stop or region.is_small:
-            return Outcome(region, iteration, converged=cut <= caps.stop)
-        if len(region.g) > caps.facets:
+        if cut <= stop or region.is_small:
+            return Outcome(region, iteration, converged=cut <= stop)
+        if len(region.g) > limits.facets:
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
-    return Outcome(region, caps.iterations)
+    return Outcome(region, limits.iterations)
 
 
 def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
