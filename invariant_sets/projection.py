@@ -15,7 +15,7 @@ import numpy as np
 
 from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
-from invariant_sets.linear_programs import inscribed_ball, minimise
+from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, SizeLimitReached
 from invariant_sets.tolerances import (
     BEYOND,
@@ -137,10 +137,10 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
     """Needed rows; all of them where the set is thin."""
     if len(r) <= FEW_ROWS:
         return R, r
-    radius, middle = inscribed_ball(R, r, cap=1.0)
-    if radius <= NEEDLE_RADIUS:
+    ball = largest_ball(R, r)
+    if ball.radius <= NEEDLE_RADIUS:
         return R, r
-    kept = needed_rows(R, r - R @ middle, deadline)
+    kept = needed_rows(R, r - R @ ball.centre, deadline)
     return R[kept], r[kept]
 
 

@@ -34,7 +34,7 @@ from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
-from invariant_sets.linear_programs import inscribed_ball
+from invariant_sets.linear_programs import largest_ball
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
@@ -94,11 +94,10 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     reserve: _Reserve | None = None
     outer_deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
     for _ in range(4 * nx + 8):
-        localised = localise(task.system, X, task.U, widest)
-        if localised.flatter is not None:
-            X = localised.flatter
+        problem = localise(task.system, X, task.U, widest)
+        if isinstance(problem, Polytope):
+            X = problem
             continue
-        problem = localised.problem
         if problem is None:
             return _nothing(task, iterations)
         if problem.frame.basis.shape[1] == 0:
@@ -262,7 +261,10 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:
         if candidate.gain is not None and found.V is None:
-            check = certificate.feedback_violation(task.system, C, task.U, _law(problem, candidate.gain), deadline)
+            law = problem.input_map
+            gain = (law.states + law.inputs @ candidate.gain) @ problem.frame.back
+            offset = law.offset - gain @ problem.frame.centre
+            check = certificate.feedback_violation(task.system, C, task.U, gain, offset, deadline)
         else:
             check = certificate.control_violation(task.system, C, task.U, deadline=deadline)
         if not check.violation <= INVARIANT:
@@ -271,12 +273,6 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
     except LimitReached:
         return None
     return _Inner(C, check, gap(region, found), beyond, problem.frame.centre) if beyond <= INVARIANT else None
-
-
-def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
-    """Feedback v = gain y in the units of x and u."""
-    law = problem.input_map
-    return certificate.Feedback((law.states + law.inputs @ gain) @ problem.frame.back, problem.frame.centre, law.offset)
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
@@ -311,7 +307,7 @@ def _nothing(task: Task, iterations: int) -> SetResult:
 def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> SetResult:
     """Single point X, if some input keeps the state there."""
     H, h = unit_rows(*problem.joint)
-    feasible = H is not None and (not len(h) or inscribed_ball(H, h, cap=1.0)[0] >= -FLAT)
+    feasible = H is not None and (not len(h) or largest_ball(H, h).radius >= -FLAT)
     if not feasible or not problem.at_equilibrium:
         return _nothing(task, iterations)
     point = Polytope.from_vertices(problem.frame.centre[None])

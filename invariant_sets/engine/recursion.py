@@ -11,7 +11,7 @@ import numpy as np
 from invariant_sets import hulls
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import unit_rows
-from invariant_sets.linear_programs import inscribed_ball, maximise_rows
+from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status, status_of
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
@@ -64,7 +64,9 @@ class Region:
         middle = np.zeros(F.shape[1])
         radius = 0.01
         if self.V is None or g.min() < radius:
-            radius, middle = inscribed_ball(F, g, cap=1.0)
+            ball = largest_ball(F, g)
+            radius = ball.radius
+            middle = ball.centre
             if radius <= FLAT:
                 return Region(F, g, None, Shape.EMPTY if radius < -FLAT else Shape.FLAT)
         room = g - F @ middle
@@ -195,9 +197,9 @@ def _worth_testing(region: Region, R: Array, r: Array, deadline: Deadline) -> Ro
     """New rows without those that others make redundant."""
     F = np.vstack([region.F, R])
     g = np.append(region.g, r)
-    radius, middle = inscribed_ball(F, g, cap=1.0)
-    if radius <= FLAT:
+    ball = largest_ball(F, g)
+    if ball.radius <= FLAT:
         return R, r
-    kept = needed_rows(F, g - F @ middle, deadline)
+    kept = needed_rows(F, g - F @ ball.centre, deadline)
     new = kept[kept >= len(region.g)] - len(region.g)
     return R[new], r[new]

@@ -30,7 +30,7 @@ def problem_of(A, B):
     """The local problem of the largest control invariant set, and where its recursion starts."""
     X = Polytope.from_bounds(-np.ones(len(A)), np.ones(len(A)))
     system, X, U = checked_system(A, B, X, (-0.2, 0.2), None, None)
-    problem = localise(system, X, U, invariance._extent(X)).problem
+    problem = localise(system, X, U, invariance._extent(X))
     return problem, invariance._start(problem, X)
 
 
