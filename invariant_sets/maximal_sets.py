@@ -19,7 +19,7 @@ from invariant_sets.engine.recursion import Limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system, disturbance_vertices
-from invariant_sets.time_limits import Deadline, check_time_limit
+from invariant_sets.time_limits import Deadline
 from invariant_sets.tolerances import GAP
 from invariant_sets.validation import as_count, as_matrix, check_tolerance
 
@@ -139,4 +139,4 @@ def maximal_positively_invariant_set(A: Any, X: Set, *, C: Any = None, E: Any = 
 def as_limits(tol: Any, max_iterations: Any, max_facets: Any, time_limit: Any) -> Limits:
     """Limits with time from now; raise `InputError` for improper numbers."""
     return Limits(check_tolerance(tol), as_count("max_iterations", max_iterations), as_count("max_facets", max_facets),
-                  Deadline.after(check_time_limit(time_limit)))
+                  Deadline.after(time_limit))

@@ -17,16 +17,7 @@ from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, SizeLimitReached
-from invariant_sets.tolerances import (
-    BEYOND,
-    CHEAP_HULL_DIM,
-    FEW_ROWS,
-    MOST_ROWS,
-    NEEDLE_RADIUS,
-    NEEDLESS,
-    ZERO_COEFFICIENT,
-    ZERO_ROW,
-)
+from invariant_sets.tolerances import BEYOND, CHEAP_HULL_DIM, CUT, FEW_ROWS, MOST_ROWS, NEEDLE_RADIUS, SILENT, ZERO_ROW
 
 Array = np.ndarray
 
@@ -80,8 +71,8 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
     """
     last = R[:, -1]
     rest = np.column_stack([R[:, :-1], r])
-    up = last > ZERO_COEFFICIENT
-    down = last < -ZERO_COEFFICIENT
+    up = last > SILENT
+    down = last < -SILENT
     level = ~(up | down)
     if fresh is None:
         rows = [rest[level], _combined(rest[up], last[up], rest[down], -last[down])]
@@ -159,7 +150,7 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
             rows = np.vstack([F[others], F[i]])
             right = np.append(g[others], g[i] + 1.0)
             value, y = minimise(-F[i], rows, right)
-            if y is None or -value <= g[i] + NEEDLESS:
+            if y is None or -value <= g[i] + CUT:
                 open_rows[i] = False
                 continue
             hit = _hit_by_rays(F, g, y[None])[0]

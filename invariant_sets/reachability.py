@@ -21,7 +21,7 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
-from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
+from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import EXACT_SHARE, LOOSE
 from invariant_sets.validation import as_count
 
@@ -101,7 +101,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     system, within, inputs = checked_system(A, B, X, U, E, W)
     goal = as_set(target, "target", within.dim)
     steps = as_count("steps", steps, least=0)
-    deadline = Deadline.after(check_time_limit(time_limit))
+    deadline = Deadline.after(time_limit)
     if steps == 0:
         return _exact(goal.intersection(within).minimal(), 0, Certificate(0.0, 0.0, 0))
     size = _units(system.A, within, goal)
@@ -162,7 +162,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     system, first, inputs = checked_system(A, B, start, U, E, W, name="start")
     within = _whole_space(first) if X is None else as_set(X, "X", first.dim)
     steps = as_count("steps", steps, least=0)
-    deadline = Deadline.after(check_time_limit(time_limit))
+    deadline = Deadline.after(time_limit)
     first = first.intersection(within).minimal()
     if steps == 0 or first.is_empty:
         return _exact(first, 0, Certificate(0.0, 0.0, 0))

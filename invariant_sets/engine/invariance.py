@@ -126,7 +126,9 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         X = smaller if smaller.is_empty else _flattened(smaller, widest)
         if limits.deadline.passed:
             break
-    return _fallback(task, reserve, X, _unfinished(limits, X.is_bounded), iterations)
+    status = Status.ITERATION_LIMIT if X.is_bounded else Status.OUTER_ONLY
+    status = Status.TIME_LIMIT if limits.deadline.passed else status
+    return _fallback(task, reserve, X, status, iterations)
 
 
 def _continued(problem: LocalProblem, outcome: Outcome, limits: Limits) -> Outcome:
@@ -137,13 +139,6 @@ def _continued(problem: LocalProblem, outcome: Outcome, limits: Limits) -> Outco
     predecessor = predecessor_of(problem, deadline=limits.deadline)
     later = iterate(outcome.region, predecessor, replace(limits, iterations=left), fresh=outcome.fresh)
     return replace(later, iterations=outcome.iterations + later.iterations)
-
-
-def _unfinished(limits: Limits, bounded: bool) -> Status:
-    """Status of an unfinished recursion."""
-    if limits.deadline.passed:
-        return Status.TIME_LIMIT
-    return Status.ITERATION_LIMIT if bounded else Status.OUTER_ONLY
 
 
 def _extent(X: Polytope) -> Array:

@@ -18,7 +18,7 @@ from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST, WELL_INSIDE
+from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT, THINNEST, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -60,7 +60,7 @@ class Frame:
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
         norms = row_norms(F)
-        used = norms > SILENT_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
+        used = norms > SILENT * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
         return unit(F[used], g[used])
 
     def polytope(self, F: Array, g: Array, V: Array | None = None) -> Polytope:
@@ -128,7 +128,10 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
                         None if spread is None else spread @ back.T)
     joint = np.hstack([motion.state_rows, motion.input_rows]), motion.right
     problem = LocalProblem(frame, dynamics, states, joint, None, motion.input_map, state.bounded, at_equilibrium=False)
-    vertices = _joint_input_corners(problem) if flat else _input_corners(U, inputs)
+    if flat:
+        vertices = _joint_input_corners(problem)
+    else:
+        vertices = (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
     return _at_equilibrium(problem, vertices, system)
 
 
@@ -146,13 +149,6 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
         return frame, rows
     turn = axes * np.sqrt(np.maximum(widths, THINNEST**2 * widths[-1]))
     return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
-
-
-def _input_corners(U: Polytope, inputs: Body) -> Array | None:
-    """Vertices (m, q) of the local input set; None if unbounded."""
-    if inputs.basis.shape[1] == 0:
-        return np.zeros((1, 0))
-    return (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:
@@ -177,7 +173,7 @@ def _lifted(problem: LocalProblem) -> Rows:
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
-    used = np.linalg.norm(rows, axis=1) > SILENT_ROW
+    used = np.linalg.norm(rows, axis=1) > SILENT
     return unit(rows[used], np.append(g, h)[used])
 
 
@@ -240,7 +236,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
-    moving = norms > SILENT_ROW
+    moving = norms > SILENT
     if (room[~moving] < -NEGLIGIBLE).any():
         return None
     if not moving.any():

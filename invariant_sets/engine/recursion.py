@@ -145,7 +145,8 @@ def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: f
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
         if smaller is region or smaller.shape is not Shape.SOLID:
             return Outcome(smaller, iteration, converged=smaller is region)
-        fresh = _new_rows(smaller, region)
+        known = {row.tobytes() for row in np.column_stack([region.F, region.g])}
+        fresh = np.array([row.tobytes() not in known for row in np.column_stack([smaller.F, smaller.g])], dtype=bool)
         region = smaller
         if cut <= stop or region.is_small:
             return Outcome(region, iteration, converged=cut <= stop)
@@ -169,12 +170,6 @@ def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
     depth = (reach - r)[cutting]
     cut = float((depth / np.maximum(np.abs(r[cutting]), LEAST_RIGHT)).max())
     return _cut_in_rounds(region, R[cutting], r[cutting], depth, deadline), cut
-
-
-def _new_rows(region: Region, previous: Region) -> Array:
-    """Whether each row of a region is new."""
-    known = {row.tobytes() for row in np.column_stack([previous.F, previous.g])}
-    return np.array([row.tobytes() not in known for row in np.column_stack([region.F, region.g])], dtype=bool)
 
 
 def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: Deadline) -> Region:
