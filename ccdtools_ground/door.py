@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import numbers
 import os
@@ -83,7 +84,9 @@ def as_number(argument: str, value: Any, *, expected: str = "a finite number", l
               high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
     """Finite number between `low` and `high`; `strict` excludes both ends."""
     real = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
-    number = float(value) if real else math.nan
+    number = math.nan
+    with contextlib.suppress(OverflowError):  # of an int beyond doubles
+        number = float(value) if real else math.nan
     inside = low < number < high if strict else low <= number <= high
     if not (math.isfinite(number) and inside):
         raise InputError(argument, shown(value), expected)

@@ -10,13 +10,13 @@ import daqp
 import numpy as np
 
 from invariant_sets.engine.certificate import tightened_rows
-from invariant_sets.engine.local_problem import left_inverse
+from invariant_sets.engine.local_problem import LinearSystem, left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.input_intervals import Intervals
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
-from invariant_sets.system_checks import CheckedSystem, Set, checked_system
-from invariant_sets.tolerances import ADMISSIBLE, FAR_PROPOSAL, INPUT_SLACK, LARGEST_ROOM, LP_SOLVER
+from invariant_sets.system_checks import Set, checked_system
+from invariant_sets.tolerances import FAR_PROPOSAL, INPUT_SLACK, INVARIANT, LARGEST_ROOM, LP_SOLVER
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
@@ -64,12 +64,12 @@ class AdmissibleInputs:
     _rows: _LocalRows = field(repr=False)
 
     def __init__(self, A: Any, B: Any, S: Set, U: Set, *, E: Any = None, W: Set | None = None) -> None:
-        system = checked_system(A, B, S, U, E, W, name="S")
-        if system.U.is_empty:
+        system, S, U = checked_system(A, B, S, U, E, W, name="S")
+        if U.is_empty:
             raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
-        if not system.U.is_bounded:
+        if not U.is_bounded:
             raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
-        for name, value in (("S", system.states), ("U", system.U), ("_rows", _local_rows(system))):
+        for name, value in (("S", S), ("U", U), ("_rows", _local_rows(system, S, U))):
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
@@ -116,7 +116,7 @@ class AdmissibleInputs:
             slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
             values, violation = Intervals(slope, rooms, low, high).nearest(wanted[:, 0])
             v = values[:, None]
-            admissible = violation <= ADMISSIBLE
+            admissible = violation <= INVARIANT
         else:
             v, admissible = _by_programs(rows, rooms, wanted)
         u = rows.middle + v @ rows.size.T
@@ -193,7 +193,7 @@ class AdmissibleInputFamily:
         ends = np.array([one._rows.interval for one in self.filters])
         v, violation = Intervals(self._slope, rooms, ends[:, 0], ends[:, 1]).nearest(wanted)
         u = np.array([one._rows.middle + one._rows.size[:, 0] * value for one, value in zip(self.filters, v)])
-        return u, violation <= ADMISSIBLE
+        return u, violation <= INVARIANT
 
 
 @dataclass(frozen=True)
@@ -228,11 +228,11 @@ class _LocalRows:
             return np.asarray(np.clip((u - self.middle) @ self.back.T, -LARGEST_ROOM, LARGEST_ROOM))
 
 
-def _local_rows(system: CheckedSystem) -> _LocalRows:
+def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     """Rows of S and U in coordinates with unit extents of U."""
-    body = system.U._body
+    body = U._body
     assert body is not None
-    F, g = tightened_rows(system.states, system.motion.disturbances)
+    F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B
     arrays = (body.centre, body.basis, left_inverse(body.basis), after, push @ body.basis, g - push @ body.centre,
@@ -253,7 +253,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
     v = np.zeros(wanted.shape)
     admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
-        nearest = _nearest(rows, room + 0.5 * ADMISSIBLE, wanted[k])
+        nearest = _nearest(rows, room + 0.5 * INVARIANT, wanted[k])
         if nearest is None or not _meets(rows, nearest, room):
             nearest = _least_violation(rows, room, wanted[k])
         v[k] = nearest
@@ -263,7 +263,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
 
 def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
     """Whether v meets all rows of S to the tolerance."""
-    return bool((rows.slope @ v - room).max(initial=-np.inf) <= ADMISSIBLE)
+    return bool((rows.slope @ v - room).max(initial=-np.inf) <= INVARIANT)
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
@@ -292,5 +292,5 @@ def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
     value, best = minimise(cost, matrix / norms[:, None], right)
     if best is None:  # pragma: no cover - U is nonempty and bounded, so a minimiser exists
         return np.zeros(nu)
-    nearest = _nearest(rows, room - shift + (value + ADMISSIBLE) * spread, wanted)
+    nearest = _nearest(rows, room - shift + (value + INVARIANT) * spread, wanted)
     return best[:nu] if nearest is None else nearest

@@ -9,7 +9,21 @@ from ccdtools_ground.errors import InputError, InvariantSetsError
 __all__ = ["EmptySetError", "InputError", "InvariantSetsError", "NumericalError", "TimeLimitError", "UnboundedError"]
 
 
-class UnboundedError(InvariantSetsError, ValueError):
+class _UnusableSet(InvariantSetsError, ValueError):
+    """Set with which an operation cannot do anything, and the usual reason."""
+
+    usual: str
+
+    def __init__(self, operation: str, reason: str = "") -> None:
+        super().__init__(operation, reason)  # all of them, so that the exception can be pickled
+        self.operation = operation
+        self.reason = reason or self.usual
+
+    def __str__(self) -> str:
+        return f"{self.operation}: {self.reason}."
+
+
+class UnboundedError(_UnusableSet):
     """Unbounded set where a bounded one is needed.
 
     Attributes
@@ -20,16 +34,10 @@ class UnboundedError(InvariantSetsError, ValueError):
         Which set has no end, and what to do.
     """
 
-    def __init__(self, operation: str, reason: str = "the set is unbounded. Intersect it with a box") -> None:
-        super().__init__(operation, reason)  # all of them, so that the exception can be pickled
-        self.operation = operation
-        self.reason = reason
-
-    def __str__(self) -> str:
-        return f"{self.operation}: {self.reason}."
+    usual = "the set is unbounded. Intersect it with a box"
 
 
-class EmptySetError(InvariantSetsError, ValueError):
+class EmptySetError(_UnusableSet):
     """Empty set where a point is needed.
 
     Attributes
@@ -40,13 +48,7 @@ class EmptySetError(InvariantSetsError, ValueError):
         Which set is empty, and what follows.
     """
 
-    def __init__(self, operation: str, reason: str = "the set is empty") -> None:
-        super().__init__(operation, reason)
-        self.operation = operation
-        self.reason = reason
-
-    def __str__(self) -> str:
-        return f"{self.operation}: {self.reason}."
+    usual = "the set is empty"
 
 
 class NumericalError(InvariantSetsError, ArithmeticError):

@@ -88,7 +88,7 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
     inner = np.zeros(len(across))
     while len(rays) and len(across):  # every pass divides out a line that the rays hold together
         seen = _of_length_one(rays @ across.T)
-        ball = largest_ball(seen, np.zeros(len(seen)), 1.0, box=1.0) if len(seen) else None
+        ball = largest_ball(seen, np.zeros(len(seen)), box=1.0) if len(seen) else None
         rays = seen @ across
         if ball is None or ball.radius > FLAT:
             inner = inner if ball is None else ball.centre

@@ -12,7 +12,7 @@ import numpy as np
 from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_rows, row_norms, starting_scale
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.hulls import extreme_points, hull_rows
-from invariant_sets.linear_programs import inscribed_ball, maximise_rows
+from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.local_box import LocalBox, half_widths, hidden_equalities, rescaled_view
 from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, SETTLED, THIN, WRONG_SCALE
 
@@ -158,7 +158,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
         if box is None:
             return None
         widths = half_widths(box)
-        within_rounding = box.is_flat and box.certificate.decided_by_rounding  # such a set tells no scale
+        within_rounding = box.is_flat and box.room == 0.0  # such a set tells no scale
         endless = box.basis[:, box.unbounded].any(axis=1)  # what is seen of it is the box's own width
         measured = np.where((widths > 0.0) & ~endless & (not within_rounding), widths, scale)
         if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > WRONG_SCALE:
@@ -284,8 +284,9 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
         return None
     F = F / norms[:, None]
     g = g / norms
-    radius, y = inscribed_ball(F, g, cap=1.0)
-    if radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
+    ball = largest_ball(F, g)
+    y = ball.centre
+    if ball.radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
         return None
     centre = centre + half * y
     room = g - F @ y

@@ -100,17 +100,8 @@ def maximise_in_box(D: Array, A: Array, b: Array, box: float) -> Array:
     return -values
 
 
-def inscribed_ball(A: Array, b: Array, cap: float) -> tuple[float, Array]:
-    """Radius and centre of a largest ball in A x <= b, unit rows.
-
-    A negative radius is the least violation that every point must accept: the set is empty.
-    """
-    ball = largest_ball(A, b, cap)
-    return ball.radius, ball.centre
-
-
-def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ball:
-    """Largest `Ball` in A x <= b, unit rows, centre in |x| <= `box`.
+def largest_ball(A: Array, b: Array, box: float | None = None) -> Ball:
+    """Largest `Ball` of radius 1 at most in A x <= b, unit rows, centre in |x| <= `box`.
 
     Raises
     ------
@@ -121,7 +112,7 @@ def largest_ball(A: Array, b: Array, cap: float, box: float | None = None) -> Ba
     rows = np.ones((m + 1, n + 1))
     rows[:m, :n] = A
     rows[m, :n] = 0.0
-    right = np.full(m + 1, cap)
+    right = np.ones(m + 1)
     right[:m] = b
     cost = np.zeros(n + 1)
     cost[n] = -1.0
@@ -148,7 +139,7 @@ def ray_along(d: Array, F: Array) -> Array | None:
 
 def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
     """Answer of `minimise` for infeasible or unbounded programs, by certificates."""
-    ball = largest_ball(A, b, 1.0)
+    ball = largest_ball(A, b)
     if ball.radius < -LP_RESIDUAL:  # its multipliers are the Farkas certificate
         return np.inf, None
     if not c.any():

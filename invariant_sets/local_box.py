@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,23 +29,6 @@ from invariant_sets.tolerances import (
 )
 
 Array = np.ndarray
-
-
-class BallCertificate(NamedTuple):
-    """Room that the ball's rows leave, and open coordinates (k,)."""
-
-    room: float
-    open: Array
-
-    @property
-    def closed(self) -> bool:
-        """Whether `room` bounds the set in every coordinate."""
-        return not self.open.any()
-
-    @property
-    def decided_by_rounding(self) -> bool:
-        """Whether the room is only the rounding of the rows."""
-        return self.room == 0.0
 
 
 @dataclass(frozen=True)
@@ -73,25 +55,27 @@ class LocalBox:
         return full
 
     @cached_property
-    def certificate(self) -> BallCertificate:
-        """Room left by the rows that hold the ball.
+    def room(self) -> float:
+        """Room left by the rows that hold the ball, zero where their rounding decides.
 
         With multipliers λ >= 0 and Fᵀλ = 0 every point has λᵀg >= 0: a negative λᵀg proves that the set is empty
-        (Farkas), and a zero one that the rows hold with equality. The room is zero where rounding decides.
+        (Farkas), and a zero one that the rows hold with equality.
         """
-        dual = self.ball.dual
+        level = float(self.ball.dual @ self.g[self.near])
+        return 0.0 if abs(level) <= float(self.ball.dual @ self.error[self.near]) else level
+
+    @cached_property
+    def open(self) -> Array:
+        """Coordinates (k,) in which `room` does not bound the set."""
         F = self.F[self.near]
-        level = float(dual @ self.g[self.near])
-        doubt = float(dual @ self.error[self.near])
-        left_open = np.abs(dual @ F) > CLOSED * (dual @ np.abs(F))
-        return BallCertificate(0.0 if abs(level) <= doubt else level, left_open)
+        return np.asarray(np.abs(self.ball.dual @ F) > CLOSED * (self.ball.dual @ np.abs(F)))
 
     @cached_property
     def is_flat(self) -> bool:
         """Whether the set is thinner than `FLAT` of the box, or rounding."""
         if self.ball.radius <= FLAT:
             return True
-        return bool(self.certificate.decided_by_rounding and self.ball.dual.any() and self.certificate.closed)
+        return bool(self.room == 0.0 and self.ball.dual.any() and not self.open.any())
 
 
 def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array, *,
@@ -114,17 +98,17 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
         if settled and not box.is_flat:
             return box
         if box.is_flat:
-            certificate = box.certificate
-            if certificate.room < 0 and radius < -(FLAT if settled else THIN) and certificate.closed:
+            closed = not box.open.any()
+            if box.room < 0 and radius < -(FLAT if settled else THIN) and closed:
                 beyond, _ = _ends(box, unbounded)[2:]
                 if not beyond.any():
                     return None
                 basis = basis * np.where(beyond, WIDER, 1.0)  # it misses by less than it is long
                 continue
             if radius < -THIN:
-                basis = basis * np.where(certificate.open, WIDER, 1.0)
+                basis = basis * np.where(box.open, WIDER, 1.0)
                 continue
-            if settled or (certificate.decided_by_rounding and certificate.closed):
+            if settled or (box.room == 0.0 and closed):
                 return box
         lower, upper, beyond, unbounded = _ends(box, unbounded)
         if beyond.any():
@@ -132,7 +116,7 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
             continue
         middle, half = _frame(box, lower, upper, unbounded)
         if box.is_flat:  # closer only where the rows close: that makes their other coordinates felt
-            half = np.where(box.certificate.open, np.maximum(half, 1.0), half)
+            half = np.where(box.open, np.maximum(half, 1.0), half)
         right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < WRONG_SCALE or resized > 3
         resized += 1 if unbounded.any() else 0
         settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
@@ -173,23 +157,20 @@ def _local_box(A: Array, b: Array, terms: Array, centre: Array, basis: Array, un
     near = (g <= HALF_BOX * np.abs(F).sum(axis=1)).nonzero()[0]
     ball = Ball(1.0, np.zeros(F.shape[1]), np.zeros(len(near)))
     if len(near):
-        ball = largest_ball(F[near], g[near], 1.0, box=HALF_BOX)
+        ball = largest_ball(F[near], g[near], box=HALF_BOX)
     return LocalBox(centre, basis, F, g, error, index, near, ball, unbounded)
 
 
-def _extents(box: LocalBox) -> tuple[Array, Array]:
-    """Lower and upper ends (k,) of the set within the box."""
-    k = box.F.shape[1]
-    F = box.F[box.near]
+def _extents(box: LocalBox, D: Array) -> tuple[Array, Array]:
+    """Lower and upper ends (k,) of the set within the box along the rows of D."""
     g = box.g[box.near] + 1.01 * max(-box.ball.radius, 0.0)
-    eye = np.eye(k)
-    ends = maximise_in_box(np.concatenate([eye, -eye]), F, g, HALF_BOX)
-    return -ends[k:], ends[:k]
+    ends = maximise_in_box(np.concatenate([D, -D]), box.F[box.near], g, HALF_BOX)
+    return -ends[len(D):], ends[:len(D)]
 
 
 def _ends(box: LocalBox, unbounded: Array) -> tuple[Array, Array, Array, Array]:
     """Extents, coordinates (k,) that leave the box, and endless ones."""
-    lower, upper = _extents(box)
+    lower, upper = _extents(box, np.eye(box.F.shape[1]))
     beyond = ((lower < -0.99 * HALF_BOX) | (upper > 0.99 * HALF_BOX)) & ~unbounded
     if beyond.any():
         far = np.abs(box.basis).max(axis=0) > ENDLESS
@@ -236,10 +217,8 @@ def half_widths(box: LocalBox) -> Array:
     reach = np.abs(basis).sum(axis=1)
     if k < len(basis) and k > 0 and len(box.near):
         mixed = np.count_nonzero(basis, axis=1) > 1
-        D = basis[mixed] / reach[mixed, None]
-        g = box.g[box.near] + 1.01 * max(-box.ball.radius, 0.0)
-        ends = maximise_in_box(np.concatenate([D, -D]), box.F[box.near], g, HALF_BOX)
-        reach[mixed] *= np.maximum((ends[:len(D)] + ends[len(D):]) / 2, FLAT)
+        lower, upper = _extents(box, basis[mixed] / reach[mixed, None])
+        reach[mixed] *= np.maximum((upper - lower) / 2, FLAT)
     return np.where(reach > ROUNDING * np.abs(box.centre), reach, 0.0)
 
 

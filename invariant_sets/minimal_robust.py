@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.control_invariant import Options
 from invariant_sets.engine.certificate import control_violation
-from invariant_sets.engine.inner_sets import Limits
 from invariant_sets.engine.invariance import Task, largest_invariant_set
 from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.engine.recursion import Limits
 from invariant_sets.exceptions import InputError
+from invariant_sets.maximal_sets import NO_INPUT, as_limits
 from invariant_sets.polytope import Polytope
-from invariant_sets.positive_invariant import NO_INPUT
-from invariant_sets.results import Certificate, SetResult, Status, no_set
-from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix, disturbance_vertices
-from invariant_sets.time_limits import LimitReached, TimeLimitReached
+from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
+from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix
+from invariant_sets.time_limits import LimitReached
 from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, MOST_SUM_TERMS, SUM_END
 from invariant_sets.validation import check_tolerance
 
@@ -79,11 +78,11 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
         raise InputError("W", "None", "a Polytope or bounds (lower, upper)")
     E, noise_set = checked_disturbance(E, W, len(A))
     assert noise_set is not None
-    limits = replace(Options(0.0, max_iterations, max_facets, time_limit).limits(), tol=check_tolerance(eps, "eps"))
+    limits = as_limits(check_tolerance(eps, "eps"), max_iterations, max_facets, time_limit)
     radius = float(np.abs(np.linalg.eigvals(A)).max())
     if radius >= 1.0:
         raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
-    noise = disturbance_vertices(E, noise_set)
+    noise = noise_set.vertices @ E.T
     centre = noise_set.affine_map(E)._body.centre  # type: ignore[union-attr]
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
@@ -169,7 +168,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
             deadline.check_hull(len(partial.vertices) * len(image), len(A))
             partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
         except LimitReached as limit:
-            status = _status_of(limit)
+            status = status_of(limit)
             break
         if len(partial.b) > limits.facets:
             status = Status.FACET_LIMIT
@@ -205,7 +204,7 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
             sums = max(len(R.vertices), len(partial.vertices)) * len(W)
             limits.deadline.part(1 / 3).check_hull(sums, len(A))  # three: of the image, its sum, the partial sum
         except LimitReached as limit:
-            return _Approximation(R, gap, steps, _status_of(limit))
+            return _Approximation(R, gap, steps, status_of(limit))
         grown = R.affine_map(A).minkowski_sum(noise)
         image = image @ A.T
         partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
@@ -213,11 +212,6 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
             return _Approximation(R, gap, steps, Status.FACET_LIMIT)
         R = grown
     return _Approximation(R, gap, first.iterations + limits.iterations, Status.ITERATION_LIMIT)
-
-
-def _status_of(limit: LimitReached) -> Status:
-    """Status that belongs to a cap."""
-    return Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
 
 
 def _excess(R: Polytope, partial: Polytope) -> float:

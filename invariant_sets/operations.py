@@ -17,7 +17,7 @@ from invariant_sets.generators import Generators, generators, rows_of
 from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import Body, body_of, support
 from invariant_sets.polyhedron import Polyhedron
-from invariant_sets.time_limits import Deadline, LimitReached, check_time_limit
+from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PRODUCT_ROUNDING
 from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite, shown
 
@@ -74,7 +74,7 @@ class SetOperations(Polyhedron):
         The hull (Qhull) of the sums of vertices; for unbounded sets, of points and rays.
         """
         other = same_space(self, other)
-        deadline = Deadline.after(check_time_limit(time_limit))
+        deadline = Deadline.after(time_limit)
         mine = self._body
         theirs = other._body
         if mine is None or theirs is None:
@@ -173,7 +173,7 @@ class SetOperations(Polyhedron):
         if len(M) == 0:
             raise InputError("M", f"shape {M.shape}", "at least one row")
         c = np.zeros(len(M)) if c is None else as_vector(c, "c", size=len(M))
-        deadline = Deadline.after(check_time_limit(time_limit))
+        deadline = Deadline.after(time_limit)
         body = self._body
         if body is None:
             return type(self).empty(len(M))

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.control_invariant import Options, control_task
-from invariant_sets.engine.invariance import largest_invariant_set
+from invariant_sets.engine.invariance import Task, largest_invariant_set
+from invariant_sets.engine.recursion import Limits
 from invariant_sets.exceptions import InputError
+from invariant_sets.maximal_sets import as_limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
-from invariant_sets.system_checks import Set, as_set_or_numbers
+from invariant_sets.system_checks import Set, as_set_or_numbers, checked_system
 from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
 from invariant_sets.validation import (
     as_batch,
@@ -85,17 +86,16 @@ class ParametricSet:
         for name, value in (("X", self.X), ("U", self.U), ("W", self.W)):
             if not _varies(value) and (value is not None or name != "W"):
                 object.__setattr__(self, name, as_set_or_numbers(value, name))
-        self._options.limits()  # raises where one of them is no proper number
+        self._limits()  # raises where one of them is no proper number
 
     def __repr__(self) -> str:
         nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))
         return (f"ParametricSet(nx={nx}, nu={nu}, {'robust' if self.W is not None else 'nominal'}, "
                 f"{len(self._results)} designs known)")
 
-    @property
-    def _options(self) -> Options:
-        """Tolerance and caps of every design."""
-        return Options(self.tol, self.max_iterations, self.max_facets, self.time_limit)
+    def _limits(self) -> Limits:
+        """Tolerance and caps of every design, with time from now."""
+        return as_limits(self.tol, self.max_iterations, self.max_facets, self.time_limit)
 
     def result(self, p: Any) -> SetResult:
         """Result with status and certificate at one design p (np,)."""
@@ -240,8 +240,8 @@ class ParametricSet:
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")
         E = answer[2] if len(answer) == 3 and self.W is not None else None
-        task = control_task(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), self._options, E=E, W=self.W)
-        return largest_invariant_set(task, guess)
+        system = checked_system(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), E, self.W)
+        return largest_invariant_set(Task(*system, self._limits()), guess)
 
     def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
         """Nearest known slow result, and its relative distance in p."""

@@ -20,7 +20,7 @@ from invariant_sets.hulls import (
 )
 from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
 from invariant_sets.membership import rows_hold
-from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, check_time_limit
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
 from invariant_sets.tolerances import CHEAP_HULL_DIM, INVARIANT, MEMBERSHIP, PLACE, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
@@ -161,7 +161,7 @@ class Polyhedron:
         V = as_matrix(V, "V")
         if V.shape[0] == 0 or V.shape[1] == 0:
             raise InputError("V", f"shape {V.shape}", "(k, n) with k >= 1 and n >= 1")
-        deadline = Deadline.after(check_time_limit(time_limit))
+        deadline = Deadline.after(time_limit)
         try:
             deadline.check_hull(*V.shape)
         except LimitReached as limit:
@@ -297,7 +297,7 @@ class Polyhedron:
         A, b = self._one_sided
         slack = np.maximum.reduce([tol * self._ranges, (tol > 0) * self._missed, min(tol, ROUNDING) * self._all_terms])
         with np.errstate(invalid="ignore", over="ignore"):
-            inside = rows_hold(points, A, b, slack, min(tol, ROUNDING), self._reach)
+            inside = rows_hold(points, A, b, slack, min(tol, ROUNDING))
         return bool(inside[0]) if single else inside
 
     def __contains__(self, x: Any) -> bool:

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from invariant_sets.interior_form import Body
 from invariant_sets.linear_programs import minimise
 from invariant_sets.operations import SetOperations, same_space
 from invariant_sets.plotting import plot_polytope
 from invariant_sets.polyhedron import Polyhedron
-from invariant_sets.sampling import hit_and_run
-from invariant_sets.tolerances import MEMBERSHIP
+from invariant_sets.tolerances import JITTER, MEMBERSHIP
 from invariant_sets.validation import as_count, as_generator, check_tolerance
 
 Array = np.ndarray
@@ -88,14 +88,16 @@ class Polytope(SetOperations):
 
         References
         ----------
-        Smith (1984), Operations Research 32(6); see `sampling`. Assumes a bounded set.
+        Smith (1984), Efficient Monte Carlo procedures for generating points uniformly distributed over bounded regions,
+        Operations Research 32(6): hit and run. Lovász, Vempala (2006), Hit-and-run from a corner, SIAM J. Computing
+        35(4): why the body is made round first. Assumes a bounded set.
         """
         n = as_count("n", n, least=0)
         rng = as_generator("rng", rng)
         body = self._require_bounded("sample")
         if body.basis.shape[1] == 0:
             return np.repeat(body.centre[None], n, axis=0)
-        return np.asarray(body.centre + hit_and_run(body, n, rng) @ body.basis.T)
+        return np.asarray(body.centre + _hit_and_run(body, n, rng) @ body.basis.T)
 
     def __repr__(self) -> str:
         equalities = f", {len(self.b_eq)} equalities" if len(self.b_eq) else ""
@@ -122,3 +124,31 @@ class Polytope(SetOperations):
             Passed to the matplotlib artist, for example color, alpha, label.
         """
         return plot_polytope(self, ax=ax, **style)
+
+
+def _hit_and_run(body: Body, n: int, rng: np.random.Generator) -> Array:
+    """Sample of n points (n, k) in coordinates y, one chain each.
+
+    All chains start at the inner point y = 0 and take 20·k steps, in directions drawn with the covariance that a
+    shorter run has found: without that a slanted body mixes slowly. Assumes a bounded body.
+    """
+    k = body.F.shape[1]
+    shape: Array = np.eye(k)
+    for _ in range(2):
+        trial = _walk(body, np.zeros((40 * k, k)), shape, 10 * k, rng)
+        shape = np.linalg.cholesky(np.cov(trial, rowvar=False).reshape(k, k) + JITTER * np.eye(k))
+    return _walk(body, np.zeros((n, k)), shape, 20 * k, rng)
+
+
+def _walk(body: Body, Y: Array, shape: Array, steps: int, rng: np.random.Generator) -> Array:
+    """Points Y (n, k) after `steps` moves to uniform points of chords."""
+    for _ in range(steps):
+        direction = rng.standard_normal(Y.shape) @ shape.T
+        speed = direction @ body.F.T
+        room = np.maximum(body.g - Y @ body.F.T, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = room / speed
+        ahead = np.where(speed > 0, reach, np.inf).min(axis=1)
+        behind = np.where(speed < 0, reach, -np.inf).max(axis=1)
+        Y = Y + (behind + (ahead - behind) * rng.random(len(Y)))[:, None] * direction
+    return Y

@@ -15,18 +15,9 @@ import numpy as np
 
 from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
-from invariant_sets.linear_programs import inscribed_ball, minimise
+from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, SizeLimitReached
-from invariant_sets.tolerances import (
-    BEYOND,
-    CHEAP_HULL_DIM,
-    FEW_ROWS,
-    MOST_ROWS,
-    NEEDLE_RADIUS,
-    NEEDLESS,
-    ZERO_COEFFICIENT,
-    ZERO_ROW,
-)
+from invariant_sets.tolerances import BEYOND, CHEAP_HULL_DIM, CUT, FEW_ROWS, MOST_ROWS, NEEDLE_RADIUS, SILENT, ZERO_ROW
 
 Array = np.ndarray
 
@@ -80,8 +71,8 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
     """
     last = R[:, -1]
     rest = np.column_stack([R[:, :-1], r])
-    up = last > ZERO_COEFFICIENT
-    down = last < -ZERO_COEFFICIENT
+    up = last > SILENT
+    down = last < -SILENT
     level = ~(up | down)
     if fresh is None:
         rows = [rest[level], _combined(rest[up], last[up], rest[down], -last[down])]
@@ -137,10 +128,10 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
     """Needed rows; all of them where the set is thin."""
     if len(r) <= FEW_ROWS:
         return R, r
-    radius, middle = inscribed_ball(R, r, cap=1.0)
-    if radius <= NEEDLE_RADIUS:
+    ball = largest_ball(R, r)
+    if ball.radius <= NEEDLE_RADIUS:
         return R, r
-    kept = needed_rows(R, r - R @ middle, deadline)
+    kept = needed_rows(R, r - R @ ball.centre, deadline)
     return R[kept], r[kept]
 
 
@@ -159,7 +150,7 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
             rows = np.vstack([F[others], F[i]])
             right = np.append(g[others], g[i] + 1.0)
             value, y = minimise(-F[i], rows, right)
-            if y is None or -value <= g[i] + NEEDLESS:
+            if y is None or -value <= g[i] + CUT:
                 open_rows[i] = False
                 continue
             hit = _hit_by_rays(F, g, y[None])[0]

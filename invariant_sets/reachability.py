@@ -19,9 +19,9 @@ from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.polytope import Polytope
-from invariant_sets.results import Certificate, SetResult, Status, no_set
+from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
-from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached, check_time_limit
+from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import EXACT_SHARE, LOOSE
 from invariant_sets.validation import as_count
 
@@ -98,24 +98,24 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     Borrelli, Bemporad, Morari (2017), algorithm 10.3; robust: algorithm 10.5. Tolerance 1e-9 of the set's extent.
     """
     A, B, U = _with_inputs(A, B, U)
-    checked = checked_system(A, B, X, U, E, W)
-    goal = as_set(target, "target", len(checked.A))
+    system, within, inputs = checked_system(A, B, X, U, E, W)
+    goal = as_set(target, "target", within.dim)
     steps = as_count("steps", steps, least=0)
-    deadline = Deadline.after(check_time_limit(time_limit))
+    deadline = Deadline.after(time_limit)
     if steps == 0:
-        return _exact(goal.intersection(checked.states).minimal(), 0, Certificate(0.0, 0.0, 0))
-    size = _units(checked.A, checked.states, goal)
-    system = _in_units(checked.motion, size)
-    within = _scaled(checked.states, size)
+        return _exact(goal.intersection(within).minimal(), 0, Certificate(0.0, 0.0, 0))
+    size = _units(system.A, within, goal)
+    system = _in_units(system, size)
+    within = _scaled(within, size)
     goal = _scaled(goal, size)
 
     def step_back(S: Polytope, deadline: Deadline) -> Step:
         """One step backwards from S, checked."""
-        return backward_step(system, S, within, checked.U, deadline)
+        return backward_step(system, S, within, inputs, deadline)
 
     progress = _repeat(step_back, goal, steps, deadline.part(EXACT_SHARE))
     if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, within, within, goal, checked.U, steps)
+        states = Trajectories(system.A, system.B, within, within, goal, inputs, steps)
         inner = None if W is not None else inner_hull(states, 0, _last_part(deadline))
         progress = _interrupted(inner, within, progress)
     return _in_given_units(progress, size)
@@ -159,31 +159,31 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
     Borrelli, Bemporad, Morari (2017), section 10.1.1. Tolerance 1e-9 of the set's extent.
     """
     A, B, U = _with_inputs(A, B, U)
-    checked = checked_system(A, B, start, U, E, W, name="start")
-    within = _whole_space(checked.states) if X is None else as_set(X, "X", len(checked.A))
+    system, first, inputs = checked_system(A, B, start, U, E, W, name="start")
+    within = _whole_space(first) if X is None else as_set(X, "X", first.dim)
     steps = as_count("steps", steps, least=0)
-    deadline = Deadline.after(check_time_limit(time_limit))
-    first = checked.states.intersection(within).minimal()
+    deadline = Deadline.after(time_limit)
+    first = first.intersection(within).minimal()
     if steps == 0 or first.is_empty:
         return _exact(first, 0, Certificate(0.0, 0.0, 0))
-    if checked.U.is_empty:
-        return no_set(len(checked.A), 0)
+    if inputs.is_empty:
+        return no_set(first.dim, 0)
 
-    size = _units(checked.A, first, within)
-    system = _in_units(checked.motion, size)
+    size = _units(system.A, first, within)
+    system = _in_units(system, size)
     first = _scaled(first, size)
     within = _scaled(within, size)
 
     def step_ahead(R: Polytope, deadline: Deadline) -> Step:
         """One step forwards from R, cut by X and checked."""
-        moves = checked.U.affine_map(system.B)
+        moves = inputs.affine_map(system.B)
         if system.disturbances is not None:
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
         return _within(forward_step(system, R, moves, deadline), within)
 
     progress = _repeat(step_ahead, first, steps, deadline.part(EXACT_SHARE))
     if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, first, within, within, checked.U, steps)
+        states = Trajectories(system.A, system.B, first, within, within, inputs, steps)
         progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), within, progress)
     return _in_given_units(progress, size)
 
@@ -253,8 +253,7 @@ def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
         except NumericalError:
             return no_set(S.dim, k, _whole_space(S), Status.NOT_CERTIFIED)
         except LimitReached as limit:
-            late = isinstance(limit, TimeLimitReached)
-            return _Progress(k - 1, Status.TIME_LIMIT if late else Status.FACET_LIMIT)
+            return _Progress(k - 1, status_of(limit))
         violation = max(violation, done.violation)
         missing = max(missing, done.missing)
         points += done.points

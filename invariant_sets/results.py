@@ -8,6 +8,7 @@ import numpy as np
 
 from ccdtools_ground.outcome import Outcome
 from invariant_sets.polytope import Polytope
+from invariant_sets.time_limits import LimitReached, TimeLimitReached
 from invariant_sets.tolerances import INVARIANT
 
 
@@ -99,6 +100,11 @@ class SetResult:
         kind = "empty" if self.set.is_empty else "bounded" if self.is_bounded else "unbounded"
         return (f"SetResult({self.status.name}, {kind} set of dimension {self.set.dim}, {len(self.set.b)} rows, "
                 f"{self.iterations} steps, violation {self.certificate.violation:.1e}, gap {self.certificate.gap:.1e})")
+
+
+def status_of(limit: LimitReached) -> Status:
+    """Status that belongs to a cap."""
+    return Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
 
 
 def no_set(nx: int, iterations: int, outer: Polytope | None = None, status: Status = Status.EMPTY) -> SetResult:

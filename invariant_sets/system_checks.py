@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,39 +15,11 @@ Array = np.ndarray
 Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): numbers, or one number a coordinate
 
 
-@dataclass(frozen=True)
-class CheckedSystem:
-    """A, B, E as arrays, sets as polytopes; E and W may be None.
-
-    `states` is what the caller's set of states means there: constraints X, a start, or a set S to stay in.
-    """
-
-    A: Array
-    B: Array
-    states: Polytope
-    U: Polytope
-    E: Array | None
-    W: Polytope | None
-
-    @cached_property
-    def motion(self) -> LinearSystem:
-        """System x⁺ = A x + B u + w with w in E W."""
-        return LinearSystem(self.A, self.B, disturbance_vertices(self.E, self.W))
-
-
 def checked_state_matrix(A: Any) -> Array:
     """Square matrix A (nx, nx), or raise `InputError`."""
     matrix = as_matrix(A, "A")
     if matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
         raise InputError("A", f"shape {matrix.shape}", "a square matrix (nx, nx)")
-    return matrix
-
-
-def checked_input_matrix(B: Any, nx: int) -> Array:
-    """Matrix B (nx, nu), or raise `InputError`."""
-    matrix = as_matrix(B, "B", rows=nx)
-    if matrix.shape[1] == 0:
-        raise InputError("B", f"shape {matrix.shape}", "at least one column", "Use a zero column for no input.")
     return matrix
 
 
@@ -66,18 +36,25 @@ def checked_disturbance(E: Any, W: Any, nx: int) -> tuple[Array, Polytope] | tup
     return E, W
 
 
-def checked_system(A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *, name: str = "X") -> CheckedSystem:
-    """System and its sets, checked, or raise `InputError`."""
+def disturbance_vertices(E: Any, W: Any, nx: int) -> Array | None:
+    """Vertices (k, nx) of E W, None without a disturbance."""
+    E, W = checked_disturbance(E, W, nx)
+    return None if W is None else W.vertices @ E.T
+
+
+def checked_system(A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *,
+                   name: str = "X") -> tuple[LinearSystem, Polytope, Polytope]:
+    """System x⁺ = A x + B u + w with w in E W, its set of states and U, or raise `InputError`.
+
+    `states` are what the caller means by them: constraints X, a start, or a set S to stay in.
+    """
     A = checked_state_matrix(A)
-    B = checked_input_matrix(B, len(A))
+    B = as_matrix(B, "B", rows=len(A))
+    if B.shape[1] == 0:
+        raise InputError("B", f"shape {B.shape}", "at least one column", "Use a zero column for no input.")
     states = as_set(states, name, len(A))
     U = as_set(U, "U", B.shape[1])
-    return CheckedSystem(A, B, states, U, *checked_disturbance(E, W, len(A)))
-
-
-def disturbance_vertices(E: Array | None, W: Polytope | None) -> Array | None:
-    """Vertices (k, nx) of E W, None without a disturbance."""
-    return None if E is None or W is None else W.vertices @ E.T
+    return LinearSystem(A, B, disturbance_vertices(E, W, len(A))), states, U
 
 
 def as_set(value: Any, name: str, dim: int | None = None) -> Polytope:

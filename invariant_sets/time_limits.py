@@ -14,7 +14,8 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from invariant_sets.exceptions import InputError, InvariantSetsError
+from ccdtools_ground.door import as_number
+from invariant_sets.exceptions import InvariantSetsError
 from invariant_sets.tolerances import MOST_HULL_FACETS, SECONDS_PER_FACET
 
 
@@ -34,12 +35,15 @@ class SizeLimitReached(LimitReached):
 class Deadline:
     """Moment at which a computation has to end."""
 
-    end: float = float("inf")  # on the clock of `time.perf_counter` [s]; inf if there is no limit
+    end: float = math.inf  # on the clock of `time.perf_counter` [s]; inf if there is no limit
 
     @classmethod
-    def after(cls, seconds: float | None) -> Deadline:
-        """Deadline so many seconds from now; None is no limit."""
-        return cls() if seconds is None else cls(time.perf_counter() + seconds)
+    def after(cls, time_limit: Any) -> Deadline:
+        """Deadline so many seconds from now; None is no limit. Raises `InputError` unless they are above 0."""
+        if time_limit is None or (isinstance(time_limit, float) and time_limit == math.inf):
+            return cls()
+        expected = "a number of seconds above 0, or None for no limit"
+        return cls(time.perf_counter() + as_number("time_limit", time_limit, expected=expected, low=0.0, strict=True))
 
     @property
     def left(self) -> float:
@@ -54,7 +58,7 @@ class Deadline:
     def part(self, share: float) -> Deadline:
         """Deadline at which this share of the time left is gone."""
         left = self.left
-        return self if left == float("inf") else Deadline(self.end - (1.0 - share) * max(left, 0.0))
+        return self if left == math.inf else Deadline(self.end - (1.0 - share) * max(left, 0.0))
 
     def check(self) -> None:
         """Raise `TimeLimitReached` if the deadline has passed."""
@@ -82,16 +86,3 @@ def hull_facets(points: int, dim: int) -> float:
     per_point = (1.0, 1.0, 1.0, 2.0, 7.0, 30.0, 170.0, 1000.0, 6000.0)  # by dimension, of points on a sphere
     beyond = max(0, dim - len(per_point) + 1)
     return min(float(most), points * per_point[dim - beyond] * 7.0**beyond)
-
-
-def check_time_limit(value: Any) -> float | None:
-    """Time limit [s], None for no limit; raise `InputError` unless positive."""
-    if value is None:
-        return None
-    try:
-        seconds = float("nan") if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        seconds = float("nan")
-    if not seconds > 0.0:
-        raise InputError("time_limit", repr(value)[:60], "a number of seconds above 0, or None for no limit")
-    return seconds

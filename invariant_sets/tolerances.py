@@ -45,15 +45,13 @@ NULL_SPACE = 1e-8  # Singular values below this part of the largest one, for row
 PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part of the sum of its absolute terms.
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------
-ZERO_COEFFICIENT = 1e-12  # In a unit row a smaller coefficient of the variable to be eliminated is rounding.
 ZERO_ROW = 1e-13  # A combination of two unit rows with a smaller norm is nothing but rounding.
-NEEDLESS = 1e-12  # A row that cuts off less than this part of the extent is left out between two eliminations.
 NEEDLE_RADIUS = 1e-7  # No inner point decides which rows are needed if the radius is below this part of the extent.
 BEYOND = 1e-9  # A row further outside than this part of the box of a set cannot touch it.
 
 # --- the problem in local coordinates --------------------------------------------------------------------------------
 NEGLIGIBLE = 1e-8  # A coefficient or residual of an equality below this part of its largest term is rounding.
-SILENT_ROW = 1e-12  # A row with a smaller norm, beside rows of norm one, says nothing about a variable.
+SILENT = 1e-12  # In or beside rows of norm one a coefficient, or a row, below this size says nothing about a variable.
 DEPENDENT_COLUMNS = 1e-12  # Singular values below this part of the largest one are zero in a least-squares solution.
 AT_REST = 1e-13  # The origin is an equilibrium if it moves by less than this part of the extent.
 NEEDLE = 0.03  # Coordinates are made round if the smallest width is below this part of the largest one.
@@ -66,7 +64,7 @@ GAP = 1e-7  # `tol`, the largest relative gap between an invariant set and its o
 LOOSE = 1e3  # A step that moves a coordinate by more extents of X than this makes the other bounds loose.
 BOX_ROOM = 0.1  # A box is enlarged by this part of its width; a row is far beyond its inverse times the width.
 STOP = 1e-11  # The outer recursion has converged if no row cuts more than this part of the right-hand side.
-CUT = 1e-12  # A row that cuts off less than this part of the extent is rounding.
+CUT = 1e-12  # A row that cuts off less than this part of the extent is rounding, and left out.
 LEAST_RIGHT = 1e-3  # A cut is compared with a right-hand side of at least this part of the extent.
 UNRESOLVED = 1e-6  # A set that Qhull cannot resolve is flat if its radius is below this part of the extent.
 SMALL = 0.1  # A set that began with width two is rescaled below this width.
@@ -88,7 +86,7 @@ NEIGHBOUR_MARGIN = 1e-9  # A neighbour's set is inflated by at least this part o
 FELT = 1e-7  # A set closer to a row than this part of the row's room is taken to touch it.
 
 # --- certificates ----------------------------------------------------------------------------------------------------
-INVARIANT = 1e-9  # A set counts as invariant although a successor leaves it by this part of the extent.
+INVARIANT = 1e-9  # A set counts as invariant, an input as admissible, if a successor leaves by this part of the extent.
 MISSING = 1e-8  # A backward step may by rounding enlarge a set by this part of the extent.
 DOUBTFUL = 1e-12  # A violation above this part of the extent is checked a second time.
 WITNESS = 1e-6  # An input that a solver proposes may leave U by this part, and is then moved back into it.
@@ -97,7 +95,6 @@ DUAL_RESIDUAL = 1e-11  # Multipliers that miss stationarity, for a unit cost, by
 FLAT_WIDTH = 1e-9  # A coordinate in which a set is flat is given this part of the largest width.
 
 # --- filters ---------------------------------------------------------------------------------------------------------
-ADMISSIBLE = 1e-9  # An input counts as admissible although a successor leaves S by this part of its extent.
 INPUT_SLACK = 1e-8  # A solver's answer may leave U by this part of its half widths.
 FAR_PROPOSAL = 1e6  # A proposal that is more half widths of U away is moved to here along its direction.
 UNMOVED = 1e-14  # An input does not move a row if its half width in U moves it by less than this part of S's extent.

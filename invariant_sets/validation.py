@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, check_finite, frozen, shown
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_number, check_finite, frozen, shown
 from invariant_sets.exceptions import InputError
 
 __all__ = ["as_batch", "as_bounds", "as_count", "as_floats", "as_generator", "as_matrix", "as_vector", "check_finite",
@@ -14,15 +14,13 @@ __all__ = ["as_batch", "as_bounds", "as_count", "as_floats", "as_generator", "as
 Array = np.ndarray
 
 
-def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | None = None,
-              finite: bool = True) -> Array:
+def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | None = None) -> Array:
     """Two-dimensional float64 copy of the required shape."""
     array = as_floats(name, value)
     if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
         expected = f"({'m' if rows is None else rows}, {'n' if columns is None else columns})"
         raise InputError(name, f"shape {array.shape}", expected)
-    if finite:
-        check_finite(array, name)
+    check_finite(array, name)
     return array
 
 
@@ -73,10 +71,4 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
 
 def check_tolerance(tol: Any, name: str = "tol") -> float:
     """Tolerance as a float >= 0, or raise `InputError`."""
-    try:
-        value = np.nan if isinstance(tol, bool) else float(tol)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(name, shown(tol), "a finite number >= 0") from None
-    if not 0.0 <= value < np.inf:
-        raise InputError(name, shown(tol), "a finite number >= 0")
-    return value
+    return as_number(name, tol, expected="a finite number >= 0", low=0.0)

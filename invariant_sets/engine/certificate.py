@@ -44,15 +44,6 @@ class Check:
     points: int
 
 
-@dataclass(frozen=True)
-class Feedback:
-    """Input u = centre + gain (x − equilibrium)."""
-
-    gain: Array
-    equilibrium: Array
-    centre: Array
-
-
 def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
                       deadline: Deadline = NO_DEADLINE) -> Check:
     """Violation of `target` by C's worst vertex under its best input.
@@ -173,15 +164,15 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
         return np.where(excess <= 1.0 + WITNESS, (inside @ slope.T - room).max(axis=1), np.inf)
 
 
-def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, law: Feedback,
+def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Array, offset: Array,
                        deadline: Deadline = NO_DEADLINE) -> Check:
-    """Violation of C or U by C under a feedback."""
-    closed = system.A + system.B @ law.gain
-    shift = system.B @ (law.centre - law.gain @ law.equilibrium)
+    """Violation of C or U by C under the feedback u = gain x + offset."""
+    closed = system.A + system.B @ gain
+    shift = system.B @ offset
     F, g = tightened_rows(C, system.disturbances)
     H, h = U._relative_rows
-    rows = np.vstack([F @ closed, H @ law.gain])
-    right = np.append(g - F @ shift, h - H @ (law.centre - law.gain @ law.equilibrium))
+    rows = np.vstack([F @ closed, H @ gain])
+    right = np.append(g - F @ shift, h - H @ offset)
     worst = -np.inf
     for i in range(0, len(rows), PROGRAMS_PER_CHECK):
         deadline.check()

@@ -45,21 +45,13 @@ class Motion:
     input_map: InputMap  # the input that belongs to y and v
 
 
-@dataclass(frozen=True)
-class OnHull:
-    """Motion that stays on the hull, or equalities on y, or neither."""
+def stay_on_hull(motion: Motion, basis: Array, spread: Array | None,
+                 size: Array) -> Motion | tuple[Array, Array] | None:
+    """Motion under the inputs that keep the state on the hull of `basis`, or why there are none.
 
-    motion: Motion | None = None  # the motion under the inputs that keep the state on the hull
-    # equalities rows y = values that y has to meet before any input can
-    rows: Array | None = None
-    values: Array | None = None
-
-
-def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array) -> OnHull:
-    """Conditions for successors to stay on the hull of `basis`.
-
-    `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each
-    coordinate of x. A disturbance that leaves the hull leaves nothing.
+    Equalities rows y = values come where y has to meet them before any input can, None where no y can. `spread` (k, n)
+    are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each coordinate of x. A
+    disturbance that leaves the hull leaves nothing.
     """
     normal = normals(basis)
     P = normal @ motion.states
@@ -68,7 +60,7 @@ def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array
     size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), TINY)
     if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
             size, np.abs(spread).max() + TINY)).any():
-        return OnHull()
+        return None
     P = P / size[:, None]
     Q = Q / size[:, None]
     s = s / size
@@ -78,16 +70,16 @@ def stay_on_hull(motion: Motion, basis: Array, spread: Array | None, size: Array
     rest_s = left[:, rank:].T @ s
     bound = np.abs(rest_P).max(axis=1, initial=0.0) > NEGLIGIBLE
     if (np.abs(rest_s[~bound]) > NEGLIGIBLE).any():
-        return OnHull()
+        return None
     if bound.any():
-        return OnHull(rows=rest_P[bound], values=rest_s[bound])
+        return rest_P[bound], rest_s[bound]
     pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])  # v = pseudo (s − P y) + free v'
     fixed = pseudo @ s
     follow = -pseudo @ P
     free = vt[rank:].T
     law = motion.input_map
-    return OnHull(Motion(
+    return Motion(
         states=motion.states + motion.inputs @ follow, inputs=motion.inputs @ free,
         drift=motion.drift + motion.inputs @ fixed, state_rows=motion.state_rows + motion.input_rows @ follow,
         input_rows=motion.input_rows @ free, right=motion.right - motion.input_rows @ fixed,
-        input_map=InputMap(law.offset + law.inputs @ fixed, law.states + law.inputs @ follow, law.inputs @ free)))
+        input_map=InputMap(law.offset + law.inputs @ fixed, law.states + law.inputs @ follow, law.inputs @ free))

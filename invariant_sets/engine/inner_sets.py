@@ -10,42 +10,18 @@ in Control, 2nd ed., section 5.1 and algorithm 5.1: the backward step.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invariant_sets.engine.local_problem import LocalProblem
-from invariant_sets.engine.recursion import Caps, Outcome, Predecessor, Region, Rows, Shape, iterate
+from invariant_sets.engine.recursion import Limits, Outcome, Predecessor, Region, Rows, Shape, iterate
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.projection import eliminate_last, project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
 from invariant_sets.tolerances import CENTRAL, CHEAP_HULL_DIM, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
 
 Array = np.ndarray
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits at which a computation stops.
-
-    Attributes
-    ----------
-    tol : float
-        Largest relative gap between the outer and the inner set [-].
-    iterations, facets : int
-        Caps.
-    deadline : Deadline
-        Latest end.
-    """
-
-    tol: float
-    iterations: int
-    facets: int
-    deadline: Deadline
-
-    def caps(self, stop: float, iterations: int | None = None) -> Caps:
-        """Caps of one recursion."""
-        return Caps(stop, self.iterations if iterations is None else iterations, self.facets, self.deadline)
 
 
 @dataclass(frozen=True)
@@ -57,10 +33,9 @@ class Candidate:
     gain: Array | None = None
 
 
-def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadline | None = None) -> Predecessor:
+def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadline = NO_DEADLINE) -> Predecessor:
     """Map from target rows to the predecessor rows of factor · target."""
     dynamics = problem.dynamics
-    limit = Deadline() if deadline is None else deadline
 
     def rows(target: Rows, fresh: Array | None = None) -> Rows:
         """Predecessor rows of the target, or of its fresh rows."""
@@ -70,7 +45,7 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
             g = g - F @ dynamics.drift
         if dynamics.disturbances is not None:
             g = g - (F @ dynamics.disturbances.T).max(axis=1, initial=-np.inf)
-        return predecessor_rows((F, g), dynamics.A, dynamics.B, problem.joint, fresh=fresh, deadline=limit)
+        return predecessor_rows((F, g), dynamics.A, dynamics.B, problem.joint, fresh=fresh, deadline=deadline)
 
     return rows
 
@@ -105,8 +80,8 @@ def shrunk(region: Region, part: float) -> Region:
 
 def _contracted(problem: LocalProblem, region: Region, delta: float, limits: Limits) -> Iterator[Candidate]:
     """Yield the largest set that contracts by 1 − delta per step."""
-    again = iterate(region, predecessor_of(problem, 1 - delta, limits.deadline),
-                    limits.caps(1 / (1 - delta) - 1, max(limits.iterations // 4, 20)))
+    fewer = replace(limits, iterations=max(limits.iterations // 4, 20))
+    again = iterate(region, predecessor_of(problem, 1 - delta, limits.deadline), fewer, stop=1 / (1 - delta) - 1)
     if again.converged and again.region.shape is Shape.SOLID:
         yield Candidate(again.region.tidy(), again.iterations)
 
@@ -181,7 +156,7 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
         return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach
 
-    ended = iterate(seed, backwards, limits.caps(CLOSED_LOOP_MARGIN))
+    ended = iterate(seed, backwards, limits, stop=CLOSED_LOOP_MARGIN)
     if not ended.converged or ended.region.shape is not Shape.SOLID:
         return None
     return Candidate(ended.region.tidy(limits.deadline), ended.iterations, K)

@@ -21,25 +21,24 @@ via set-induced Lyapunov functions, IEEE TAC 39(2).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from invariant_sets.engine import certificate
-from invariant_sets.engine.inner_sets import Candidate, Limits, candidates, feedback_sets, gap, predecessor_of
+from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
 from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
-from invariant_sets.engine.recursion import Caps, Outcome, Region, Shape, iterate
+from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
 from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
-from invariant_sets.linear_programs import inscribed_ball
+from invariant_sets.linear_programs import largest_ball
 from invariant_sets.polytope import Polytope
-from invariant_sets.results import Certificate, SetResult, Status, no_set
+from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING, STOP
+from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING
 
 Array = np.ndarray
 
@@ -64,21 +63,16 @@ def largest_invariant_set(task: Task, guess: Polytope | None = None) -> SetResul
         if guess is None and not task.X.is_bounded and task.U.is_bounded:
             Q = observed_directions(task.system.A, task.X)
             if Q is not None:
-                return _extended(_largest(replace(task, **_quotient_of(task, Q))), Q)
+                system, X = quotient(task.system, task.X, Q)
+                return _extended(_largest(replace(task, system=system, X=X)), Q)
         return _largest(task, guess)
     except LimitReached as limit:  # before the recursion has begun
-        status = Status.TIME_LIMIT if isinstance(limit, TimeLimitReached) else Status.FACET_LIMIT
+        status = status_of(limit)
     except TimeLimitError:  # the vertices of X itself are too many
         status = Status.FACET_LIMIT
     except NumericalError:
         status = Status.NOT_CERTIFIED
     return no_set(task.X.dim, 0, task.X, status)
-
-
-def _quotient_of(task: Task, Q: Array) -> dict[str, Any]:
-    """System and state set in coordinates z = Q x."""
-    system, X = quotient(task.system, task.X, Q)
-    return {"system": system, "X": X}
 
 
 def _extended(result: SetResult, Q: Array) -> SetResult:
@@ -100,26 +94,27 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     reserve: _Reserve | None = None
     outer_deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
     for _ in range(4 * nx + 8):
-        localised = localise(task.system, X, task.U, widest)
-        if localised.flatter is not None:
-            X = localised.flatter
+        problem = localise(task.system, X, task.U, widest)
+        if isinstance(problem, Polytope):
+            X = problem
             continue
-        problem = localised.problem
         if problem is None:
             return _nothing(task, iterations)
         if problem.frame.basis.shape[1] == 0:
             return _point(task, problem, X, iterations)
         start = _bounded_modes(problem, _start(problem, X))
         if guess is not None and start.shape is Shape.SOLID:
-            start = _guessed(problem, start, guess)
+            start = start.cut(*problem.frame.rows_of(guess))
             guess = None
         steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-        caps = limits.caps(STOP, max(steps, 1))
         deadline = outer_deadline if reserve is None else reserve.deadline
-        outcome = _recursion(problem, start, replace(caps, deadline=deadline))
+        own = replace(limits, iterations=max(steps, 1), deadline=deadline)
+        outcome = Outcome(start, 0)
+        if start.shape is Shape.SOLID and not start.is_small:
+            outcome = iterate(start, predecessor_of(problem, deadline=deadline), own)
         if outcome.limit is not None and reserve is None and np.isfinite(limits.deadline.end):
             reserve = _reserve(task, problem, start)
-            outcome = _continued(problem, outcome, replace(caps, deadline=reserve.deadline))
+            outcome = _continued(problem, outcome, replace(own, deadline=reserve.deadline))
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
@@ -131,31 +126,19 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         X = smaller if smaller.is_empty else _flattened(smaller, widest)
         if limits.deadline.passed:
             break
-    return _fallback(task, reserve, X, _unfinished(limits, X.is_bounded), iterations)
+    status = Status.ITERATION_LIMIT if X.is_bounded else Status.OUTER_ONLY
+    status = Status.TIME_LIMIT if limits.deadline.passed else status
+    return _fallback(task, reserve, X, status, iterations)
 
 
-def _recursion(problem: LocalProblem, start: Region, caps: Caps) -> Outcome:
-    """Outcome of the recursion from `start`, run only if well-shaped."""
-    if start.shape is not Shape.SOLID or start.is_small:
-        return Outcome(start, 0)
-    return iterate(start, predecessor_of(problem, deadline=caps.deadline), caps)
-
-
-def _continued(problem: LocalProblem, outcome: Outcome, caps: Caps) -> Outcome:
-    """Outcome continued where time stopped it; `caps` are the whole's."""
-    left = caps.iterations - outcome.iterations
+def _continued(problem: LocalProblem, outcome: Outcome, limits: Limits) -> Outcome:
+    """Outcome continued where time stopped it; `limits` are the whole's."""
+    left = limits.iterations - outcome.iterations
     if outcome.limit is not Status.TIME_LIMIT or left == 0:
         return outcome
-    predecessor = predecessor_of(problem, deadline=caps.deadline)
-    later = iterate(outcome.region, predecessor, replace(caps, iterations=left), outcome.fresh)
+    predecessor = predecessor_of(problem, deadline=limits.deadline)
+    later = iterate(outcome.region, predecessor, replace(limits, iterations=left), fresh=outcome.fresh)
     return replace(later, iterations=outcome.iterations + later.iterations)
-
-
-def _unfinished(limits: Limits, bounded: bool) -> Status:
-    """Status of an unfinished recursion."""
-    if limits.deadline.passed:
-        return Status.TIME_LIMIT
-    return Status.ITERATION_LIMIT if bounded else Status.OUTER_ONLY
 
 
 def _extent(X: Polytope) -> Array:
@@ -180,11 +163,6 @@ def _start(problem: LocalProblem, X: Polytope) -> Region:
     if not problem.bounded:
         return Region(F, g, None)
     return Region(F, g, (X.vertices - problem.frame.centre) @ problem.frame.back.T)
-
-
-def _guessed(problem: LocalProblem, region: Region, guess: Polytope) -> Region:
-    """Region cut by the rows of a guess."""
-    return region.cut(*problem.frame.rows_of(guess))
 
 
 def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
@@ -278,7 +256,10 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:
         if candidate.gain is not None and found.V is None:
-            check = certificate.feedback_violation(task.system, C, task.U, _law(problem, candidate.gain), deadline)
+            law = problem.input_map
+            gain = (law.states + law.inputs @ candidate.gain) @ problem.frame.back
+            offset = law.offset - gain @ problem.frame.centre
+            check = certificate.feedback_violation(task.system, C, task.U, gain, offset, deadline)
         else:
             check = certificate.control_violation(task.system, C, task.U, deadline=deadline)
         if not check.violation <= INVARIANT:
@@ -287,12 +268,6 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
     except LimitReached:
         return None
     return _Inner(C, check, gap(region, found), beyond, problem.frame.centre) if beyond <= INVARIANT else None
-
-
-def _law(problem: LocalProblem, gain: Array) -> certificate.Feedback:
-    """Feedback v = gain y in the units of x and u."""
-    law = problem.input_map
-    return certificate.Feedback((law.states + law.inputs @ gain) @ problem.frame.back, problem.frame.centre, law.offset)
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
@@ -327,7 +302,7 @@ def _nothing(task: Task, iterations: int) -> SetResult:
 def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> SetResult:
     """Single point X, if some input keeps the state there."""
     H, h = unit_rows(*problem.joint)
-    feasible = H is not None and (not len(h) or inscribed_ball(H, h, cap=1.0)[0] >= -FLAT)
+    feasible = H is not None and (not len(h) or largest_ball(H, h).radius >= -FLAT)
     if not feasible or not problem.at_equilibrium:
         return _nothing(task, iterations)
     point = Polytope.from_vertices(problem.frame.centre[None])

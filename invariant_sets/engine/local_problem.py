@@ -15,10 +15,10 @@ from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
 from invariant_sets.equalities import Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
 from invariant_sets.interior_form import Body, normals, null_space
-from invariant_sets.linear_programs import inscribed_ball, maximise_rows
+from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT_ROW, THINNEST, WELL_INSIDE
+from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT, THINNEST, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -60,7 +60,7 @@ class Frame:
         F = P.A @ self.basis
         g = P.b - P.A @ self.centre
         norms = row_norms(F)
-        used = norms > SILENT_ROW * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
+        used = norms > SILENT * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
         return unit(F[used], g[used])
 
     def polytope(self, F: Array, g: Array, V: Array | None = None) -> Polytope:
@@ -98,20 +98,12 @@ class LocalProblem:
     at_equilibrium: bool
 
 
-@dataclass(frozen=True)
-class Localised:
-    """Local problem, or a flatter X to try, or neither."""
-
-    problem: LocalProblem | None = None
-    flatter: Polytope | None = None
-
-
-def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Localised:
-    """Problem in local coordinates; `units` (nx,) is the first extent."""
+def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> LocalProblem | Polytope | None:
+    """Problem in local coordinates, or a flatter X to try, or neither; `units` (nx,) is the first extent."""
     state = X._body
     inputs = U._body
     if state is None or inputs is None:
-        return Localised()
+        return None
     frame, states = _round_frame(X, state)
     mean = np.zeros(X.dim) if system.disturbances is None else system.disturbances.mean(axis=0)
     spread = None if system.disturbances is None else system.disturbances - mean
@@ -124,24 +116,23 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
         size = np.maximum(np.abs(system.A) @ np.abs(frame.basis).sum(axis=1), units)
         size = np.maximum(size, np.abs(system.B) @ np.abs(inputs.basis).sum(axis=1))
         answer = stay_on_hull(motion, frame.basis, spread, size)
-        if answer.rows is not None:
-            return Localised(flatter=_with_equalities(X, frame, answer.rows, answer.values))
-        if answer.motion is None:
-            return Localised()
-        motion = answer.motion
+        if isinstance(answer, tuple):
+            held = answer[0] @ frame.back
+            nothing = np.zeros((0, X.dim))
+            return X.intersection(Polytope(nothing, np.zeros(0), held, answer[1] + held @ frame.centre))
+        if answer is None:
+            return None
+        motion = answer
     back = frame.back
     dynamics = Dynamics(back @ motion.states, back @ motion.inputs, back @ motion.drift,
                         None if spread is None else spread @ back.T)
     joint = np.hstack([motion.state_rows, motion.input_rows]), motion.right
     problem = LocalProblem(frame, dynamics, states, joint, None, motion.input_map, state.bounded, at_equilibrium=False)
-    vertices = _joint_input_corners(problem) if flat else _input_corners(U, inputs)
-    return Localised(_at_equilibrium(problem, vertices, system))
-
-
-def _with_equalities(X: Polytope, frame: Frame, rows: Array, values: Array | None) -> Polytope:
-    """Part of X where rows y = values."""
-    back = rows @ frame.back
-    return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), back, values + back @ frame.centre))
+    if flat:
+        vertices = _joint_input_corners(problem)
+    else:
+        vertices = (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
+    return _at_equilibrium(problem, vertices, system)
 
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
@@ -158,13 +149,6 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
         return frame, rows
     turn = axes * np.sqrt(np.maximum(widths, THINNEST**2 * widths[-1]))
     return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
-
-
-def _input_corners(U: Polytope, inputs: Body) -> Array | None:
-    """Vertices (m, q) of the local input set; None if unbounded."""
-    if inputs.basis.shape[1] == 0:
-        return np.zeros((1, 0))
-    return (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
 
 
 def _joint_input_corners(problem: LocalProblem) -> Array | None:
@@ -189,7 +173,7 @@ def _lifted(problem: LocalProblem) -> Rows:
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
-    used = np.linalg.norm(rows, axis=1) > SILENT_ROW
+    used = np.linalg.norm(rows, axis=1) > SILENT
     return unit(rows[used], np.append(g, h)[used])
 
 
@@ -252,10 +236,10 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
-    moving = norms > SILENT_ROW
+    moving = norms > SILENT
     if (room[~moving] < -NEGLIGIBLE).any():
         return None
     if not moving.any():
         return np.asarray(scale * z)
-    radius, t = inscribed_ball(slope[moving] / norms[moving, None], room[moving] / norms[moving], cap=1.0)
-    return None if radius < -NEGLIGIBLE else scale * (z + null @ t)
+    ball = largest_ball(slope[moving] / norms[moving, None], room[moving] / norms[moving])
+    return None if ball.radius < -NEGLIGIBLE else scale * (z + null @ ball.centre)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem
+from invariant_sets.engine.local_problem import LinearSystem, left_inverse
 from invariant_sets.polytope import Polytope
 from invariant_sets.tolerances import CANCELLED, UNSEEN
 
@@ -53,7 +53,7 @@ def _row_space(rows: Array, size: float) -> Array:
 
 def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem, Polytope]:
     """Motion of z = Q x, and X as a set of z."""
-    back = _right_inverse(Q)
+    back = left_inverse(Q.T).T  # Q back = 1, in any units
     noise = None if system.disturbances is None else system.disturbances @ Q.T
     seen = Polytope(_product(X.A, back), X.b, _product(X.A_eq, back), X.b_eq)
     return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), seen
@@ -69,10 +69,3 @@ def _product(F: Array, back: Array) -> Array:
     rows: Array = F @ back
     rows[np.abs(rows) <= CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
     return rows
-
-
-def _right_inverse(Q: Array) -> Array:
-    """Right inverse R (n, k) with Q R = 1, in any units."""
-    columns = np.abs(Q).max(axis=0)
-    columns[columns == 0.0] = 1.0
-    return np.asarray(np.linalg.pinv(Q / columns) / columns[:, None])

@@ -11,11 +11,11 @@ import numpy as np
 from invariant_sets import hulls
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import unit_rows
-from invariant_sets.linear_programs import inscribed_ball, maximise_rows
+from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.projection import needed_rows
-from invariant_sets.results import Status
-from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, FLAT, LEAST_RIGHT, SMALL, UNRESOLVED
+from invariant_sets.results import Status, status_of
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
+from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, FLAT, LEAST_RIGHT, SMALL, STOP, UNRESOLVED
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -64,12 +64,15 @@ class Region:
         middle = np.zeros(F.shape[1])
         radius = 0.01
         if self.V is None or g.min() < radius:
-            radius, middle = inscribed_ball(F, g, cap=1.0)
+            ball = largest_ball(F, g)
+            radius = ball.radius
+            middle = ball.centre
             if radius <= FLAT:
                 return Region(F, g, None, Shape.EMPTY if radius < -FLAT else Shape.FLAT)
         room = g - F @ middle
         if self.V is None:
-            kept = _irredundant(F, room, deadline)
+            few = F.shape[1] <= CHEAP_HULL_DIM
+            kept = hulls.irredundant_rows(F, room) if few else needed_rows(F, room, deadline)
             return Region(F[kept], g[kept], None, minimal=True)
         deadline.check_hull(len(g), F.shape[1])
         try:
@@ -91,11 +94,6 @@ class Region:
         return region if region.V is None else replace(region, V=hulls.merge_points(region.V))
 
 
-def _irredundant(F: Array, g: Array, deadline: Deadline) -> Array:
-    """Indices of the irredundant rows."""
-    return hulls.irredundant_rows(F, g) if F.shape[1] <= CHEAP_HULL_DIM else needed_rows(F, g, deadline)
-
-
 @dataclass(frozen=True)
 class Outcome:
     """Outcome of a recursion: converged, capped, or no longer solid."""
@@ -109,17 +107,18 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Caps:
-    """Limits at which a recursion stops."""
+class Limits:
+    """Limits at which a computation stops."""
 
-    stop: float  # it has converged when no row cuts more than this part of its right-hand side
+    tol: float  # largest relative gap between the outer and the inner set [-]
     # most steps, and most facets
     iterations: int
     facets: int
     deadline: Deadline = NO_DEADLINE  # latest end
 
 
-def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array | None = None) -> Outcome:
+def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: float = STOP,
+            fresh: Array | None = None) -> Outcome:
     """Outcome of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
@@ -129,29 +128,31 @@ def iterate(region: Region, predecessor: Predecessor, caps: Caps, fresh: Array |
     predecessor : callable
         ((F, g), fresh) → rows (R, r) of the predecessor set; those that follow from the `fresh` rows of (F, g)
         suffice, because what followed from the others was cut off a step before.
-    caps : Caps
-        When to stop.
+    limits : Limits
+        When to give up.
+    stop : float
+        It has converged when no row cuts more than this part of its right-hand side.
     fresh : (m,) bool array, optional
         Rows of the region that the step before brought, where a recursion goes on; all of them by default.
     """
-    for iteration in range(1, caps.iterations + 1):
+    for iteration in range(1, limits.iterations + 1):
         try:
-            caps.deadline.check()
-            smaller, cut = _one_step(region, predecessor, fresh, caps.deadline)
+            limits.deadline.check()
+            smaller, cut = _one_step(region, predecessor, fresh, limits.deadline)
         except LimitReached as limit:
-            late = isinstance(limit, TimeLimitReached)
-            return Outcome(region, iteration - 1, limit=Status.TIME_LIMIT if late else Status.FACET_LIMIT, fresh=fresh)
+            return Outcome(region, iteration - 1, limit=status_of(limit), fresh=fresh)
         if smaller.shape is Shape.UNRESOLVED:
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
         if smaller is region or smaller.shape is not Shape.SOLID:
             return Outcome(smaller, iteration, converged=smaller is region)
-        fresh = _new_rows(smaller, region)
+        known = {row.tobytes() for row in np.column_stack([region.F, region.g])}
+        fresh = np.array([row.tobytes() not in known for row in np.column_stack([smaller.F, smaller.g])], dtype=bool)
         region = smaller
-        if cut <= caps.stop or region.is_small:
-            return Outcome(region, iteration, converged=cut <= caps.stop)
-        if len(region.g) > caps.facets:
+        if cut <= stop or region.is_small:
+            return Outcome(region, iteration, converged=cut <= stop)
+        if len(region.g) > limits.facets:
             return Outcome(region, iteration, limit=Status.FACET_LIMIT)
-    return Outcome(region, caps.iterations)
+    return Outcome(region, limits.iterations)
 
 
 def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
@@ -169,12 +170,6 @@ def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
     depth = (reach - r)[cutting]
     cut = float((depth / np.maximum(np.abs(r[cutting]), LEAST_RIGHT)).max())
     return _cut_in_rounds(region, R[cutting], r[cutting], depth, deadline), cut
-
-
-def _new_rows(region: Region, previous: Region) -> Array:
-    """Whether each row of a region is new."""
-    known = {row.tobytes() for row in np.column_stack([previous.F, previous.g])}
-    return np.array([row.tobytes() not in known for row in np.column_stack([region.F, region.g])], dtype=bool)
 
 
 def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: Deadline) -> Region:
@@ -197,9 +192,9 @@ def _worth_testing(region: Region, R: Array, r: Array, deadline: Deadline) -> Ro
     """New rows without those that others make redundant."""
     F = np.vstack([region.F, R])
     g = np.append(region.g, r)
-    radius, middle = inscribed_ball(F, g, cap=1.0)
-    if radius <= FLAT:
+    ball = largest_ball(F, g)
+    if ball.radius <= FLAT:
         return R, r
-    kept = needed_rows(F, g - F @ middle, deadline)
+    kept = needed_rows(F, g - F @ ball.centre, deadline)
     new = kept[kept >= len(region.g)] - len(region.g)
     return R[new], r[new]

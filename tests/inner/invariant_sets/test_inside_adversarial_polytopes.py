@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from invariant_sets.exact_programs import exact_optimum
-from invariant_sets.linear_programs import inscribed_ball, minimise
+from invariant_sets.checked_optima import exact_optimum
+from invariant_sets.linear_programs import largest_ball, minimise
 
 
 def test_programs_in_rationals_agree_with_highs():
@@ -53,4 +53,4 @@ def test_verdicts_of_linear_programs_are_confirmed():
     assert minimise(np.array([0, -1.0, 0]), slab, -np.ones(2)) == (np.inf, None)
     assert minimise(np.zeros(3), slab, -np.ones(2)) == (np.inf, None)
     assert minimise(np.zeros(2), np.zeros((0, 2)), np.zeros(0))[0] == 0.0
-    assert inscribed_ball(slab, -np.ones(2), cap=1.0)[0] == pytest.approx(-1.0)
+    assert largest_ball(slab, -np.ones(2)).radius == pytest.approx(-1.0)

@@ -5,13 +5,14 @@ import pytest
 from scipy.linalg import expm
 
 from invariant_sets import Polytope, Status, maximal_control_invariant_set
-from invariant_sets.control_invariant import Options, control_task
 from invariant_sets.engine import invariance
 from invariant_sets.engine.inner_sets import predecessor_of
 from invariant_sets.engine.local_problem import localise
-from invariant_sets.engine.recursion import Caps, iterate
+from invariant_sets.engine.recursion import Limits, iterate
+from invariant_sets.maximal_sets import as_limits
+from invariant_sets.system_checks import checked_system
 from invariant_sets.time_limits import TimeLimitReached
-from invariant_sets.tolerances import STOP
+from invariant_sets.tolerances import GAP
 
 
 def chain(k, dt):
@@ -28,8 +29,8 @@ def chain(k, dt):
 def problem_of(A, B):
     """The local problem of the largest control invariant set, and where its recursion starts."""
     X = Polytope.from_bounds(-np.ones(len(A)), np.ones(len(A)))
-    task = control_task(A, B, X, (-0.2, 0.2), Options())
-    problem = localise(task.system, X, task.U, invariance._extent(X)).problem
+    system, X, U = checked_system(A, B, X, (-0.2, 0.2), None, None)
+    problem = localise(system, X, U, invariance._extent(X))
     return problem, invariance._start(problem, X)
 
 
@@ -50,10 +51,10 @@ def stopping(predecessor, steps):
 @pytest.mark.parametrize("plant", [(1, 0.3), (2, 0.5)])
 def test_a_recursion_that_was_stopped_goes_on_where_it_was(plant, iterations, stop):
     problem, start = problem_of(*chain(*plant))
-    caps = Caps(STOP, iterations, 1000)
-    whole = iterate(start, predecessor_of(problem), caps)
-    stopped = iterate(start, stopping(predecessor_of(problem), stop), caps)
-    continued = invariance._continued(problem, stopped, caps)
+    limits = Limits(0.0, iterations, 1000)
+    whole = iterate(start, predecessor_of(problem), limits)
+    stopped = iterate(start, stopping(predecessor_of(problem), stop), limits)
+    continued = invariance._continued(problem, stopped, limits)
     assert continued.iterations == whole.iterations <= iterations
     assert continued.converged == whole.converged
     assert continued.limit is whole.limit
@@ -69,12 +70,12 @@ def test_only_the_fresh_rows_are_asked_for_again():
         asked.append(None if fresh is None else int(fresh.sum()))
         return predecessor_of(problem)(target, fresh)
 
-    caps = Caps(STOP, 4, 1000)
-    iterate(start, rows, caps)
+    limits = Limits(0.0, 4, 1000)
+    iterate(start, rows, limits)
     unbroken = asked.copy()
     asked.clear()
-    stopped = iterate(start, stopping(predecessor_of(problem), 2), caps)
-    iterate(stopped.region, rows, Caps(STOP, 2, 1000), stopped.fresh)
+    stopped = iterate(start, stopping(predecessor_of(problem), 2), limits)
+    iterate(stopped.region, rows, Limits(0.0, 2, 1000), fresh=stopped.fresh)
     assert asked == unbroken[2:]
 
 
@@ -89,7 +90,8 @@ def test_the_search_for_a_reserve_ends_before_the_limit_and_is_made_once(time_li
         return feedback_sets(problem, region, limits)
 
     monkeypatch.setattr(invariance, "feedback_sets", recorded)
-    task = control_task(A, B, (-1, 1), (-0.2, 0.2), Options(time_limit=time_limit))
+    limits = as_limits(GAP, 500, 1000, time_limit)
+    task = invariance.Task(*checked_system(A, B, (-1, 1), (-0.2, 0.2), None, None), limits)
     result = invariance.largest_invariant_set(task)
     assert result.status is Status.TIME_LIMIT
     assert len(seen) <= 1
