@@ -39,8 +39,9 @@ class Derivatives:
             chosen = piece.of_cost == of_cost
             if not chosen.any():
                 continue
-            (found,) = piece.mapped(piece.parts[of_cost], piece.gathered(self.v), piece.data)
-            values.append(ca.vec(found))
+            z, data = piece.symbols
+            part = ca.Function("part", [z, data], [piece.function(z, data)[listed(chosen)]], {"cse": True})
+            values.append(self._at_places(piece, part))
             rows.append(piece.rows[chosen].ravel(order="F"))
             factors.append(np.tile(piece.factors[chosen], piece.places))
         every = _joined(rows) - (not of_cost)
@@ -48,6 +49,11 @@ class Derivatives:
         shape = (1 if of_cost else self.m, len(every))
         gather = coo_array((weights, (every, np.arange(len(every)))), shape)
         return ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*values)))
+
+    def _at_places(self, piece: Piece, function: ca.Function, *columns: Any) -> Any:
+        """Column of what a function of a piece's unknowns, data and other columns gives at all its places."""
+        z = ca.reshape(self.v[piece.unknowns.ravel(order="F").tolist()], *piece.unknowns.shape)
+        return ca.vec((function.map(piece.places) if piece.places > 1 else function)(z, piece.data, *columns))
 
     @cached_property
     def values(self) -> ca.Function:
@@ -73,9 +79,7 @@ class Derivatives:
                 z, data = piece.symbols
                 value = piece.function(z, data)[listed(chosen)]
                 slope: Any = ca.jacobian(value * ca.DM(piece.factors[chosen]), z)
-                function = _compact("slope", [z, data], slope)
-                (found,) = piece.mapped(function, piece.gathered(self.v), piece.data)
-                parts[k].append(ca.vec(found))
+                parts[k].append(self._at_places(piece, _compact("slope", [z, data], slope)))
                 row, column = _places(slope)
                 places[k].append((piece.rows[chosen][row].ravel(order="F"), piece.unknowns[column].ravel(order="F")))
         gradient = self._assembled(parts[0], places[0], (1, self.n), 0)
@@ -96,10 +100,8 @@ class Derivatives:
             curvature = ca.triu(ca.hessian(value, z)[0])
             if not curvature.nnz():
                 continue
-            function = _compact("curvature", [z, data, weights], curvature)
             given = ca.reshape(all_of_them[piece.rows.ravel(order="F").tolist()], *piece.rows.shape)
-            (found,) = piece.mapped(function, piece.gathered(self.v), piece.data, given)
-            parts.append(ca.vec(found))
+            parts.append(self._at_places(piece, _compact("curvature", [z, data, weights], curvature), given))
             row, column = _places(curvature)
             pair = np.sort([piece.unknowns[row], piece.unknowns[column]], axis=0)
             places.append((pair[0].ravel(order="F"), pair[1].ravel(order="F")))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -250,19 +249,12 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
     )  # fmt: skip
 
 
-def starts(program: NonlinearProgram, stopped: Array, lower: Array, upper: Array) -> Iterator[Array]:
-    """Starts of a search for the least violation."""
-    yield stopped
-    yield np.clip(program.guess, lower, upper)
-    yield shaken(program, lower, upper)
-
-
-def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0) -> Array:
+def shaken(program: NonlinearProgram, seed: int = 0) -> Array:
     """Guess with each state and input moved along a line."""
     random = np.random.default_rng(seed)
-    move = random.uniform(-SHAKEN, SHAKEN, len(lower))
+    move = random.uniform(-SHAKEN, SHAKEN, len(program.lower))
     for part in program.parts:
         of, fractions = part.coordinates
         begin, rise = random.uniform(-SHAKEN, SHAKEN, (2, part.layout.nx + part.layout.nu))
         move[part.first : part.last] = begin[of] + rise[of] * fractions
-    return np.clip(program.guess + move * program.scale, lower, upper)
+    return np.clip(program.guess + move * program.scale, program.lower, program.upper)

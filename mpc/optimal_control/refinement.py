@@ -90,7 +90,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
                 break
             program = build(program.problem, scheme, meshes=[_halved(part.mesh) for part in program.parts])
             run.left = meshes - 1
-            moved = replace(program, guess=shaken(program, program.lower, program.upper, seed))
+            moved = replace(program, guess=shaken(program, seed))
             other, ended = run.refined(run.solved(moved, None))
             if other.solved_on_mesh and (not solution.solved_on_mesh or run.missed(other) < run.missed(solution)):
                 solution, reason = other, ended
