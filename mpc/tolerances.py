@@ -223,7 +223,6 @@ COST_ROUNDING = 1e-6  # Error of the cost, in sizes of the cost or of its slope,
 RESTING_STATE = 1e-6  # Extent of a state, beside what its rate makes of it over the phase, that is rounding [-]
 LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violation, at which limits are checked
 CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
-DIFFERENCE = 1e-6  # Slopes of limits are differences over this part of the extents of states and inputs [-]
 LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
 MESH_SAFETY = 0.05  # Part of the tolerance that new intervals aim at [-]
 MOST_PARTS = 6  # Parts at most that an interval is cut into at once

@@ -14,14 +14,7 @@ from mpc.optimal_control.pieces import Numbers, Piece, listed
 
 
 class Derivatives:
-    """Functions of the unknowns v (n,), assembled from pieces.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-    unknowns, constraints : int
-        n and m.
-    """
+    """Cost f and constraints g (m,) of the unknowns v (n,), assembled from pieces, and their derivatives."""
 
     def __init__(self, pieces: Sequence[Piece], unknowns: int, constraints: int) -> None:
         self.pieces = merged(pieces)
@@ -48,7 +41,7 @@ class Derivatives:
         weights = np.concatenate([np.zeros(0), *factors])
         shape = (1 if of_cost else self.m, len(every))
         gather = coo_array((weights, (every, np.arange(len(every)))), shape)
-        return ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*values)))
+        return ca.densify(ca.mtimes(ca.DM(csc_array(gather)), ca.vertcat(*values)))
 
     def _at_places(self, piece: Piece, function: ca.Function, *columns: Any) -> Any:
         """Column of what a function of a piece's unknowns, data and other columns gives at all its places."""
@@ -116,7 +109,7 @@ class Derivatives:
         cells, where = np.unique(order, return_inverse=True)
         gather = coo_array((np.ones(len(where)), (where, np.arange(len(where)))), (len(cells), len(where)))
         pattern = ca.Sparsity.triplet(*shape, (cells % shape[0]).tolist(), (cells // shape[0]).tolist())
-        return ca.MX(pattern, ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*parts))))
+        return ca.MX(pattern, ca.densify(ca.mtimes(ca.DM(csc_array(gather)), ca.vertcat(*parts))))
 
     @cached_property
     def scaled(self) -> tuple[Any, dict[str, ca.Function]]:
@@ -162,14 +155,6 @@ def _places(matrix: Any) -> tuple[Numbers, Numbers]:
 def _joined(parts: list[Any]) -> Numbers:
     """Numbers one after the other."""
     return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-
-
-def _dm(matrix: Any) -> ca.DM:
-    """CasADi's copy of a sparse matrix."""
-    columns = csc_array(matrix)
-    rows, count = map(int, columns.shape)
-    pattern = ca.Sparsity(rows, count, columns.indptr.tolist(), columns.indices.tolist())
-    return ca.DM(pattern, columns.data)
 
 
 def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:

@@ -21,27 +21,14 @@ from mpc.tolerances import SHAKEN, VANISHING
 
 @dataclass(frozen=True)
 class Rows:
-    """Constraints of one kind.
-
-    Attributes
-    ----------
-    name : str
-    phase : int
-        Which one; −1 for what all share.
-    first, last : int
-        Rows first … last − 1.
-    fractions : (last − first,) array
-        Of the phase at which each stands.
-    entries : tuple of str
-        What each row of one point is called, after which they repeat.
-    """
+    """Constraints of one kind: rows first … last − 1."""
 
     name: str
-    phase: int
+    phase: int  # which one; −1 for what all share
     first: int
     last: int
-    fractions: Array
-    entries: tuple[str, ...]
+    fractions: Array  # (last − first,): of the phase, at which each stands
+    entries: tuple[str, ...]  # what each row of one point is called, after which they repeat
 
 
 @dataclass(frozen=True, eq=False)

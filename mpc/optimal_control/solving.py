@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
+from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
 from mpc.optimal_control.ipopt import Found, Settings, once
@@ -76,13 +77,10 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
 
 def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
     """Settings of a call, checked."""
-    number = as_floats("tolerance", tolerance)
-    if number.ndim or not 0 < number < 1:
-        raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
     if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
     most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
-    return Settings(float(number), most, limit, dict(options or {}))
+    return Settings(as_share("tolerance", tolerance), most, limit, dict(options or {}))
 
 
 class _Run:
