@@ -199,20 +199,19 @@ QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are check
 # ---- optimal control: solving ----
 TINY = 2.0**-1022  # Smallest normal number of double precision, a divisor that stands for zero
 DIVERGED = 1e13  # Scaled unknown beyond which Ipopt calls its iterates diverging [-]
-OPTIMAL = 1e-5  # Residual of the optimality conditions, scaled by the size of multipliers, of an optimum [-]
+OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipliers or terms, of an optimum [-]
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
 CHEAPER = 1e-6  # Part of the cost by which another stationary point has to be cheaper to be the better one [-]
 BOTTOMLESS = 1e12  # Negative cost, in sizes of the cost at the guess, from which on the cost has no lower bound [-]
 USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says otherwise
 LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
-VANISHING = 1e-6  # Size of an unknown, beside the size assumed, that a solver leaves of zero [-]
+VANISHING = 1e-6  # Size of an unknown, beside the one that it would have, that a solver leaves of zero [-]
 SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
 IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
-SAME_BOUND = 1e-6  # Distance of two bounds, in sizes of their unknown, up to which they count as one [-]
+AT_BOUND = 1e-6  # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]
 NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
 SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
 SPREAD_ROUNDING = 1e-12  # Part of the squared costs added to their variance: the spread of equal costs has a slope [-]
-SPREAD_FLOOR = 1e-300  # Least variance of costs, which keeps its root differentiable [cost²]
 
 # ---- optimal control: meshes ----
 HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
@@ -220,7 +219,6 @@ LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a s
 COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
 COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
 COST_ROUNDING = 1e-6  # Error of the cost, in sizes of the cost or of its slope, that is rounding [-]
-RESTING_STATE = 1e-6  # Extent of a state, beside what its rate makes of it over the phase, that is rounding [-]
 LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violation, at which limits are checked
 CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
 LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
@@ -230,7 +228,6 @@ JUMP_PLACE = 0.1  # Precision to which the place of a jump is known, in roots of
 JUMP_SHARE = 0.5  # Part of an input's range that, crossed within one interval, makes a jump [-]
 LEAST_INTERVAL = 1e-9  # Part of the phase below which no interval is cut [-]
 SHARPER = 1e-3  # Factor of the solver's tolerance where inputs may jump: short intervals weigh little in the cost [-]
-INPUT_AT_BOUND = 1e-6  # Distance from a bound, in ranges of the input, at which an input is at it [-]
 MESH_GAIN = 0.8  # Part of what the mesh before missed below which a finer mesh has helped [-]
 MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after which none is made
 JUMPED_LIMIT = 1e-2  # Relative violation that a finer mesh does not lower where the trajectory jumps over a limit [-]
@@ -245,7 +242,6 @@ KKT_CONDITION = 1e13  # Condition of the KKT system, in scaled unknowns, above w
 # ---- nonlinear MPC ----
 AT_REST = 1e-9  # Move of a state in a step, in its size, up to which it is at rest [-]
 SQP_CONVERGED = 1e-7  # Gaps in sizes of the states, and relative stationarity, at which a plan is an optimum [-]
-SQP_REPORTED = 1e-5  # Gaps in sizes of the states, and relative stationarity, above which a plan is INACCURATE [-]
 SHORTEST_STEP = 2.0**-10  # Least part of a step that is tried [-]
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
 MERIT_ROUNDING = 1e-12  # Part of the merit that is rounding [-]

@@ -7,7 +7,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram
-from mpc.tolerances import IN_THE_WAY, NAMED_ROWS, SAME_BOUND
+from mpc.tolerances import AT_BOUND, IN_THE_WAY, NAMED_ROWS
 
 
 def of_phase(program: NonlinearProgram, phase: int) -> str:
@@ -140,7 +140,7 @@ def _bound(program: NonlinearProgram, i: int, weight: float, value: float) -> st
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
     """Side and value of the bound that a multiplier belongs to."""
     low, high = program.lower[i], program.upper[i]
-    if high - low <= SAME_BOUND * program.scale[i]:
+    if high - low <= AT_BOUND * program.scale[i]:
         return f"= {high:.6g}"
     bound = high if weight > 0 else low
     if abs(bound - value) > IN_THE_WAY * program.scale[i]:

@@ -45,11 +45,6 @@ class Piece:
         return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
 
 
-def listed(chosen: NDArray[np.bool_]) -> list[int]:
-    """Numbers of the chosen entries."""
-    return [int(i) for i in np.flatnonzero(chosen)]
-
-
 def kind_of(*functions: ca.Function | None) -> Any:
     """SX where all functions have scalar instructions, else MX."""
     return ca.SX if all(function is None or function.is_a("SXFunction") for function in functions) else ca.MX

@@ -22,7 +22,7 @@ from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import (
-    INPUT_AT_BOUND,
+    AT_BOUND,
     JUMP_PLACE,
     JUMP_SHARE,
     JUMPED_LIMIT,
@@ -187,7 +187,7 @@ def _reach_bounds(solution: Solution) -> bool:
     """Whether inputs reach their bounds."""
     for phase in solution.phases:
         low, high = phase.part.phase.u_bounds
-        room = INPUT_AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
+        room = AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
         if phase.inputs.size and ((phase.inputs <= low + room) | (phase.inputs >= high - room)).any():
             return True
     return False
