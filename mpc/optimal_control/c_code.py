@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
@@ -35,19 +36,25 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
         }.items()
     }  # fmt: skip
     x, states, inputs, w, p, x_ref, u_ref, last = arguments.values()
+    box = box_of(*law.input_rows)
+    if box is None:
+        raise InputError("U", "a polytope that is no box", "bounds of the inputs", "Give U as (lower, upper) for C.")
     end = u_ref[:, -1] - ca.DM(gain_at_rest(law)) @ (states[:, -1] - x_ref[:, -1])
-    now = ca.horzcat(inputs[:, 1:], _held(law, end, inputs[:, -1]))
+    end = ca.fmin(ca.fmax(end, box[0]), box[1])
+    if limited:
+        end = ca.fmin(ca.fmax(end, inputs[:, -1] - law.rate_limit), inputs[:, -1] + law.rate_limit)
+    now = ca.horzcat(inputs[:, 1:], end)
     at = ca.horzcat(states[:, 1:], model.step(states[:, -1], now[:, -1], w[:, -1], p))
     columns = [column for column in (at[:, :-1], now, w, ca.repmat(p, 1, N)) if not column.is_empty()]
     after, A, B = _of_columns(model.derivatives).map(N)(*columns)
-    data = _program(law)
+    data, moves = _program(law, *box)
     h, g, a, low, high, least = data(x, at, now, after - at[:, 1:], A, B, x_ref, u_ref, last if limited else 0)
     arguments["multipliers"] = given = ca.MX.sym("multipliers", g.numel() + low.numel())
     solver = ca.conic("program", "qrqp", {"h": data.sparsity_out(0), "a": data.sparsity_out(2)}, {
         "print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False, "max_iter": 1000,
     })  # fmt: skip
     found = solver(h=h, g=g, a=a, lba=low, uba=high, lbx=least, lam_x0=given[: g.numel()], lam_a0=given[g.numel() :])
-    d, v = _moves(law, found["x"])
+    d, v = moves(found["x"])
     kept = {name: value for name, value in arguments.items() if not value.is_empty()}
     results = [at + d, now + v, ca.vertcat(found["lam_x"], found["lam_a"])]
     names = ["new_states", "new_inputs", "new_multipliers"]
@@ -79,100 +86,60 @@ def _of_columns(function: ca.Function) -> ca.Function:
     return ca.Function(name, list(kept.values()), results, list(kept), names)
 
 
-def _held(law: LinearMPC, wanted: Any, last: Any) -> Any:
-    """Input within U, a box, and within the rate limit."""
-    low, high = _box(law)
-    held = ca.fmin(ca.fmax(wanted, low), high)
-    if law.rate_limit is None:
-        return held
-    return ca.fmin(ca.fmax(held, last - law.rate_limit), last + law.rate_limit)
-
-
-def _box(law: LinearMPC) -> tuple[Any, Any]:
-    """Bounds of the inputs."""
-    box = box_of(*law.input_rows)
-    if box is None:
-        raise InputError("U", "a polytope that is no box", "bounds of the inputs", "Give U as (lower, upper) for C.")
-    return box
-
-
-def _sizes(law: LinearMPC) -> tuple[Any, Any, int]:
-    """Sizes of states and inputs, and the number of slacks."""
-    hard = len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0
-    inputs = np.where(law.input_extent > 0, law.input_extent, 1.0)
-    return law.state_extent, inputs, law.horizon if hard else 0
-
-
-def _moves(law: LinearMPC, z: Any) -> tuple[Any, Any]:
-    """Moves (nx, N + 1) and (nu, N) from scaled unknowns."""
-    size_x, size_u, slacks = _sizes(law)
-    d, v, _ = _split(law, z, slacks)
-    return ca.diag(size_x) @ d, ca.diag(size_u) @ v
-
-
-def _split(law: LinearMPC, z: Any, slacks: int) -> tuple[Any, Any, Any]:
-    """Unknowns of all stages by their kind."""
+def _program(law: LinearMPC, lowest: Array, highest: Array) -> tuple[ca.Function, ca.Function]:
+    """Scaled data of the QP along a plan; moves (nx, N + 1) and (nu, N) of the plan from its unknowns."""
     nx, nu, N = law.nx, law.nu, law.horizon
-    width = nx + nu + (1 if slacks else 0)
-    stages = ca.reshape(z[: width * N], width, N)
-    d = ca.horzcat(stages[:nx, :], z[width * N :])
-    return d, stages[nx : nx + nu, :], stages[nx + nu :, :]
-
-
-def _program(law: LinearMPC) -> ca.Function:
-    """Scaled data of the QP along a plan."""
-    nx, nu, N = law.nx, law.nu, law.horizon
-    size_x, size_u, slacks = _sizes(law)
+    size_x, size_u = law.state_extent, np.where(law.input_extent > 0, law.input_extent, 1.0)
+    slacks = N if len(law.state_rows[1]) + len(law.terminal_rows[1]) else 0
     sym = ca.SX.sym
     x, at, now, gaps = sym("x", nx), sym("at", nx, N + 1), sym("now", nu, N), sym("gaps", nx, N)
     A, B = sym("A", nx, nx * N), sym("B", nx, nu * N)
     x_ref, u_ref, last = sym("x_ref", nx, N + 1), sym("u_ref", nu, N), sym("last", nu)
-    z = sym("z", N * (nx + nu + (1 if slacks else 0)) + nx)
-    d, v, s = _split(law, z, slacks)
-    d, v = ca.diag(size_x) @ d, ca.diag(size_u) @ v
+    width = nx + nu + (1 if slacks else 0)
+    z = sym("z", width * N + nx)
+    stages = ca.reshape(z[: width * N], width, N)
+    d = ca.diag(size_x) @ ca.horzcat(stages[:nx, :], z[width * N :])
+    v, s = ca.diag(size_u) @ stages[nx : nx + nu, :], stages[nx + nu :, :]
     now_cost, cost = (_cost(law, at + i * d - x_ref, now + i * v - u_ref) for i in (0, 1))
     soft = law.soft if law.soft is not None else (ca.fmax(VIOLATION_PRICE * now_cost, TINY),) * 2
     for k in range(slacks):
         cost += soft[0] * s[k] + soft[1] * s[k] ** 2
-    rows = [(at[:, 0] + d[:, 0] - x) / size_x]
-    low, high = [np.zeros(nx)], [np.zeros(nx)]
+    rows: list[Any] = []
+    low: list[Array] = []
+    high: list[Array] = []
 
     def keep(value: Any, least: Any, most: Any) -> None:
         rows.append(value)
         low.append(np.broadcast_to(least, value.shape[0]))
         high.append(np.broadcast_to(most, value.shape[0]))
 
-    least_u, most_u = _box(law)
+    keep((at[:, 0] + d[:, 0] - x) / size_x, 0.0, 0.0)
     for k in range(N):
         then = A[:, k * nx : (k + 1) * nx] @ d[:, k] + B[:, k * nu : (k + 1) * nu] @ v[:, k] + gaps[:, k]
         keep((then - d[:, k + 1]) / size_x, 0.0, 0.0)
-        keep((now[:, k] + v[:, k]) / size_u, least_u / size_u, most_u / size_u)
+        keep((now[:, k] + v[:, k]) / size_u, lowest / size_u, highest / size_u)
         if law.rate_limit is not None:
             before = now[:, k - 1] + v[:, k - 1] if k else last
             keep((now[:, k] + v[:, k] - before) / law.rate_limit, -1.0, 1.0)
         sets = [("state", law.state_rows)] + ([("terminal", law.terminal_rows)] if k == N - 1 else [])
         for kind, (H, right) in sets:
             if len(right):
-                unit = law.price_units[kind]
-                over = (ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / unit - s[k]
+                over = (ca.DM(H) @ (at[:, k + 1] + d[:, k + 1]) - right) / law.price_units[kind] - s[k]
                 keep(over, -np.inf, 0.0)
     scale = float(size_u @ law.R @ size_u) + float(size_x @ law.Q @ size_x) or 1.0
     everything = ca.vertcat(*rows)
     curvature, g = ca.hessian(cost / scale, z)
     at_zero = [ca.substitute(value, z, ca.DM.zeros(z.numel())) for value in (g, everything)]
-    a = ca.jacobian(everything, z)
     arguments = [x, at, now, gaps, A, B, x_ref, u_ref, last]
     sides = [ca.DM(np.concatenate(side)) - at_zero[1] for side in (low, high)]
     smallest = np.full(z.numel(), -np.inf)
-    smallest[[k * (nx + nu + 1) + nx + nu for k in range(slacks)]] = 0.0
-    return ca.Function("data", arguments, [curvature, at_zero[0], a, *sides, ca.DM(smallest)], {"cse": True})
+    smallest[[k * width + nx + nu for k in range(slacks)]] = 0.0
+    results: list[Any] = [curvature, at_zero[0], ca.jacobian(everything, z), *sides, ca.DM(smallest)]
+    return ca.Function("data", arguments, results, {"cse": True}), ca.Function("moves", [z], [d, v])
 
 
 def _cost(law: LinearMPC, error: Any, effort: Any) -> Any:
     """Cost of deviations from the references."""
-    cost = ca.bilin(law.P, error[:, -1], error[:, -1])
-    for k in range(law.horizon):
-        cost += ca.bilin(law.Q, error[:, k], error[:, k]) + ca.bilin(law.R, effort[:, k], effort[:, k])
-        if law.S is not None:
-            cost += 2 * ca.dot(error[:, k], ca.DM(law.S) @ effort[:, k])
-    return cost
+    along = error[:, :-1]
+    cost = ca.bilin(law.P, error[:, -1]) + ca.dot(along, ca.DM(law.Q) @ along) + ca.dot(effort, ca.DM(law.R) @ effort)
+    return cost if law.S is None else cost + 2 * ca.dot(along, ca.DM(law.S) @ effort)

@@ -53,13 +53,8 @@ def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> t
 def responses(A: Array, B: Array, gains: Array, gaps: Array, first: Array) -> tuple[Array, Array, Array, Array]:
     """Responses (N + 1, nx, N nu), (N, nu, N nu) to v, du = v - K dx, and v = 0.
 
-    Parameters
-    ----------
-    A, B, gains : (N, nx, nx), (N, nx, nu) and (N, nu, nx) arrays
-    gaps : (N, nx) array
-        Added to every next state.
-    first : (nx,) array
-        dx_0.
+    `A` (N, nx, nx), `B` (N, nx, nu) and `gains` (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the
+    next states, and dx_0 is `first` (nx,).
     """
     N, nx, nu = B.shape
     by_state = np.zeros((N + 1, nx, N * nu))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -10,18 +10,11 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import coo_array, csc_array
 
-from mpc.optimal_control.pieces import Numbers, Piece, listed
+from mpc.optimal_control.pieces import Numbers, Piece
 
 
 class Derivatives:
-    """Functions of the unknowns v (n,), assembled from pieces.
-
-    Parameters
-    ----------
-    pieces : sequence of Piece
-    unknowns, constraints : int
-        n and m.
-    """
+    """Cost f and constraints g (m,) of the unknowns v (n,), assembled from pieces, and their derivatives."""
 
     def __init__(self, pieces: Sequence[Piece], unknowns: int, constraints: int) -> None:
         self.pieces = merged(pieces)
@@ -32,22 +25,50 @@ class Derivatives:
         self.f: ca.MX = self._gathered(True)
         self.g: ca.MX = self._gathered(False)
 
-    def _gathered(self, of_cost: bool) -> Any:
-        """Expression of f or g as the sum of its values."""
-        values, rows, factors = [ca.MX(0, 1)], [], []
+    def _values(self, of_cost: bool) -> Iterator[tuple[Piece, list[Any], Any, Numbers]]:
+        """Pieces with their symbols, their values in the cost or the constraints, and the rows (k, M) of these."""
         for piece in self.pieces:
             chosen = piece.of_cost == of_cost
-            if not chosen.any():
+            if chosen.any():
+                z, data = piece.symbols
+                value = piece.function(z, data)[np.flatnonzero(chosen).tolist()]
+                yield piece, [z, data], value * ca.DM(piece.factors[chosen]), piece.rows[chosen] - (not of_cost)
+
+    def _gathered(self, of_cost: bool) -> Any:
+        """Expression of f or g as the sum of its values."""
+        first = np.zeros((1, 1), dtype=np.int64)
+        terms = ((piece, own, value, rows, first) for piece, own, value, rows in self._values(of_cost))
+        return ca.densify(self._summed((1 if of_cost else self.m, 1), terms))
+
+    def _slope(self, of_cost: bool) -> Any:
+        """Expression of ∂f/∂v or ∂g/∂v."""
+        terms = (
+            (piece, own, ca.jacobian(value, own[0]), rows, piece.unknowns)
+            for piece, own, value, rows in self._values(of_cost)
+        )
+        return self._summed((1 if of_cost else self.m, self.n), terms)
+
+    def _summed(self, shape: tuple[int, int], terms: Iterable[tuple[Any, ...]], *, upper: bool = False) -> Any:
+        """Sparse matrix that is a sum of matrices of pieces.
+
+        Terms are a piece, its symbols, a matrix of these, the rows (·, M) and columns (·, M) of the sum that it is
+        added to, mirrored into the upper triangle if asked for, and values of symbols besides z and data.
+        """
+        parts, places = [ca.MX(0, 1)], [np.zeros((2, 0), dtype=np.int64)]
+        for piece, symbols, matrix, rows, columns, *given in terms:
+            if not matrix.nnz():
                 continue
-            (found,) = piece.mapped(piece.parts[of_cost], piece.gathered(self.v), piece.data)
-            values.append(ca.vec(found))
-            rows.append(piece.rows[chosen].ravel(order="F"))
-            factors.append(np.tile(piece.factors[chosen], piece.places))
-        every = _joined(rows) - (not of_cost)
-        weights = np.concatenate([np.zeros(0), *factors])
-        shape = (1 if of_cost else self.m, len(every))
-        gather = coo_array((weights, (every, np.arange(len(every)))), shape)
-        return ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*values)))
+            function = ca.Function("entries", symbols, [ca.densify(matrix.nz[:])], {"cse": True})
+            z = ca.reshape(self.v[piece.unknowns.ravel(order="F").tolist()], *piece.unknowns.shape)
+            parts.append(ca.vec((function.map(piece.places) if piece.places > 1 else function)(z, piece.data, *given)))
+            row, column = matrix.sparsity().get_triplet()
+            pair = np.stack(np.broadcast_arrays(rows[row], columns[column]))
+            places.append((np.sort(pair, axis=0) if upper else pair).transpose(0, 2, 1).reshape(2, -1))
+        row, column = np.hstack(places)
+        cells, where = np.unique(column * shape[0] + row, return_inverse=True)  # by columns, as CasADi keeps them
+        gather = coo_array((np.ones(len(where)), (where, np.arange(len(where)))), (len(cells), len(where)))
+        pattern = ca.Sparsity.triplet(*shape, (cells % shape[0]).tolist(), (cells // shape[0]).tolist())
+        return ca.MX(pattern, ca.densify(ca.mtimes(ca.DM(csc_array(gather)), ca.vertcat(*parts))))
 
     @cached_property
     def values(self) -> ca.Function:
@@ -64,57 +85,25 @@ class Derivatives:
     @cached_property
     def jacobian(self) -> tuple[ca.Function, ca.Function]:
         """Functions v → (f, ∇f) and v → (g, ∂g/∂v)."""
-        parts: tuple[list[Any], list[Any]] = ([ca.MX(0, 1)], [ca.MX(0, 1)])
-        places: tuple[list[Any], list[Any]] = ([], [])
-        for piece in self.pieces:
-            for k, chosen in enumerate((piece.of_cost, ~piece.of_cost)):
-                if not chosen.any():
-                    continue
-                z, data = piece.symbols
-                value = piece.function(z, data)[listed(chosen)]
-                slope: Any = ca.jacobian(value * ca.DM(piece.factors[chosen]), z)
-                function = _compact("slope", [z, data], slope)
-                (found,) = piece.mapped(function, piece.gathered(self.v), piece.data)
-                parts[k].append(ca.vec(found))
-                row, column = _places(slope)
-                places[k].append((piece.rows[chosen][row].ravel(order="F"), piece.unknowns[column].ravel(order="F")))
-        gradient = self._assembled(parts[0], places[0], (1, self.n), 0)
-        whole = self._assembled(parts[1], places[1], (self.m, self.n), 1)
-        of_cost = ca.Function("grad_f", [self.v], [self.f, ca.densify(gradient.T)])
-        return of_cost, ca.Function("jac_g", [self.v], [self.g, whole])
+        of_cost = ca.Function("grad_f", [self.v], [self.f, ca.densify(self._slope(True).T)])
+        return of_cost, ca.Function("jac_g", [self.v], [self.g, self._slope(False)])
 
     @cached_property
     def hessian(self) -> ca.Function:
         """Function v, σ, λ → upper triangle of the Hessian."""
         of_cost, multipliers = ca.MX.sym("of_cost"), ca.MX.sym("multipliers", self.m)
         all_of_them = ca.vertcat(of_cost, multipliers)
-        parts, places = [ca.MX(0, 1)], []
-        for piece in self.pieces:
+
+        def curved(piece: Piece) -> tuple[Any, ...]:
             z, data = piece.symbols
             weights = type(z).sym("weights", len(piece.factors))
             value = ca.dot(weights * ca.DM(piece.factors), piece.function(z, data))
-            curvature = ca.triu(ca.hessian(value, z)[0])
-            if not curvature.nnz():
-                continue
-            function = _compact("curvature", [z, data, weights], curvature)
             given = ca.reshape(all_of_them[piece.rows.ravel(order="F").tolist()], *piece.rows.shape)
-            (found,) = piece.mapped(function, piece.gathered(self.v), piece.data, given)
-            parts.append(ca.vec(found))
-            row, column = _places(curvature)
-            pair = np.sort([piece.unknowns[row], piece.unknowns[column]], axis=0)
-            places.append((pair[0].ravel(order="F"), pair[1].ravel(order="F")))
-        whole = self._assembled(parts, places, (self.n, self.n), 0)
-        return ca.Function("hess_lag", [self.v, of_cost, multipliers], [whole])
+            own = [z, data, weights]
+            return piece, own, ca.triu(ca.hessian(value, z)[0]), piece.unknowns, piece.unknowns, given
 
-    @staticmethod
-    def _assembled(parts: list[Any], places: list[Any], shape: tuple[int, int], first: int) -> Any:
-        """Sparse matrix of nonzeros added at their places, rows from `first`."""
-        rows, columns = (_joined([place[i] for place in places]) for i in range(2))
-        order = columns * shape[0] + rows - first  # by columns, as CasADi keeps them
-        cells, where = np.unique(order, return_inverse=True)
-        gather = coo_array((np.ones(len(where)), (where, np.arange(len(where)))), (len(cells), len(where)))
-        pattern = ca.Sparsity.triplet(*shape, (cells % shape[0]).tolist(), (cells // shape[0]).tolist())
-        return ca.MX(pattern, ca.densify(ca.mtimes(_dm(gather), ca.vertcat(*parts))))
+        whole = self._summed((self.n, self.n), map(curved, self.pieces), upper=True)
+        return ca.Function("hess_lag", [self.v, of_cost, multipliers], [whole])
 
     @cached_property
     def scaled(self) -> tuple[Any, dict[str, ca.Function]]:
@@ -145,31 +134,6 @@ class Derivatives:
         return {"x": z, "p": given, "f": f / c, "g": g / r}, functions
 
 
-def _compact(name: str, symbols: list[Any], matrix: Any) -> ca.Function:
-    """Nonzeros of a matrix as a function."""
-    dense = ca.densify(matrix.nz[:]) if matrix.nnz() else type(matrix)(0, 1)
-    return ca.Function(name, symbols, [dense], {"cse": True})
-
-
-def _places(matrix: Any) -> tuple[Numbers, Numbers]:
-    """Rows and columns of a matrix's nonzeros."""
-    rows, columns = matrix.sparsity().get_triplet()
-    return np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
-
-
-def _joined(parts: list[Any]) -> Numbers:
-    """Numbers one after the other."""
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-
-
-def _dm(matrix: Any) -> ca.DM:
-    """CasADi's copy of a sparse matrix."""
-    columns = csc_array(matrix)
-    rows, count = map(int, columns.shape)
-    pattern = ca.Sparsity(rows, count, columns.indptr.tolist(), columns.indices.tolist())
-    return ca.DM(pattern, columns.data)
-
-
 def merged(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
     """Pieces with those of one function and equal factors as one.
 
@@ -194,8 +158,6 @@ def _grouped(pieces: Sequence[Piece], key: Callable[[Piece], Any]) -> list[list[
 
 def _as_one(group: list[Piece]) -> Piece:
     """One piece at all places."""
-    if len(group) == 1:
-        return group[0]
     unknowns, data, rows = (np.hstack([getattr(one, name) for one in group]) for name in ("unknowns", "data", "rows"))
     return Piece(group[0].function, unknowns, data, rows, group[0].factors)
 

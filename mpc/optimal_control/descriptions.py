@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.pieces import Numbers
-from mpc.optimal_control.program import NonlinearProgram, Rows
-from mpc.tolerances import IN_THE_WAY, NAMED_ROWS, SAME_BOUND
-
-
-def rows_of(program: NonlinearProgram, row: int) -> Rows:
-    """Constraints of one kind that a row belongs to."""
-    return next(rows for rows in program.rows if rows.first <= row < rows.last)
+from mpc.optimal_control.program import NonlinearProgram
+from mpc.tolerances import AT_BOUND, IN_THE_WAY, NAMED_ROWS
 
 
 def of_phase(program: NonlinearProgram, phase: int) -> str:
@@ -22,45 +15,45 @@ def of_phase(program: NonlinearProgram, phase: int) -> str:
     return f" of phase {phase + 1}" if len(program.parts) > 1 and phase >= 0 else ""
 
 
-def of_linked_phase(program: NonlinearProgram, phase: int) -> str:
+def _of_linked_phase(program: NonlinearProgram, phase: int) -> str:
     """Text such as " of phase 2", where phases follow one another."""
     return of_phase(program, phase) if program.problem.linked else ""
 
 
-def limit_of_row(program: NonlinearProgram, row: int) -> str:
-    """Name of the limit of a row: "path 2"."""
-    rows = rows_of(program, row)
-    return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_linked_phase(program, rows.phase)}"
-
-
-def name_of_row(program: NonlinearProgram, row: int) -> str:
-    """Name of a constraint: "path 2 of phase 3"."""
-    rows = rows_of(program, row)
-    return f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_phase(program, rows.phase)}"
-
-
 def describe_row(program: NonlinearProgram, row: int, v: Array) -> str:
-    """Name and time of a constraint: "path 2 at t = 0.31"."""
-    rows = rows_of(program, row)
-    if rows.phase < 0:
-        return name_of_row(program, row)
-    start, length = program.times(v)[rows.phase]
-    return f"{name_of_row(program, row)} at t = {start + length * rows.fractions[row - rows.first]:.6g}"
+    """Name and time of a constraint: "path 2 of phase 3 at t = 0.31"."""
+    rows = next(rows for rows in program.rows if rows.first <= row < rows.last)
+    name = f"{rows.entries[(row - rows.first) % len(rows.entries)]}{of_phase(program, rows.phase)}"
+    return f"{name}{_when(program, rows.phase, rows.fractions[row - rows.first], v)}"
 
 
 def describe_unknown(program: NonlinearProgram, index: int, v: Array) -> str:
     """Name and time of an unknown: "bound of u1 at t = 0.31"."""
-    for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
+    name, phase, _, fraction = _unknown(program, index)
+    return f"bound of {name}{of_phase(program, phase)}{_when(program, phase, fraction, v)}"
+
+
+def _when(program: NonlinearProgram, phase: int, fraction: float, v: Array) -> str:
+    """Text such as " at t = 0.31" for a fraction of a phase, where there are both."""
+    if phase < 0 or np.isnan(fraction):
+        return ""
+    start, length = program.times(v)[phase]
+    return f" at t = {start + length * fraction:.6g}"
+
+
+def _unknown(program: NonlinearProgram, index: int) -> tuple[str, int, int, float]:
+    """Name of an unknown, its phase or −1, its coordinate there or −1, and its fraction of the phase or NaN."""
+    for k, part in enumerate(program.parts):
         if index == part.duration:
-            return f"bound of the duration{of_phase(program, k)}"
-        if not part.first <= index < part.last:
-            continue
-        own = index - part.first
-        numbers, fraction = part.coordinates
-        name = (*part.phase.state_names, *part.phase.input_names)[numbers[own]]
-        return f"bound of {name}{of_phase(program, k)} at t = {start + length * fraction[own]:.6g}"
+            return "the duration", k, -1, np.nan
+        if part.first <= index < part.last:
+            numbers, fractions = part.coordinates
+            number = int(numbers[index - part.first])
+            names = (*part.phase.state_names, *part.phase.input_names)
+            return names[number], k, number, float(fractions[index - part.first])
     own = index - program.parameters.start
-    return f"bound of {program.problem.p_names[own]}" if 0 <= own < program.problem.parameters else "cost of a scenario"
+    named = program.problem.p_names[own] if 0 <= own < program.problem.parameters else "the cost of a scenario"
+    return named, -1, -1, np.nan
 
 
 def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:
@@ -108,9 +101,9 @@ def _limits(program: NonlinearProgram, without: tuple[str, ...] = ()) -> dict[st
     for rows in program.rows:
         if rows.name in without:
             continue
-        for first in range(rows.first, rows.first + len(rows.entries)):
-            own = np.arange(first, rows.last, len(rows.entries))
-            found.setdefault(limit_of_row(program, first), []).append(own)
+        for i, entry in enumerate(rows.entries):
+            own = np.arange(rows.first + i, rows.last, len(rows.entries))
+            found.setdefault(f"{entry}{_of_linked_phase(program, rows.phase)}", []).append(own)
     return {name: np.concatenate(each) for name, each in found.items()}
 
 
@@ -118,7 +111,8 @@ def _bounds_in_the_way(program: NonlinearProgram, v: Array, on_bounds: Array) ->
     """Bounds with large multipliers, in words, the heaviest first."""
     weights = on_bounds[: len(v)] * program.scale
     groups: dict[str, float] = {}
-    for i, text in _texts(program, v, weights):
+    for i in np.flatnonzero(weights).tolist():
+        text = _bound(program, i, weights[i], v[i])
         groups[text] = groups.get(text, 0.0) + abs(weights[i])
     largest = max(groups.values(), default=0.0)
     held = [text for text, weight in groups.items() if weight > IN_THE_WAY * largest]
@@ -132,32 +126,21 @@ def _shortened(named: list[str], count: int, what: str) -> tuple[str, ...]:
     return (*named, f"and {more} more {what}{'s' * (more > 1)}") if more else tuple(named)
 
 
-def _texts(program: NonlinearProgram, v: Array, weights: Array) -> Iterator[tuple[int, str]]:
-    """Names of the bounds of unknowns with a multiplier."""
-    for k, part in enumerate(program.parts):
-        phase = of_linked_phase(program, k)
-        numbers, _ = part.coordinates
-        names = (*part.phase.state_names, *part.phase.input_names)
-        ends = {part.first: "start of ", part.last - part.layout.node: "end of "}
-        whole = part.phase.x_bounds
-        for i in range(part.first, part.last):
-            entry = numbers[i - part.first]
-            where = next((ends[i - n] for n in (entry,) if i - n in ends and entry < part.layout.nx), "")
-            if where and (program.lower[i], program.upper[i]) == (whole[0][entry], whole[1][entry]):
-                where = ""
-            if weights[i]:
-                yield i, f"{where}{names[entry]} {_side(program, i, weights[i], v[i])}{phase}"
-        if part.duration >= 0:
-            i = part.duration
-            yield i, f"duration {_side(program, i, weights[i], v[i])}{phase}"
-    for number, i in enumerate(range(program.parameters.start, program.parameters.stop)):
-        yield i, f"{program.problem.p_names[number]} {_side(program, i, weights[i], v[i])}"
+def _bound(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
+    """Bound of an unknown that a multiplier belongs to: "end of x1 = 3 of phase 2"."""
+    name, k, number, fraction = _unknown(program, i)
+    where = ""
+    if 0 <= number < program.parts[k].layout.nx:
+        low, high = program.parts[k].phase.x_bounds
+        if (program.lower[i], program.upper[i]) != (low[number], high[number]):
+            where = {0.0: "start of ", 1.0: "end of "}.get(fraction, "")
+    return f"{where}{name.removeprefix('the ')} {_side(program, i, weight, value)}{_of_linked_phase(program, k)}"
 
 
 def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
     """Side and value of the bound that a multiplier belongs to."""
     low, high = program.lower[i], program.upper[i]
-    if high - low <= SAME_BOUND * program.scale[i]:
+    if high - low <= AT_BOUND * program.scale[i]:
         return f"= {high:.6g}"
     bound = high if weight > 0 else low
     if abs(bound - value) > IN_THE_WAY * program.scale[i]:

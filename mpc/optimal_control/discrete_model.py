@@ -19,13 +19,7 @@ from mpc.tracking import sizes_of
 
 
 class Buffered:
-    """CasADi function of arrays, one row per column, with buffers per thread.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        With dense results.
-    """
+    """CasADi function with dense results, of arrays, one row per column, with buffers per thread."""
 
     def __init__(self, function: ca.Function) -> None:
         self.function = function
@@ -65,15 +59,7 @@ class Buffered:
 
 
 class DiscreteModel:
-    """x⁺ = f(x, u, w, p), evaluated along plans of N steps.
-
-    Parameters
-    ----------
-    step : casadi.Function
-        (x, u, w, p) → next state.
-    horizon : int
-        N.
-    """
+    """x⁺ = f(x, u, w, p), the function `step`, evaluated along plans of N steps, the `horizon`."""
 
     def __init__(self, step: ca.Function, horizon: int) -> None:
         self.step = step
@@ -85,9 +71,8 @@ class DiscreteModel:
         self.derivatives = ca.Function(
             "derivatives", columns, [value, *derivatives[:2]], names, ["next", "A", "B"], {"cse": True}
         )
-        by_disturbance = ca.Function("by_disturbance", columns, [derivatives[2]], {"cse": True})
         self._at = Buffered(self.derivatives)
-        self._by_disturbance = Buffered(by_disturbance)
+        self._by_disturbance = Buffered(ca.Function("by_disturbance", columns, [derivatives[2]], {"cse": True}))
         self._linearised = Buffered(self.derivatives.map("linearised", "serial", horizon, [3], []))
         self._along = Buffered(step.map("along", "serial", horizon, [3], []))
         self._one = Buffered(step)
@@ -155,14 +140,8 @@ class DiscreteModel:
     ) -> tuple[Array, Array]:  # fmt: skip
         """States (N + 1, nx) and inputs (N, nu) under limited u = v - K(x - s).
 
-        Parameters
-        ----------
-        last : (nu,) array
-            The input one step ago.
-        states, inputs, gains : (N + 1, nx), (N, nu) and (N, nu, nx) arrays
-            s, v and K.
-        limits : three (nu,) arrays
-            Least and largest input, and its largest change.
+        `last` (nu,) is the input one step ago; s, v and K are `states` (N + 1, nx), `inputs` (N, nu) and `gains`
+        (N, nu, nx); `limits` are the least and largest input and its largest change, (nu,) each.
         """
         N, nu, nx = gains.shape
         start = np.concatenate([x, last])

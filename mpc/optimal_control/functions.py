@@ -19,22 +19,9 @@ Statement = Callable[..., Any]
 def compiled(argument: str, given: Any, sizes: dict[str, int], rows: int | None = None) -> ca.Function:
     """Function of columns from a Python function or a `casadi.Function`.
 
-    Parameters
-    ----------
-    argument : str
-        What an error calls it.
-    given : callable
-        Its arguments are named after what it gets, in any order; those of a `casadi.Function` without names
-        (i0, i1, …) are the first of `sizes`.
-    sizes : dict of str to int
-        The columns there are, and their lengths.
-    rows : int, optional
-        Of its value; any number by default.
-
-    Returns
-    -------
-    casadi.Function
-        All columns → value (rows, 1), dense. Its instructions are scalar (SX) where CasADi can make them so.
+    Its arguments are named after what it gets of the columns in `sizes`, in any order; those of a `casadi.Function`
+    without names (i0, i1, …) are the first of them. The result takes all columns and returns a value (rows, 1), dense;
+    its instructions are scalar (SX) where CasADi can make them so. An error calls it `argument`.
 
     Raises
     ------
@@ -75,15 +62,22 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
         raise InputError(argument, f"{expression.numel()} rows", f"{rows}, a column ({rows}, 1)", cure)
     if not expression.numel():
         raise InputError(argument, "one that returns nothing", expected, cure)
-    strangers = [s for s in ca.symvar(expression) if not _is_of(s, columns)]
-    if strangers:
-        got = f"an expression of {', '.join(str(s) for s in strangers[:5])} besides"
+    named = list(columns.values()), [ca.densify(expression)], list(sizes), ["value"]
+    function = ca.Function(argument, *named, {"allow_free": True})
+    if function.has_free():
+        got = f"an expression of {', '.join(function.get_free()[:5])} besides"
         raise InputError(argument, got, f"an expression of {', '.join(sizes)} alone")
-    function = ca.Function(argument, list(columns.values()), [ca.densify(expression)], list(sizes), ["value"])
     if _has_nan(function):
         cure = "float(), math.sin and the like of a symbol are no number: use ca.sin and the like."
         raise InputError(argument, "an expression with a constant that is NaN", expected, cure)
     return function
+
+
+def slopes_of(function: ca.Function) -> ca.Function:
+    """Derivatives, column by column, of a function of x, u, … by x and u."""
+    columns = list(symbols_of(function).values())
+    slopes = ca.jacobian(function(*columns), ca.vertcat(*columns[:2]))
+    return ca.Function("slopes", columns, [ca.vec(ca.densify(slopes))])
 
 
 def symbols_of(function: ca.Function) -> dict[str, Any]:
@@ -133,13 +127,6 @@ def _as_column(argument: str, value: Any, kind: Any, expected: str) -> Any:
         return ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts))
     except Exception as error:
         raise InputError(argument, f"one that returns {brief(repr(value))}", expected) from error
-
-
-def _is_of(symbol: Any, columns: dict[str, Any]) -> bool:
-    """Whether a symbol belongs to one of the columns."""
-    if isinstance(symbol, ca.MX):
-        return any(ca.is_equal(symbol, column) for column in columns.values())
-    return any(ca.depends_on(column, symbol) for column in columns.values() if not column.is_empty())
 
 
 def _has_nan(function: ca.Function) -> bool:

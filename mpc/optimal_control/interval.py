@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.bounds import middle
+from mpc.optimal_control.functions import slopes_of
 from mpc.optimal_control.phase import Phase, PhaseFunctions, evaluated
 from mpc.optimal_control.schemes import MultipleShooting, Scheme
 
@@ -171,9 +171,7 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
     of its dynamics makes it; failing that, a state is as large as it moves over the phase.
     """
     times = phase.start_time + first_duration(phase) * mesh
-    columns = [ca.MX.sym(name, functions.dynamics.numel_in(i)) for i, name in enumerate("xuwpt")]
-    both = ca.jacobian(functions.dynamics(*columns), ca.vertcat(*columns[:2]))
-    slopes = evaluated(ca.Function("slopes", columns, [ca.vec(ca.densify(both))]), phase, x, u, times, parameters)
+    slopes = evaluated(slopes_of(functions.dynamics), phase, x, u, times, parameters)
     steep = np.abs(slopes).max(axis=0).reshape(-1, phase.states).T
     steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
     told = np.isfinite(sizes)

@@ -13,33 +13,24 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.plan import Residuals
-from mpc.tolerances import DIVERGED, FEASIBLE
+from mpc.tolerances import DIVERGED, FEASIBLE, USUAL_ITERATIONS
 
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of one call.
-
-    Attributes
-    ----------
-    tolerance : float
-    iterations : int
-        At most.
-    seconds : float
-        At most; infinite where there is no limit.
-    options : dict
-        For Ipopt.
-    keep_best : bool
-        Whether iterates are looked at, to keep the best if the solver is stopped.
-    """
+    """Settings of one call."""
 
     tolerance: float
-    iterations: int
-    seconds: float
-    options: dict[str, Any]
-    keep_best: bool = False
+    iterations: int  # at most
+    seconds: float  # at most; infinite where there is no limit
+    options: dict[str, Any]  # for Ipopt
+
+    @property
+    def may_stop(self) -> bool:
+        """Whether iterates are looked at, to keep the best if the solver is stopped."""
+        return self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds))
 
 
 @dataclass(frozen=True)
@@ -59,13 +50,14 @@ class Found:
         return self.said in ENDED
 
 
-def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, lower: Array, upper: Array,
-         settings: Settings) -> Found:  # fmt: skip
+def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, settings: Settings) -> Found:
     """Solve with the program's present sizes."""
     size, of_cost = program.scale, program.cost_scale
-    given: dict[str, Any] = {"x0": guess / size, "lbx": lower / size, "ubx": upper / size,
-             "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale,
-             "p": np.concatenate([size, [of_cost], program.row_scale])}  # fmt: skip
+    given: dict[str, Any] = {
+        "x0": guess / size, "lbx": program.lower / size, "ubx": program.upper / size,
+        "lbg": program.row_lower / program.row_scale, "ubg": program.row_upper / program.row_scale,
+        "p": np.concatenate([size, [of_cost], program.row_scale]),
+    }  # fmt: skip
     if multipliers is not None:
         given |= {
             "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
@@ -85,7 +77,7 @@ def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] 
         z = watch.z
         residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
-    v = np.clip(z * size, lower, upper)
+    v = np.clip(z * size, program.lower, program.upper)
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
@@ -98,11 +90,11 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
     given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": DIVERGED, "mumps_pivot_order": 6}
     ipopt = given | limits | settings.options
     made = program.derivatives.solvers
-    key = repr((sorted(ipopt.items()), settings.keep_best))
+    key = repr((sorted(ipopt.items()), settings.may_stop))
     if key in made:
         return made[key]  # type: ignore[no-any-return]
     statement, functions = program.derivatives.scaled
-    watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.keep_best else None
+    watch = BestIterate(len(program.lower), len(program.row_lower)) if settings.may_stop else None
     plain = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False, "inputs_check": False}
     own: dict[str, Any] = {"ipopt": ipopt} | ({} if watch is None else {"iteration_callback": watch}) | plain
     try:

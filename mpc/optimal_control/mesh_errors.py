@@ -14,7 +14,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import CLOSER_LOOKS, DIFFERENCE, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, RESTING_STATE
+from mpc.tolerances import CLOSER_LOOKS, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, VANISHING
 
 
 class Missed(NamedTuple):
@@ -42,7 +42,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
         return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
-    size = np.maximum(largest, RESTING_STATE * moved)
+    size = np.maximum(largest, VANISHING * moved)
     found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
@@ -187,22 +187,17 @@ def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Ar
 
 def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
     """Change (n,) of limits `rows` over the extents; zero for bounded states."""
-    path = phase.part.functions.path
-    if path is None or not len(places):
-        return np.zeros(len(places))
-    x, u, times = _along(phase, places)
-    z = np.hstack([x, u])
-    extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
-    own = np.minimum(rows, path.numel_out(0) - 1)
+    count = len(phase.part.functions.path_names)
     found = np.zeros(len(places))
-    for i, step in enumerate(DIFFERENCE * extents):
-        ends = []
-        for side in (step, -step):
-            moved = z.copy()
-            moved[:, i] += side
-            ends.append(evaluated(path, phase.part.phase, moved[:, : x.shape[1]], moved[:, x.shape[1] :], times, p))
-        found += np.abs(ends[0] - ends[1])[np.arange(len(places)), own] / (2 * DIFFERENCE)
-    return np.where((rows < path.numel_out(0)) & np.isfinite(found), found, 0.0)
+    own = np.flatnonzero(rows < count)
+    if not len(own):
+        return found
+    x, u, times = _along(phase, places[own])
+    extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
+    slopes = np.abs(evaluated(phase.part.functions.path_slopes, phase.part.phase, x, u, times, p))
+    steep = np.einsum("nim,i->nm", slopes.reshape(len(own), -1, count), extents)[np.arange(len(own)), rows[own]]
+    found[own] = np.where(np.isfinite(steep), steep, 0.0)
+    return found
 
 
 def _along(phase: PhaseSolution, places: Array) -> tuple[Array, Array, Array]:
@@ -270,7 +265,6 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
     for k, (part, m) in enumerate(zip(program.parts, paths)):
         if not m:
             continue
-        count = part.intervals * part.interval.numel_out(2)
-        local, scale = (value[part.path][:count].reshape(part.intervals, -1, m) for value in (steep, program.row_scale))
+        local, scale = (value[part.path].reshape(part.intervals, -1, m) for value in (steep, program.row_scale))
         found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_LIMIT_SIZE * scale.min(axis=1)).T, found[k]])
     return found

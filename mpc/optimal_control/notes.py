@@ -14,7 +14,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_at
-from mpc.optimal_control.program import NonlinearProgram, PhasePart
+from mpc.optimal_control.program import NonlinearProgram
 from mpc.tolerances import SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
@@ -44,60 +44,44 @@ def check_at_guess(program: NonlinearProgram) -> None:
 
 def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
     """Functions that are not finite at unknowns (n,), and where first."""
-    p = v[program.parameters]
-    for k, (part, clock) in enumerate(zip(program.parts, program.times(v))):
-        named = {
-            "dynamics": [f"dynamics of {name}" for name in part.phase.state_names],
-            "stage_cost": ["stage_cost"], "path": part.functions.path_names,
-            "terminal_cost": ["terminal_cost"], "boundary": part.functions.boundary_names,
-        }  # fmt: skip
-        on_the_way, at_the_end = _along(program, part, v, clock), _at_ends(part, v, clock)
-        for name, entries in named.items():
-            of = at_the_end if name in ("terminal_cost", "boundary") else on_the_way
-            found = _first(getattr(part.functions, name), entries, of | {"p": p}, of_phase(program, k))
-            if found:
-                yield found
-    for name, function in zip(("p_cost", "p_constraints"), program.problem.of_parameters):
-        entries = ["p_cost"] if name == "p_cost" else program.problem.p_constraint_names
-        found = _first(function, entries, {"p": p}, "")
-        if found:
-            yield found
+    p = v[program.parameters, None]
+    for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
+        phase, f, nx, of = part.phase, part.functions, part.layout.nx, of_phase(program, k)
+        nodes, _, states, inputs = part.unknowns(v)
+        at = times_of(part.layout.points, part.mesh).T.ravel()
+        w = signal_at(phase, phase.start_time + phase.duration[0] * at).T
+        along = {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (start + length * at)[None], "p": p}
+        ends = {"x0": nodes[:nx, :1], "x": nodes[:nx, -1:], "t0": np.array([[start]]),
+                "t": np.array([[start + length]]), "p": p}  # fmt: skip
+        yield from _first(f.dynamics, [f"dynamics of {name}" for name in phase.state_names], along, of)
+        yield from _first(f.stage_cost, ["stage_cost"], along, of)
+        yield from _first(f.path, f.path_names, along, of)
+        yield from _first(f.terminal_cost, ["terminal_cost"], ends, of)
+        yield from _first(f.boundary, f.boundary_names, ends, of)
+    cost, constraints = program.problem.of_parameters
+    yield from _first(cost, ["p_cost"], {"p": p}, "")
+    yield from _first(constraints, program.problem.p_constraint_names, {"p": p}, "")
 
 
-def _along(program: NonlinearProgram, part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str, Array]:
-    """Columns at all points of a phase's intervals."""
-    *_, states, inputs = part.unknowns(v)
-    at = times_of(part.layout.points, part.mesh).T.ravel()
-    w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at).T
-    return {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (clock[0] + clock[1] * at)[None]}
-
-
-def _at_ends(part: PhasePart, v: Array, clock: tuple[float, float]) -> dict[str, Array]:
-    """Columns at both ends of a phase."""
-    first, last = part.first, part.last - part.layout.node
-    x0, x = v[first : first + part.layout.nx], v[last : last + part.layout.nx]
-    return {"x0": x0[:, None], "x": x[:, None], "t0": np.full((1, 1), clock[0]), "t": np.full((1, 1), sum(clock))}
-
-
-def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[str, Array], phase: str) -> str:
-    """First time of a non-finite function, in words, or ""."""
+def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[str, Array],
+           phase: str) -> Iterator[str]:  # fmt: skip
+    """First time at which a function of columns (·, n) or (·, 1) is not finite, in words."""
     if function is None:
-        return ""
-    n = max((value.shape[1] for value in columns.values() if value.ndim == 2), default=1)
-    given = {name: value if value.ndim == 2 else np.tile(value[:, None], (1, n)) for name, value in columns.items()}
-    needed = [given[name] for name in function.name_in()]
-    values = np.asarray(function.map(n)(*needed), dtype=float).reshape(-1, n)
+        return
+    given = {name: columns[name] for name in function.name_in()}
+    values = np.asarray(function(*given.values()), dtype=float)
     wrong = np.argwhere(~np.isfinite(values))
     if not len(wrong):
-        return ""
-    times = given["t"][0] if "t" in given else np.zeros(n)
+        return
+    times = given.pop("t", np.full((1, values.shape[1]), np.nan))[0]
     row, i = wrong[np.argmin(times[wrong[:, 1]])]
-    when = f" at t = {times[i]:.6g}" if "t" in given else ""
+    when = "" if np.isnan(times[i]) else f" at t = {times[i]:.6g}"
+    shown = {name: value[:, i if value.shape[1] > 1 else 0] for name, value in given.items() if name != "t0"}
     where = ", ".join(
-        f"{name} = {brief('[' + ', '.join(f'{entry:.4g}' for entry in given[name][:, i]) + ']')}"
-        for name in function.name_in() if name not in ("t", "t0") and given[name].size
+        f"{name} = {brief('[' + ', '.join(f'{entry:.4g}' for entry in value) + ']')}"
+        for name, value in shown.items() if value.size
     )  # fmt: skip
-    return f"{values[row, i]:g} in {entries[row]}{phase}{when}, where {where}"
+    yield f"{values[row, i]:g} in {entries[row]}{phase}{when}, where {where}"
 
 
 def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> tuple[str, ...]:
@@ -129,20 +113,19 @@ def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:
 def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
     """Functions with operations that jump or have kinks."""
     for k, functions in enumerate(program.problem.functions):
-        of_phase = f" of phase {k + 1}" if len(program.parts) > 1 else ""
-        for name in ("dynamics", "stage_cost", "path", "terminal_cost", "boundary"):
-            found = operations(getattr(functions, name))
+        for function in ("dynamics", "stage_cost", "path", "terminal_cost", "boundary"):
+            name, found = f"{function}{of_phase(program, k)}", operations(getattr(functions, function))
             jumps = sorted({JUMPS[one] for one in found & JUMPS.keys()})
             kinks = sorted({KINKS[one] for one in found & KINKS.keys()})
             if jumps:
                 yield (
-                    f"The {name}{of_phase} may jump ({', '.join(jumps)}), where derivatives say nothing: make it "
+                    f"The {name} may jump ({', '.join(jumps)}), where derivatives say nothing: make it "
                     "smooth, such as tanh(x/ε) for sign, or cut the problem into phases where it jumps."
                 )
             elif kinks and of_kinks:
                 what = ", ".join(kinks)
                 cure = "round them, such as sqrt(x² + ε²) for fabs; for a cost |u| take u = a − b, a, b ≥ 0, at a + b"
-                yield f"The {name}{of_phase} has kinks ({what}): {cure}."
+                yield f"The {name} has kinks ({what}): {cure}."
 
 
 def operations(function: ca.Function | None) -> set[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -12,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end, as_guess, as_names
-from mpc.optimal_control.functions import Statement, brief, compiled, wanted
+from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end, as_guess, as_names, as_number
+from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, wanted
 
 COSTED = ("dynamics", "stage_cost", "terminal_cost")
 LIMITED = ("path", "boundary")  # functions whose values have bounds and names
@@ -104,16 +105,11 @@ class Phase:
         for name in ("start", "end"):
             set_(self, name, as_end(name, getattr(self, name), self.x_bounds))
         set_(self, "duration", as_duration(self.duration, bool(self.discrete)))
-        time = as_floats("start_time", self.start_time)
-        if time.ndim or not np.isfinite(time):
-            raise InputError("start_time", brief(repr(self.start_time)), "a finite number")
-        set_(self, "start_time", float(time))
+        set_(self, "start_time", as_number("start_time", self.start_time, "a finite number", np.isfinite))
         for name, letter, size in (("state_names", "x", self.states), ("input_names", "u", self.inputs)):
             set_(self, name, as_names(name, getattr(self, name), letter, size))
         if self.duration_guess is not None:
-            number = as_floats("duration_guess", self.duration_guess)
-            if number.ndim or not np.isfinite(number) or not number > 0:
-                raise InputError("duration_guess", brief(repr(self.duration_guess)), "a number > 0")
+            as_number("duration_guess", self.duration_guess, "a number > 0", lambda number: number > 0)
         if self.signal is not None and not callable(self.signal):
             signal = as_floats("signal", self.signal)
             if signal.ndim != 2 or len(signal) < 2 or not np.isfinite(signal).all():
@@ -178,6 +174,11 @@ class PhaseFunctions:
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
 
+    @cached_property
+    def path_slopes(self) -> ca.Function:
+        """Derivatives of the path values by states and inputs."""
+        return slopes_of(self.path)
+
     def cost_at(self, *at: Any) -> Any:
         """Stage cost at columns (x, u, w, p, t); 0 without one."""
         return 0 if self.stage_cost is None else self.stage_cost(*at)
@@ -239,6 +240,4 @@ def signal_at(phase: Phase, times: Array) -> Array:
 
 def evaluated(function: ca.Function, phase: Phase, x: Array, u: Array, t: Array, p: Array) -> Array:
     """Values (n, m) of a function of x, u, w, p, t at states (n, nx), inputs (n, nu) and times (n,)."""
-    n = len(t)
-    values = function.map(n)(x.T, u.T, signal_at(phase, t).T, np.tile(p[:, None], (1, n)), t[None])
-    return np.asarray(values, dtype=float).reshape(-1, n).T
+    return np.asarray(function(x.T, u.T, signal_at(phase, t).T, p, t[None]), dtype=float).T

@@ -169,14 +169,11 @@ def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array,
     layout, N = part.layout, part.intervals
     interval = part.interval
     arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],
-                 np.tile(p[:, None], (1, N)), times[None], h[None], w.T]  # fmt: skip
+                 p, times[None], h[None], w.T]  # fmt: skip
     of_defects = multipliers[part.defects].reshape(N, -1).T
-    rows = interval.numel_out(2)
-    of_path = multipliers[part.path][: rows * N].reshape(N, rows).T
-    backward = interval.reverse(1)
+    of_path = multipliers[part.path].reshape(N, -1).T
     values = [np.zeros((interval.numel_out(i), N)) for i in range(3)]
-    seeds = [of_defects, np.full((1, N), weight), of_path]
-    found = backward.map(N)(*arguments, *values, *seeds)
+    found = interval.reverse(1)(*arguments, *values, of_defects, weight, of_path)
     return np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
 
 

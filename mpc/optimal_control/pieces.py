@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -39,33 +38,11 @@ class Piece:
         """Whether each value (k,) is added to the cost."""
         return np.asarray(self.rows[:, 0] == 0)
 
-    @cached_property
-    def parts(self) -> dict[bool, ca.Function]:
-        """Functions of the values in the cost, and of the others."""
-        z, data = self.symbols
-        value = self.function(z, data)
-        found = {of_cost: value[listed(self.of_cost == of_cost)] for of_cost in (True, False)}
-        return {key: ca.Function("part", [z, data], [part], {"cse": True}) for key, part in found.items()}
-
     @property
     def symbols(self) -> tuple[Any, Any]:
         """z and data, of the kind of the function."""
         kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
         return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
-
-    def mapped(self, function: ca.Function, *columns: Any) -> Sequence[Any]:
-        """Results of a function of columns at all places."""
-        found = function.map(self.places)(*columns) if self.places > 1 else function(*columns)
-        return found if isinstance(found, list | tuple) else [found]
-
-    def gathered(self, v: Any) -> Any:
-        """Unknowns (n, M) of the piece."""
-        return ca.reshape(v[self.unknowns.ravel(order="F").tolist()], *self.unknowns.shape)
-
-
-def listed(chosen: NDArray[np.bool_]) -> list[int]:
-    """Numbers of the chosen entries."""
-    return [int(i) for i in np.flatnonzero(chosen)]
 
 
 def kind_of(*functions: ca.Function | None) -> Any:

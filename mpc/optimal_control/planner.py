@@ -21,9 +21,9 @@ from mpc.tolerances import (
     FEASIBLE,
     MERIT_DECREASE,
     MERIT_ROUNDING,
+    OPTIMAL,
     SHORTEST_STEP,
     SQP_CONVERGED,
-    SQP_REPORTED,
     TINY,
     VIOLATION_PRICE,
 )
@@ -166,7 +166,7 @@ class Planner:
                 at = at.moved(step)
             longest, now = max(longest, time.perf_counter() - now), time.perf_counter()
         assert last is not None
-        if max(last.defects, last.stationarity) <= SQP_REPORTED:
+        if max(last.defects, last.stationarity) <= OPTIMAL:
             status = Status.SOLVED
         return at, last, status
 

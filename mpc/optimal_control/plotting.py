@@ -13,21 +13,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 
 
 def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, title: str, figure: Any = None) -> Any:
-    """Draw states, inputs and costates, one phase a column.
-
-    Parameters
-    ----------
-    phases : sequence of PhaseSolution
-    costates, mesh : bool
-        Whether costates are drawn, and marks at the points of the mesh.
-    title : str
-    figure : matplotlib Figure, optional
-        Where to draw; a new one by default.
-
-    Returns
-    -------
-    matplotlib Figure
-    """
+    """Figure with states, inputs and costates, one phase a column; see `Solution.plot`."""
     import matplotlib.pyplot as plt
 
     states = max(phase.part.layout.nx for phase in phases)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_names, as_parameter_bounds, middle
+from mpc.optimal_control.bounds import Bounds, as_names, as_number, as_parameter_bounds, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
@@ -92,10 +92,7 @@ class OptimalControlProblem:
             raise InputError("risk", f'"{self.risk}" of phases that are linked', '"sum", or linked=False')
         if self.risk == "spread" and not weights.any():
             raise InputError("weights", weights, "numbers ≥ 0, not all of them 0")
-        spread = as_floats("spread", self.spread)
-        if spread.ndim or not (np.isfinite(spread) and spread >= 0):
-            raise InputError("spread", brief(repr(self.spread)), "a number ≥ 0")
-        set_(self, "spread", float(spread))
+        set_(self, "spread", as_number("spread", self.spread, "a number ≥ 0", lambda number: number >= 0))
         sizes = [phase.states for phase in self.phases]
         links = list(self.link) if isinstance(self.link, list | tuple) else [self.link] * (count - 1)
         if any(link is not None for link in links) and not self.linked:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,27 +21,14 @@ from mpc.tolerances import SHAKEN, VANISHING
 
 @dataclass(frozen=True)
 class Rows:
-    """Constraints of one kind.
-
-    Attributes
-    ----------
-    name : str
-    phase : int
-        Which one; −1 for what all share.
-    first, last : int
-        Rows first … last − 1.
-    fractions : (last − first,) array
-        Of the phase at which each stands.
-    entries : tuple of str
-        What each row of one point is called, after which they repeat.
-    """
+    """Constraints of one kind: rows first … last − 1."""
 
     name: str
-    phase: int
+    phase: int  # which one; −1 for what all share
     first: int
     last: int
-    fractions: Array
-    entries: tuple[str, ...]
+    fractions: Array  # (last − first,): of the phase, at which each stands
+    entries: tuple[str, ...]  # what each row of one point is called, after which they repeat
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,19 +236,12 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
     )  # fmt: skip
 
 
-def starts(program: NonlinearProgram, stopped: Array, lower: Array, upper: Array) -> Iterator[Array]:
-    """Starts of a search for the least violation."""
-    yield stopped
-    yield np.clip(program.guess, lower, upper)
-    yield shaken(program, lower, upper)
-
-
-def shaken(program: NonlinearProgram, lower: Array, upper: Array, seed: int = 0) -> Array:
+def shaken(program: NonlinearProgram, seed: int = 0) -> Array:
     """Guess with each state and input moved along a line."""
     random = np.random.default_rng(seed)
-    move = random.uniform(-SHAKEN, SHAKEN, len(lower))
+    move = random.uniform(-SHAKEN, SHAKEN, len(program.lower))
     for part in program.parts:
         of, fractions = part.coordinates
         begin, rise = random.uniform(-SHAKEN, SHAKEN, (2, part.layout.nx + part.layout.nu))
         move[part.first : part.last] = begin[of] + rise[of] * fractions
-    return np.clip(program.guess + move * program.scale, lower, upper)
+    return np.clip(program.guess + move * program.scale, program.lower, program.upper)

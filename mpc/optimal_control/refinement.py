@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from ccdtools_ground.door import brief
-from mpc.checks import Array, as_count, as_floats, as_seconds
-from mpc.exceptions import InputError
+from mpc.checks import Array, as_count, as_seconds
+from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
@@ -23,7 +22,7 @@ from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import (
-    INPUT_AT_BOUND,
+    AT_BOUND,
     JUMP_PLACE,
     JUMP_SHARE,
     JUMPED_LIMIT,
@@ -77,12 +76,10 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         least, LIMITS_PASSED or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed as much
         as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
     """
-    asked = as_floats("tolerance", tolerance)
-    if asked.ndim or not 0 < asked < 1:
-        raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
+    asked = as_share("tolerance", tolerance)
     began, meshes, seconds = time.perf_counter(), as_count("rounds", rounds), as_seconds("time_limit", time_limit)
     with tqdm(total=meshes, desc="refining", disable=not progress, leave=False) as bar:
-        run = _Rounds(options, float(asked), meshes - 1, began + seconds, bar)
+        run = _Rounds(options, asked, meshes - 1, began + seconds, bar)
         program = build(problem, scheme, intervals)
         solution, reason = run.refined(run.solved(program, None))
         for seed in range(3):  # each guess on a mesh twice as fine
@@ -90,12 +87,12 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
                 break
             program = build(program.problem, scheme, meshes=[_halved(part.mesh) for part in program.parts])
             run.left = meshes - 1
-            moved = replace(program, guess=shaken(program, program.lower, program.upper, seed))
+            moved = replace(program, guess=shaken(program, seed))
             other, ended = run.refined(run.solved(moved, None))
             if other.solved_on_mesh and (not solution.solved_on_mesh or run.missed(other) < run.missed(solution)):
                 solution, reason = other, ended
         if solution.solved_on_mesh and not reason and _reach_bounds(solution):
-            finer = run.sharper().sharpened(solution)
+            finer = run.sharpened(solution)
             solution = solution if finer is None else finer
         return _ended(solution, reason, run, began)
 
@@ -111,12 +108,6 @@ class _Rounds:
         self.bar = bar
         self.iterations = [0]
         self.most = sys.maxsize
-
-    def sharper(self) -> _Rounds:
-        """Remaining rounds with a tighter solver tolerance."""
-        rounds = copy(self)
-        rounds.options = self.options | {"tolerance": SHARPER * self.tolerance}
-        return rounds
 
     def refined(self, solution: Solution) -> tuple[Solution, str]:
         """Best solution, and why it misses the tolerance, if so."""
@@ -156,12 +147,12 @@ class _Rounds:
 
         Along a singular arc it does not: the input begins to swing.
         """
-        self.most = int(1.5 * len(solution.unknowns))
-        sharp = self.solved(solution.program, solution)
-        if not sharp.solved_on_mesh:
-            return None
-        sharp, reason = self.refined(sharp)
-        return None if reason else sharp
+        rounds = copy(self)
+        rounds.options = self.options | {"tolerance": SHARPER * self.tolerance}
+        rounds.most = int(1.5 * len(solution.unknowns))
+        sharp = rounds.solved(solution.program, solution)
+        sharp, reason = rounds.refined(sharp)
+        return sharp if sharp.solved_on_mesh and not reason else None
 
     def solved(self, program: NonlinearProgram, start: Solution | None) -> Solution:
         """Solution from `start`, else from the guess."""
@@ -196,7 +187,7 @@ def _reach_bounds(solution: Solution) -> bool:
     """Whether inputs reach their bounds."""
     for phase in solution.phases:
         low, high = phase.part.phase.u_bounds
-        room = INPUT_AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
+        room = AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
         if phase.inputs.size and ((phase.inputs <= low + room) | (phase.inputs >= high - room)).any():
             return True
     return False

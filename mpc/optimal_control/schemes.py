@@ -14,6 +14,7 @@ from scipy.special import roots_jacobi
 
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
+from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.functions import Statement, wanted
 from mpc.tolerances import HIGHEST_DEGREE
 
@@ -117,9 +118,7 @@ class MultipleShooting:
         object.__setattr__(self, "substeps", as_count("substeps", self.substeps))
         if self.integrator not in ("rk4", "cvodes"):
             raise InputError("integrator", repr(self.integrator), '"rk4" or "cvodes"')
-        tolerance = as_floats("tolerance", self.tolerance)
-        if tolerance.ndim or not 0 < tolerance < 1:
-            raise InputError("tolerance", repr(self.tolerance), "a number between 0 and 1")
+        object.__setattr__(self, "tolerance", as_share("tolerance", self.tolerance))
 
     order = 4
     stages = 1

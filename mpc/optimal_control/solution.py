@@ -253,11 +253,10 @@ class Solution:
         """Values of phases at times."""
         if len(self.phases) == 1:
             return np.asarray(getattr(self.phases[0], name)(t))
+        cure = f"Ask one of `phases`: solution.phases[0].{name}(t)."
         if not self.program.problem.linked:
-            cure = f"Ask one of `phases`: solution.phases[0].{name}(t)."
             raise InputError(name, "scenarios, which run side by side", "phases that follow one another", cure)
         if len({phase.states.shape[1] for phase in self.phases}) > 1:
-            cure = f"Ask one of `phases`: solution.phases[0].{name}(t)."
             raise InputError(name, "phases with different states", "phases with the same", cure)
         given = as_floats("t", t)
         ends = np.array([phase.times[-1] for phase in self.phases[:-1]])

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bmat, csc_matrix
+from scipy.sparse import bmat, csc_matrix, triu
 from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
@@ -119,16 +118,14 @@ def _held(program: NonlinearProgram) -> NDArray[np.int64]:
 
 def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tuple[Array, Any, Any, Array]:
     """Scaled Lagrangian gradient and Hessian, row Jacobian, and rows."""
-    y = ca.MX.sym("multipliers", program.g.numel())
-    lagrangian = program.f + ca.dot(y, program.g)
-    hessian, gradient = ca.hessian(lagrangian, program.v)
-    outputs = [gradient, hessian, ca.jacobian(program.g, program.v), program.g]
-    found = ca.Function("derivatives", [program.v, y], outputs)(v, multipliers)
+    hessian = program.derivatives.hessian(v, 1.0, multipliers).sparse()  # its upper triangle
+    rows, jacobian = program.derivatives.jacobian[1](v)
+    gradient = program.derivatives.stationarity(v, multipliers)[1]
     size, of_cost = program.scale, program.cost_scale
-    W = csc_matrix(found[1].sparse()).multiply(size[:, None]).multiply(size) / of_cost
-    J = csc_matrix(found[2].sparse()).multiply(size).multiply(1 / program.row_scale[:, None])
-    slope = np.asarray(found[0], dtype=float).ravel() * size / of_cost
-    return slope, W.tocsc(), J.tocsr(), np.asarray(found[3], dtype=float).ravel()
+    W = csc_matrix(hessian + triu(hessian, 1).T).multiply(size[:, None]).multiply(size) / of_cost
+    J = csc_matrix(jacobian.sparse()).multiply(size).multiply(1 / program.row_scale[:, None])
+    slope, values = (np.asarray(value, dtype=float).ravel() for value in (gradient, rows))
+    return slope * size / of_cost, W.tocsc(), J.tocsr(), values
 
 
 def _acting(low: Array, high: Array, multiplier: Array, softness: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
+from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
 from mpc.optimal_control.ipopt import Found, Settings, once
@@ -19,7 +20,7 @@ from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken, starts
+from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import BOTTOMLESS, CHEAPER, FEASIBLE, LEAST_SECONDS, OPTIMAL, USUAL_ITERATIONS, WELL_SIZED
@@ -64,13 +65,11 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     settings = _settings(tolerance, max_iterations, time_limit, options)
     if start is not None and not isinstance(start, Solution):
         raise InputError("start", type(start).__name__, "a Solution")
-    lower, upper = program.lower.copy(), program.upper.copy()
     if p is not None:
-        _hold(program, p, lower, upper)
-    run = _Run(program, lower, upper, settings)
-    guess = np.clip(program.guess if start is None else unknowns_from(program, start), lower, upper)
-    alike = start is not None and len(start.unknowns) == len(guess) and _alike(start.program, program)
-    found = run.solved(guess, start.multipliers if alike and start is not None else None, warm=start is not None)
+        program = _held(program, p)
+    run = _Run(program, settings)
+    guess, multipliers = (program.guess, None) if start is None else _from_solution(program, start)
+    found = run.solved(np.clip(guess, program.lower, program.upper), multipliers, warm=start is not None)
     if found.ended and not found.iterations and start is None:
         found = run.elsewhere(found)
     return run.judged(found)
@@ -78,23 +77,17 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
 
 def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
     """Settings of a call, checked."""
-    number = as_floats("tolerance", tolerance)
-    if number.ndim or not 0 < number < 1:
-        raise InputError("tolerance", brief(repr(tolerance)), "a number between 0 and 1")
     if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
     most, limit = as_count("max_iterations", iterations), as_seconds("time_limit", seconds)
-    stops = most < USUAL_ITERATIONS or np.isfinite(limit)
-    return Settings(float(number), most, limit, dict(options or {}), keep_best=bool(stops))
+    return Settings(as_share("tolerance", tolerance), most, limit, dict(options or {}))
 
 
 class _Run:
     """Solver calls of one solve, within one time limit."""
 
-    def __init__(self, program: NonlinearProgram, lower: Array, upper: Array, settings: Settings) -> None:
+    def __init__(self, program: NonlinearProgram, settings: Settings) -> None:
         self.program = program
-        self.lower = lower
-        self.upper = upper
         self.settings = settings
         self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
         self.began = time.perf_counter()
@@ -116,7 +109,7 @@ class _Run:
             self.program = rescaled(self.program, guess)
         kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(3):
-            found = once(self.program, guess, multipliers, self.lower, self.upper, self._left(warm))
+            found = once(self.program, guess, multipliers, self._left(warm))
             self.iterations += found.iterations
             if kept is not None and _status(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
@@ -136,7 +129,7 @@ class _Run:
         """Result from a moved guess, where the guess was stationary."""
         program = self.program
         # begun with a small barrier, which at full height would pull inputs back between their bounds
-        other = self.solved(shaken(program, self.lower, self.upper), None, warm=True)
+        other = self.solved(shaken(program), None, warm=True)
         f, then = (float(program.derivatives.values(one.v)[0]) for one in (found, other))
         gone = other.ended or other.said in ENDLESS
         if gone and then < f - CHEAPER * max(program.cost_scale, abs(f)):
@@ -168,17 +161,16 @@ class _Run:
 
         Where one of them is feasible the problem is solved from there.
         """
-        program, n = self.program, len(self.lower)
+        program = self.program
         least: Found | None = None
-        for guess in starts(program, found.v, self.lower, self.upper):
+        for guess in (found.v, np.clip(program.guess, program.lower, program.upper), shaken(program)):
             loose = elastic(program, guess)
-            lower, upper = loose.lower.copy(), loose.upper.copy()
-            lower[:n], upper[:n] = self.lower, self.upper
-            tried = once(loose, loose.guess, None, lower, upper, self._left(warm=False))
+            tried = once(loose, loose.guess, None, self._left(warm=False))
             self.iterations += tried.iterations
-            g = np.asarray(program.derivatives.values(tried.v[:n])[1], dtype=float).ravel()
+            v = tried.v[: len(guess)]
+            g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
             missed = np.maximum.reduce([program.row_lower - g, g - program.row_upper, np.zeros(len(g))])
-            tried = replace(tried, v=tried.v[:n], violations=missed / program.row_scale)
+            tried = replace(tried, v=v, violations=missed / program.row_scale)
             if not np.isfinite(missed).all():
                 continue
             if tried.violations.max(initial=0.0) <= FEASIBLE:
@@ -217,13 +209,15 @@ class _Run:
         ).looked_between()  # fmt: skip
 
 
-def _hold(program: NonlinearProgram, p: ArrayLike, lower: Array, upper: Array) -> None:
-    """Set bounds of the parameters to one value."""
+def _held(program: NonlinearProgram, p: ArrayLike) -> NonlinearProgram:
+    """Program with both bounds of the parameters at one value."""
     value = np.atleast_1d(as_floats("p", p))
     low, high = program.problem.p_bounds
     if value.shape != low.shape or not ((low <= value) & (value <= high)).all():
         raise InputError("p", value, f"({len(low)},) within p_bounds")
+    lower, upper = program.lower.copy(), program.upper.copy()
     lower[program.parameters] = upper[program.parameters] = value
+    return replace(program, lower=lower, upper=upper)
 
 
 def _status(found: Found) -> OptimalControlStatus:
@@ -240,14 +234,16 @@ def _status(found: Found) -> OptimalControlStatus:
     return OptimalControlStatus.INACCURATE
 
 
-def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
-    """Unknowns (n,) of a program from a solution on any mesh."""
+def _from_solution(program: NonlinearProgram, start: Solution) -> tuple[Array, dict[str, Array] | None]:
+    """Unknowns (n,) of a program from a solution on any mesh, and its multipliers if it is on the same."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
     sizes = [(one.states.shape[1], one.inputs.shape[1]) for one in start.phases]
     if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:
         raise InputError("start", repr(start.program), f"a solution of the same phases: {program!r}")
-    if len(start.unknowns) == len(program.lower) and _alike(start.program, program):
-        return start.unknowns
+    pairs = zip(start.program.parts, program.parts)
+    alike = all(a.layout == b.layout and np.array_equal(a.mesh, b.mesh) for a, b in pairs)
+    if alike and len(start.unknowns) == len(program.lower):
+        return start.unknowns, start.multipliers
     v = program.guess.copy()
     v[program.parameters] = start.p
     for part, found in zip(program.parts, start.phases):
@@ -256,9 +252,4 @@ def unknowns_from(program: NonlinearProgram, start: Solution) -> Array:
             v[part.duration] = found.duration
     if program.costs.stop > program.costs.start:
         v[program.costs] = costs_of_scenarios(program, v)
-    return v
-
-
-def _alike(a: NonlinearProgram, b: NonlinearProgram) -> bool:
-    """Whether two programs have the same unknowns."""
-    return all(x.layout == y.layout and np.array_equal(x.mesh, y.mesh) for x, y in zip(a.parts, b.parts))
+    return v, None

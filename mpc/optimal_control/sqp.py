@@ -19,37 +19,20 @@ from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING, TINY
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Result of one quadratic program for a plan.
+    """Result of one quadratic program for a plan."""
 
-    Attributes
-    ----------
-    states, inputs : (N + 1, nx) and (N, nu) arrays
-        What it moves the plan by.
-    gains : (N, nu, nx) array
-        Of the feedback along the plan that keeps it together.
-    defects : float
-        Largest gap in the plan between a state and what the model makes of the one before it, in sizes of the states.
-    stationarity : float
-        Of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
-        how far inputs would still move, in parts of their limits, and what part of the cost that would save.
-    multipliers : (m,) array
-        Of its limits.
-    slopes : two arrays
-        A (N, nx, nx) and B (N, nx, nu) of the model along the plan.
-    relaxed : bool
-        Whether limits of states had to be relaxed.
-    solved : bool
-        Whether the program was.
-    """
-
+    # by what it moves the plan: (N + 1, nx) and (N, nu)
     states: Array
     inputs: Array
-    gains: Array
+    gains: Array  # (N, nu, nx): of the feedback along the plan that keeps it together
+    # the largest gap in the plan between a state and what the model makes of the one before it, in sizes of the states
     defects: float
+    # of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
+    # how far inputs would still move, in parts of their limits, and what part of the cost that would save
     stationarity: float
-    multipliers: Array
-    slopes: tuple[Array, Array]
-    relaxed: bool
+    multipliers: Array  # (m,): of its limits
+    slopes: tuple[Array, Array]  # of the model along the plan: A (N, nx, nx) and B (N, nx, nu)
+    relaxed: bool  # whether limits of states had to be relaxed
     solved: bool
 
 
@@ -140,11 +123,7 @@ class Sequential:
             gain = -float(program.gradient @ z + 0.5 * z @ curvature)
             cost = max(abs(cost_of(self.problem, inputs + lead, states + drift, given)), program.lost_cost, TINY)
             stationarity = min(stationarity, max(still, abs(gain) / cost))
-        return Step(
-            states=moved, inputs=change, gains=gains, defects=defects,
-            stationarity=stationarity,
-            multipliers=multipliers, slopes=(A, B), relaxed=relaxed, solved=solved,
-        )  # fmt: skip
+        return Step(moved, change, gains, defects, stationarity, multipliers, (A, B), relaxed, solved)
 
     def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
         """Merit prices of gaps and of violated limits; costates (N + 1, nx)."""

@@ -19,7 +19,7 @@ from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_o
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
-from mpc.tolerances import SPREAD_FLOOR, SPREAD_ROUNDING
+from mpc.tolerances import SPREAD_ROUNDING, TINY
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -168,7 +168,7 @@ class _Assembly:
             parts = ca.DM(problem.weights / problem.weights.sum())
             mean = ca.dot(parts, z)
             variance = ca.dot(parts, (z - mean) ** 2)
-            return [mean + problem.spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + SPREAD_FLOOR)]
+            return [mean + problem.spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + TINY)]
 
         self._piece(objective, {"z": first + np.arange(many)}, np.zeros(1, dtype=int))
         return slice(first, first + many)
