@@ -180,7 +180,11 @@ class SparseSolver:
     def _matrices(self) -> tuple[Any, Any]:
         """Upper triangle of the Hessian, and rows of dynamics and constraints."""
         stages = self._stagewise.stages
-        H = sparse.triu(sparse.block_diag([block for stage in stages for block in stage.hessians])).tocsc()
+        blocks: list[Array] = []
+        for stage in stages:
+            joint = stage.Hc.any()  # else the zeros would be stored
+            blocks += [np.block([[stage.Hx, stage.Hc], [stage.Hc.T, stage.Hv]])] if joint else [stage.Hx, stage.Hv]
+        H = sparse.triu(sparse.block_diag(blocks)).tocsc()
         equal = sparse.lil_matrix((self._states.size, H.shape[0]))
         rows = np.arange(self._states.size).reshape(self._states.shape)
         for k, stage in enumerate(stages):
