@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from scipy.linalg import block_diag
 
 from mpc.checks import Array
 from mpc.exceptions import InputError, NotConvexError
 from mpc.feedback import block_lengths, stabilising_feedback
-from mpc.parametric_qp import Constraint, ParametricQP
+from mpc.parametric_qp import Constraint, ParametricQP, places
 from mpc.problem import MPCProblem
 from mpc.tolerances import DEFINITE, MOST_MATRIX_ENTRIES
 
@@ -34,22 +32,30 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
     NotConvexError
         The condensed Hessian is not positive definite.
     """
-    layout = _Layout(problem, _sizes(problem, parameters))
-    if problem.horizon * problem.nx * layout.nv + layout.nv**2 > MOST_MATRIX_ENTRIES:
+    sizes = _sizes(problem, parameters)
+    at = places({**sizes, "z": len(block_lengths(problem)) * problem.nu})
+    nt, nv = at["z"].start, at["z"].stop
+    N = problem.horizon
+    if N * problem.nx * nv + nv**2 > MOST_MATRIX_ENTRIES:
         raise InputError(
-            "horizon", problem.horizon, f"matrices of at most {MOST_MATRIX_ENTRIES:.0e} numbers",
+            "horizon", N, f"matrices of at most {MOST_MATRIX_ENTRIES:.0e} numbers",
             'Shorten it, block moves, or keep the states with solver="osqp".',
         )  # fmt: skip
-    nt = layout.nt
-    nv = layout.nv
-    at = layout.at
-    U, X = _predict(problem, layout)
-    W = _cost(problem, U, X, at, nv)
+    driven = np.broadcast_to(0.0, (N, problem.nx, nv))
+    if "w" in at:
+        driven = np.zeros(driven.shape)
+        for k, push in enumerate(driven):
+            push[:, at["w"]][:, k * problem.nw : (k + 1) * problem.nw] = problem.E
+    A, B = (np.broadcast_to(M, (N, *M.shape)) for M in (problem.A, problem.B))
+    U, X = predict(problem, A, B, driven, nt, stabilising_feedback(problem))
+    W = _cost(problem, U, X, at)
     rows, w, labels = constraints_of(problem, U, X, at)
     H = 2 * W[nt:, nt:]
     f = np.zeros(nv - nt)
     if problem.soft is not None:
-        rows, w, labels, H, f = soften(problem, rows, w, labels, H)
+        rows, w, labels = soften(problem, rows, w, labels)
+        H = block_diag(H, 2 * problem.soft[1] * np.eye(N))
+        f = np.concatenate([f, np.full(N, problem.soft[0])])
     _check_convex(H)
     slack = len(H) - (nv - nt)
     (Lt, Lz), (Xt, Xz) = (np.split(form.reshape(-1, nv), [nt], axis=1) for form in (U, X))
@@ -58,26 +64,8 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
         G=rows[:, nt:], w=w, S=-rows[:, :nt],
         Lz=np.hstack([Lz, np.zeros((len(Lz), slack))]), Lt=Lt, l=np.zeros(len(Lz)),
         Xz=np.hstack([Xz, np.zeros((len(Xz), slack))]), Xt=Xt, x=np.zeros(len(Xz)),
-        nu=problem.nu, parameters=tuple(layout.sizes.items()), labels=tuple(labels),
+        nu=problem.nu, parameters=tuple(sizes.items()), labels=tuple(labels),
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """Places of the parameters in ξ = (θ, z), one input per block."""
-
-    problem: MPCProblem
-    sizes: dict[str, int]
-    at: dict[str, slice] = field(init=False)
-    nt: int = field(init=False)
-    nv: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        ends = np.cumsum([0, *self.sizes.values()])
-        at = {name: slice(int(a), int(b)) for name, a, b in zip(self.sizes, ends[:-1], ends[1:])}
-        object.__setattr__(self, "at", at)
-        object.__setattr__(self, "nt", int(ends[-1]))
-        object.__setattr__(self, "nv", int(ends[-1]) + len(block_lengths(self.problem)) * self.problem.nu)
 
 
 def _sizes(problem: MPCProblem, parameters: tuple[str, ...]) -> dict[str, int]:
@@ -91,33 +79,32 @@ def _sizes(problem: MPCProblem, parameters: tuple[str, ...]) -> dict[str, int]:
     return {"x": problem.nx, **{name: known[name] for name in parameters}}
 
 
-def _predict(problem: MPCProblem, layout: _Layout) -> tuple[Array, Array]:
-    """Inputs (N, nu, nv) and states (N + 1, nx, nv) as matrices on ξ."""
-    N = problem.horizon
-    nx = problem.nx
-    nu = problem.nu
-    nv = layout.nv
-    U = np.zeros((N, nu, nv))
-    X = np.zeros((N + 1, nx, nv))
-    X[0, :, layout.at["x"]] = np.eye(nx)
-    feedback = stabilising_feedback(problem)
-    block_of = np.repeat(np.arange(len(block_lengths(problem))), block_lengths(problem))
-    for k, b in enumerate(block_of):
-        if k and b == block_of[k - 1]:
-            U[k] = U[k - 1]
-        else:
-            column = layout.nt + b * nu
-            U[k, :, column : column + nu] = np.eye(nu)
-            if feedback is not None:
-                U[k] -= feedback[b] @ X[k]
-        X[k + 1] = problem.A @ X[k] + problem.B @ U[k]
-        if "w" in layout.at:
-            start = layout.at["w"].start + k * problem.nw
-            X[k + 1, :, start : start + problem.nw] += problem.E
+def predict(
+    problem: MPCProblem, A: Array, B: Array, driven: Array, free: int, feedback: Array | None
+) -> tuple[Array, Array]:
+    """Inputs (N, nu, n) and states (N + 1, nx, n) as matrices on ξ, which begins with x and ends with free inputs.
+
+    A, B : (N, nx, nx) and (N, nx, nu); driven : (N, nx, n), what else moves each next state; free : the first column of
+    the inputs, one for each block; feedback : see `stabilising_feedback`.
+    """
+    n = driven.shape[-1]
+    U = np.zeros((problem.horizon, problem.nu, n))
+    X = np.zeros((problem.horizon + 1, problem.nx, n))
+    X[0, :, : problem.nx] = np.eye(problem.nx)
+    k = 0
+    for b, length in enumerate(block_lengths(problem)):
+        form = np.zeros((problem.nu, n))
+        form[:, free + b * problem.nu : free + (b + 1) * problem.nu] = np.eye(problem.nu)
+        if feedback is not None:
+            form -= feedback[b] @ X[k]
+        for _ in range(length):
+            U[k] = form
+            X[k + 1] = A[k] @ X[k] + B[k] @ form + driven[k]
+            k += 1
     return U, X
 
 
-def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int) -> Array:
+def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]) -> Array:
     """Matrix W of the quadratic cost ξ'Wξ."""
     N = problem.horizon
     error = X.copy()
@@ -126,7 +113,7 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice], nv: int
         error[:, :, at["x_ref"]] -= np.eye((N + 1) * problem.nx).reshape(N + 1, problem.nx, -1)
     if "u_ref" in at:
         effort[:, :, at["u_ref"]] -= np.eye(N * problem.nu).reshape(N, problem.nu, -1)
-    W = np.zeros((nv, nv))
+    W = np.zeros((U.shape[-1],) * 2)
     for k in range(N):
         W += error[k].T @ problem.Q @ error[k] + effort[k].T @ problem.R @ effort[k]
         if problem.S is not None:
@@ -172,11 +159,9 @@ def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, 
 
 
 def soften(
-    problem: MPCProblem, rows: Array, w: Array, labels: list[Constraint], H: Array
-) -> tuple[Array, Array, list[Constraint], Array, Array]:
-    """One slack per step, priced linear * s + quadratic * s²."""
-    assert problem.soft is not None
-    linear, quadratic = problem.soft
+    problem: MPCProblem, rows: Array, w: Array, labels: list[Constraint]
+) -> tuple[Array, Array, list[Constraint]]:
+    """Rows, bounds and labels with a slack for each step, relative to the units of its rows."""
     N = problem.horizon
     columns = np.zeros((len(rows), N))
     for i, label in enumerate(labels):
@@ -184,9 +169,7 @@ def soften(
             columns[i, label.step - 1] = -problem.price_units[label.kind][label.row]
     nonnegative = np.hstack([np.zeros((N, rows.shape[1])), -np.eye(N)])
     rows = np.vstack([np.hstack([rows, columns]), nonnegative])
-    labels = labels + [Constraint("slack", k + 1, 0) for k in range(N)]
-    f = np.concatenate([np.zeros(len(H)), np.full(N, linear)])
-    return rows, np.concatenate([w, np.zeros(N)]), labels, block_diag(H, 2 * quadratic * np.eye(N)), f
+    return rows, np.concatenate([w, np.zeros(N)]), labels + [Constraint("slack", k + 1, 0) for k in range(N)]
 
 
 def _check_convex(H: Array) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 import daqp
 import numpy as np
@@ -130,21 +131,12 @@ class DenseQP:
 
     def _clarabel(self, q: Array, b: Array) -> tuple[Array, Array, bool]:
         """Minimiser, multipliers and verdict of infeasibility of Clarabel."""
-        import clarabel
         from scipy.sparse import csc_matrix, triu
 
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = INTERIOR_POINT
-        # the cone solver is not scale-free in (q, b); z = σ z' makes both about one
-        sigma = max(1.0, float(np.abs(q).max(initial=0.0)))
-        cones = [clarabel.NonnegativeConeT(len(b))]
-        problem = clarabel.DefaultSolver(
-            csc_matrix(triu(self._H)), q / sigma, csc_matrix(self._G), b / sigma, cones, settings
-        )
-        solution = problem.solve()
-        infeasible = "PrimalInfeasible" in str(solution.status)
-        return np.array(solution.x) * sigma, np.maximum(solution.z, 0.0) * sigma, infeasible
+        # the cone solver is not scale-free in (q, b)
+        unit = max(1.0, float(np.abs(q).max(initial=0.0)))
+        z, y, infeasible = clarabel_solution(csc_matrix(triu(self._H)), q, csc_matrix(self._G), b, unit)
+        return z, np.maximum(y, 0.0), infeasible
 
     def _residuals(self, z: Array, y: Array, q: Array, b: Array) -> Residuals:
         """Relative KKT residuals, from the scaled data alone."""
@@ -162,6 +154,24 @@ class DenseQP:
                 dual=max(-float(y.min(initial=0.0)), 0.0) / active,
                 complementarity=_length(y * over / size) / active,
             )
+
+
+def clarabel_solution(
+    H: Any, q: Array, K: Any, b: Array, unit: float, equal: int = 0
+) -> tuple[Array, Array, bool]:
+    """Minimiser of ½ z'Hz + q'z with Kz <= b, its first `equal` rows equalities, multipliers, whether it is infeasible.
+
+    H : upper triangle, K : both sparse; unit : what the data are divided by, since the tolerances are absolute, too.
+    """
+    import clarabel
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = INTERIOR_POINT
+    cones = [clarabel.ZeroConeT(equal)] * (equal > 0) + [clarabel.NonnegativeConeT(len(b) - equal)]
+    solution = clarabel.DefaultSolver(H, q / unit, K, b / unit, cones, settings).solve()
+    infeasible = "PrimalInfeasible" in str(solution.status)
+    return np.array(solution.x) * unit, np.array(solution.z) * unit, infeasible
 
 
 def _length(v: Array) -> float:

@@ -76,6 +76,7 @@ def block_lengths(problem: MPCProblem) -> tuple[int, ...]:
 def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) -> Array:
     """Optimal gains block by block, backwards from the terminal weight."""
     Q, R, S, P = weights
+    stage = np.block([[Q, S], [S.T, R]])
     lengths = block_lengths(problem)
     gains = np.zeros((len(lengths), problem.nu, problem.nx))
     k = problem.horizon
@@ -88,10 +89,7 @@ def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) ->
             k -= 1
             step[: problem.nx] = np.hstack([A[k], B[k]])
             M = step.T @ M @ step
-            M[: problem.nx, : problem.nx] += Q
-            M[problem.nx :, problem.nx :] += R
-            M[: problem.nx, problem.nx :] += S
-            M[problem.nx :, : problem.nx] += S.T
+            M += stage
         Mxu = M[: problem.nx, problem.nx :]
         Muu = M[problem.nx :, problem.nx :]
         K = _solve_scaled(Muu, Mxu.T)

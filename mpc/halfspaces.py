@@ -73,26 +73,16 @@ def nearest_point(v: Array, H: Array, h: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Half-spaces (H, h) of states, end and inputs; rates; input matrix.
-
-    Attributes
-    ----------
-    B : (nx, nu) array
-    state, terminal, input : (H, h)
-    rate : (nu,) array or None
-    horizon : int
-    """
+    """Half-spaces (H, h) of "state", "terminal" and "input"; rates (nu,) or None; input matrix (nx, nu)."""
 
     B: Array
-    state: tuple[Array, Array]
-    terminal: tuple[Array, Array]
-    input: tuple[Array, Array]
+    sets: dict[str, tuple[Array, Array]]
     rate: Array | None
     horizon: int
 
     def input_extent(self) -> Array:
         """Size (nu,) of each input by bound or rate; 0 without limit."""
-        extent = along_axes(*self.input)
+        extent = along_axes(*self.sets["input"])
         if self.rate is None:
             return extent
         return np.where(extent > 0, np.minimum(extent, self.horizon * self.rate), self.rate)
@@ -103,20 +93,20 @@ class Limits:
         limited = (inputs > 0) | ~self.B.any(axis=0)
         moved = np.abs(self.B) @ inputs
         moved[self.B[:, ~limited].any(axis=1)] = 0.0
-        return first_positive(along_axes(*self.state), along_axes(*self.terminal), moved)
+        return first_positive(along_axes(*self.sets["state"]), along_axes(*self.sets["terminal"]), moved)
 
     def reaches(self) -> dict[str, Array]:
         """Extent of each set along its rows; 1 without any."""
         states = self.state_extent()
-        ends = first_positive(along_axes(*self.terminal), states)
-        found = {"state": np.abs(self.state[0]) @ states, "terminal": np.abs(self.terminal[0]) @ ends,
-                 "input": np.abs(self.input[0]) @ self.input_extent()}  # fmt: skip
+        ends = first_positive(along_axes(*self.sets["terminal"]), states)
+        extents = {"state": states, "terminal": ends, "input": self.input_extent()}
+        found = {kind: np.abs(H) @ extents[kind] for kind, (H, _) in self.sets.items()}
         return {kind: np.where(reach == 0, 1.0, reach) for kind, reach in found.items()}
 
     def price_units(self) -> dict[str, Array]:
         """Unit of each row of each set, see `MPCProblem.price_units`."""
         reaches, own = self.reaches(), self.own()
-        units = {kind: np.where(own[kind], np.abs(h), reaches[kind]) for kind, (_, h) in self._sets.items()}
+        units = {kind: np.where(own[kind], np.abs(h), reaches[kind]) for kind, (_, h) in self.sets.items()}
         if self.rate is not None:
             units["rate"] = np.tile(self.rate, 2)
         return units
@@ -124,11 +114,7 @@ class Limits:
     def own(self) -> dict[str, Flags]:
         """Whether each row is priced in units of its bound."""
         reaches = self.reaches()
-        return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self._sets.items()}
-
-    @property
-    def _sets(self) -> dict[str, tuple[Array, Array]]:
-        return {"state": self.state, "terminal": self.terminal, "input": self.input}
+        return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self.sets.items()}
 
 
 def first_positive(*sizes: Array) -> Array:

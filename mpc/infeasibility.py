@@ -154,11 +154,10 @@ def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
 
 def _what_gave(problem: MPCProblem, labels: tuple[Constraint, ...], states: Array, units: Array) -> dict[int, float]:
     """Rows violated by the states, with their violations in `units`."""
-    sets = {"state": problem.state_rows, "terminal": problem.terminal_rows}
     amounts = {}
     for i, (kind, step, row) in enumerate(labels):
-        if kind in sets:
-            H, h = sets[kind]
+        if kind in ("state", "terminal"):
+            H, h = problem.limits.sets[kind]
             amounts[i] = float(H[row] @ states[step] - h[row]) / units[i]
     return {i: amount for i, amount in amounts.items() if amount > FEASIBLE}
 
@@ -224,7 +223,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
         return f"Δu[{j}] {'<=' if sign else '>='} {problem.rate_limit[j] if sign else -problem.rate_limit[j]:.6g}"
     if label.kind == "slack":
         return f"slack {label.step} >= 0"
-    H, h = {"state": problem.state_rows, "input": problem.input_rows, "terminal": problem.terminal_rows}[label.kind]
+    H, h = problem.limits.sets[label.kind]
     name = "u" if label.kind == "input" else "x"
     used = np.flatnonzero(H[label.row])
     if len(used) == 1:

@@ -135,14 +135,11 @@ class ParametricQP(ReadOnly):
             raise InputError("fix", f"parameters {sorted(unknown)}", f"some of {list(sizes)}")
         T = np.zeros((self.nt, 0))
         t = np.zeros(self.nt)
-        column = 0
-        for name, size in self.parameters:
-            rows = slice(column, column + size)
+        for name, rows in places(sizes).items():
             if name in values:
-                t[rows] = as_array(name, as_floats(name, values[name]).ravel(), (size,))
+                t[rows] = as_array(name, as_floats(name, values[name]).ravel(), (sizes[name],))
             else:
                 T = np.hstack([T, np.eye(self.nt)[:, rows]])
-            column += size
         left = tuple(p for p in self.parameters if p[0] not in values)
         return replace(  # θ = T θ' + t
             self, F=self.F @ T, f=self.f + self.F @ t, S=self.S @ T, w=self.w + self.S @ t, Lt=self.Lt @ T,
@@ -164,6 +161,12 @@ class ParametricQP(ReadOnly):
         if isinstance(i, (bool, np.bool_)) or not isinstance(i, (int, np.integer)) or not 0 <= i < self.m:
             raise InputError("rows", repr(i), f"numbers of constraints in 0 … {self.m - 1}")
         return int(i)
+
+
+def places(sizes: dict[str, int]) -> dict[str, slice]:
+    """Place of each part in a vector of parts of these sizes."""
+    ends = np.cumsum([0, *sizes.values()])
+    return {name: slice(int(first), int(last)) for name, first, last in zip(sizes, ends[:-1], ends[1:])}
 
 
 def _vector(name: str, value: ArrayLike, n: int) -> Array:

@@ -135,11 +135,17 @@ class MPCProblem:
             return self.riccati_gain
         return lqr(self.A, self.B, Q=self.Q, R=self.R, S=self.S)[0]
 
+    @cached_property
+    def stage_weight(self) -> Array:
+        """Weight [Q S; S' R] of a stage (nx + nu, nx + nu)."""
+        S = np.zeros((self.nx, self.nu)) if self.S is None else self.S
+        return np.block([[self.Q, S], [S.T, self.R]])
+
     @property
     def limits(self) -> Limits:
         """Sets and rates, with their sizes."""
-        sets = self.state_rows, self.terminal_rows, self.input_rows
-        return Limits(self.B, *sets, self.rate_limit, self.horizon)
+        sets = {"state": self.state_rows, "terminal": self.terminal_rows, "input": self.input_rows}
+        return Limits(self.B, sets, self.rate_limit, self.horizon)
 
     @cached_property
     def input_extent(self) -> Array:

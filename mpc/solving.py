@@ -1,23 +1,26 @@
-"""Plans from the condensed QP, else stage by stage."""
+"""Plans from the condensed QP, else relaxed, stage by stage, or of the saturated regulator."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from mpc.checks import Array
 from mpc.condensing import condense, row_units
 from mpc.dense_qp import DenseQP, QPResult
+from mpc.exceptions import NotStabilisableError
 from mpc.feedback import block_lengths, stabilising_feedback
+from mpc.halfspaces import is_empty, nearest_points
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
-from mpc.relaxation import inputs_conflict, regulated, relax, saturated_regulator, typical_cost
 from mpc.rollout import (
     Given,
     admissible,
     cost_of,
+    finite,
     pushes,
     relative_violations,
     rollout,
@@ -26,7 +29,18 @@ from mpc.rollout import (
 )
 from mpc.stages import StagewiseQP
 from mpc.stagewise import solve_stagewise
-from mpc.tolerances import FEASIBLE, GROWTH, KKT_REPORTED, OVERFLOW, RELAXATION_SHARES, RUNAWAY, UNIT_CIRCLE
+from mpc.tolerances import (
+    FEASIBLE,
+    GROWTH,
+    KKT,
+    KKT_REPORTED,
+    OVERFLOW,
+    RELAXATION_MARGIN,
+    RELAXATION_SHARES,
+    RELAXATION_WIDER,
+    RUNAWAY,
+    UNIT_CIRCLE,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +95,7 @@ class CondensedSolver:
         self.units = row_units(problem, self.qp.labels)
         self.feedback = stabilising_feedback(problem)
         self.unstable = float(np.abs(np.linalg.eigvals(problem.A)).max()) > 1 + UNIT_CIRCLE
-        # of a long unstable horizon the second form is the stagewise one, see `_in_another_form`
+        # of a long unstable horizon the second form is the stagewise one
         self.dense = DenseQP(self.qp.H, self.qp.G, self.units, second=self.feedback is None)
 
     def theta(self, x: Array, given: Given) -> Array:
@@ -109,22 +123,93 @@ class CondensedSolver:
             return found.packed(self.problem, given, start)
 
     def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Candidate | None:
-        """Best candidate; None where input constraints contradict."""
+        """Best candidate; None where input constraints contradict.
+
+        What fails its check is solved stage by stage for an unstable plant, and so is what has to be relaxed while the
+        states run away: there the dense QP would lose the digits of the inputs.
+        """
         result = self.dense.solve(q, b)
-        if not result.infeasible:
-            first = self._candidate(result, Status.SOLVED, x, theta, given)
-            return first if first.status is Status.SOLVED else self._in_another_form(first, x, given, q)
-        if inputs_conflict(self.problem, given.get("u_prev")):
-            return None
-        inputs, states = regulated(self.problem, x, pushes(self.problem, given))
-        away = self._runs_away(states)  # then the dense QP would lose the digits of the inputs
-        far = self._stage_by_stage(inputs, x, given, q) if away else None
-        if far is not None:
-            return far
-        relaxed = relax(self.problem, self.qp, self.dense, q, b)
-        result, status = (result, Status.SOFTENED) if relaxed is None else (relaxed.result, relaxed.status)
+        status = Status.SOLVED
+        away = False
+        if result.infeasible:
+            if inputs_conflict(self.problem, given.get("u_prev")):
+                return None
+            inputs, states = regulated(self.problem, x, pushes(self.problem, given))
+            away = self._runs_away(states)
+            far = self._stage_by_stage(inputs, x, given, q) if away else None
+            if far is not None:
+                return far
+            result, status = self._relaxed(q, b) or (result, Status.SOFTENED)
         first = self._candidate(result, status, x, theta, given)
-        return first if away or first.status is status else self._in_another_form(first, x, given, q)
+        if first.status is status or away or not self.unstable:
+            return first
+        return self._stage_by_stage(first.inputs, x, given, q) or first
+
+    def _relaxed(self, q: Array, b: Array) -> tuple[QPResult, Status] | None:
+        """Solution with least relaxed state constraints, SOLVED where none needed it; None without one.
+
+        Whether the problem is infeasible is decided here, by the violation that is left when it is made least: what the
+        QP solver said before is only the reason to ask.
+        """
+        least = self._least_violation(q, b)
+        if least is None:
+            return None
+        relaxed, point = least
+        for margin in RELAXATION_WIDER:  # the least relaxation is feasible by a hair's breadth
+            wider = relaxed + margin * self.units * (relaxed > b)
+            result = self.dense.solve(q, wider, confirm_infeasible=margin == RELAXATION_WIDER[-1])
+            if not result.infeasible:
+                break
+        else:
+            result = replace(result, z=point)
+        infeasible = (relaxed - b > FEASIBLE * self.units).any()
+        return result, Status.SOFTENED if infeasible else Status.SOLVED
+
+    def _least_violation(self, q: Array, b: Array) -> tuple[Array, Array] | None:
+        """Right-hand side relaxed by least squares of violations, and a point z within; None where hard rows conflict.
+
+        Only rows of state and terminal constraints are relaxed; input, rate and slack rows are kept (Kerrigan and
+        Maciejowski, *Soft constraints and exact penalty functions in MPC*, 2000, in two stages instead of one penalty).
+        """
+        qp, units = self.qp, self.units
+        soft = np.array([label.kind in ("state", "terminal") for label in qp.labels], dtype=bool)
+        if not soft.any():
+            return None
+        steps = np.array([label.step for label in qp.labels])
+        last = int(steps[soft].max())
+        columns = np.zeros((qp.m, last))
+        columns[soft, steps[soft] - 1] = -units[soft]
+        typical = self._typical_cost(q)
+        for share in RELAXATION_SHARES:
+            share = share / typical
+            H = block_diag(share * qp.H, np.eye(last))
+            elastic = DenseQP(H, np.hstack([qp.G, columns]), units, second=self.dense.second)
+            result = elastic.solve(np.concatenate([share * q, np.zeros(last)]), b, confirm_infeasible=True)
+            if result.infeasible or result.residuals.worst <= KKT:
+                break
+        if result.infeasible or not np.isfinite(result.z).all():
+            return None
+        slack = np.maximum(-columns @ result.z[qp.nz :], 0.0)
+        room = RELAXATION_MARGIN * np.maximum(units, slack)
+        relaxed: Array = np.where(soft, b + np.where(slack > 2 * room, slack, 0.0) + room, b)
+        # what the first stage left violated by rounding is tolerated too
+        z = result.z[: qp.nz]
+        return relaxed + np.where(soft, np.maximum(qp.G @ z - relaxed, 0.0), 0.0), z
+
+    def _typical_cost(self, q: Array) -> float:
+        """Cost of the unconstrained optimum within input bounds, at least one row unit's.
+
+        A wide bound plays no part in it, and next to the origin, where nothing is wanted, violations still count.
+        """
+        qp, input_extent = self.qp, self.problem.input_extent
+        curvature = np.diag(qp.H)
+        size = np.full(qp.nz, np.inf)
+        moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
+        size[:moves] = np.tile(np.where(input_extent > 0, input_extent, np.inf), moves // len(input_extent))
+        wanted = float(np.minimum(size**2 * curvature, q**2 / curvature).sum())
+        soft = np.array([label.kind in ("state", "terminal") for label in qp.labels], dtype=bool)
+        moved = ((qp.G[soft] / self.units[soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
+        return max(wanted, float(1 / moved)) if moved > 0.0 else wanted or 1.0
 
     def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Candidate:
         """Candidate of the QP's minimiser; INACCURATE where it fails a check."""
@@ -152,12 +237,44 @@ class CondensedSolver:
         extent = np.where(self.problem.input_extent > 0, self.problem.input_extent, np.inf)
         return bool((feedback / extent).max() > RUNAWAY)
 
-    def _in_another_form(self, first: Candidate, x: Array, given: Given, q: Array) -> Candidate:
-        """Plan found stage by stage for an unstable plant, else `first`."""
-        second = self._stage_by_stage(first.inputs, x, given, q) if self.unstable else None
-        return first if second is None else second
-
     def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Candidate | None:
         """Plan found stage by stage, or None."""
-        typical = typical_cost(self.qp, self.units, self.problem.input_extent, q)
-        return stagewise_candidate(self.problem, x, given, inputs, typical)
+        return stagewise_candidate(self.problem, x, given, inputs, self._typical_cost(q))
+
+
+def inputs_conflict(problem: MPCProblem, last_input: Array | None) -> bool:
+    """Whether no input in U keeps the rate limit.
+
+    U is convex and not empty, so an input that is in U may stay where it is.
+    """
+    if problem.rate_limit is None or last_input is None:
+        return False
+    H, h = problem.input_rows
+    both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
+    near = np.concatenate([last_input + problem.rate_limit, problem.rate_limit - last_input])
+    return is_empty(np.vstack([H, both]), np.concatenate([h, near]))
+
+
+def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
+    """Plan of the saturated regulator."""
+    inputs, states = regulated(problem, x, np.zeros((problem.horizon, problem.nx)))
+    unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
+    violation = violation_of(problem, states)
+    duration = time.perf_counter() - start
+    return Plan(inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, duration, "LQR")
+
+
+def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]:
+    """Inputs and states under the saturated regulator, or zero inputs."""
+    try:
+        gain = problem.gain
+    except NotStabilisableError:
+        gain = np.zeros((problem.nu, problem.nx))
+    inputs = np.zeros((problem.horizon, problem.nu))
+    states = np.empty((problem.horizon + 1, problem.nx))
+    states[0] = x
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(problem.horizon):
+            inputs[k] = nearest_points(finite(-gain @ states[k])[None], *problem.input_rows)[0]
+            states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
+    return inputs, states

@@ -11,13 +11,13 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from mpc.checks import Array, Ints
+from mpc.checks import Array
+from mpc.dense_qp import clarabel_solution
 from mpc.feedback import stabilising_feedback
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
-from mpc.relaxation import inputs_conflict, regulated, saturated_regulator
 from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
-from mpc.solving import Candidate, CondensedSolver, stagewise_candidate
+from mpc.solving import Candidate, CondensedSolver, inputs_conflict, regulated, saturated_regulator, stagewise_candidate
 from mpc.stages import StagewiseQP
 from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW, REMEMBERED
 
@@ -45,10 +45,23 @@ class SparseSolver:
         self.feedback = stabilising_feedback(problem)
         zeros = {name: np.zeros(rows * n) for name, (rows, n) in problem.signal_shapes.items() if name in parameters}
         self._stagewise = StagewiseQP(problem, problem.state_size, zeros, problem.soft)
-        self._H, self._K = _matrices(self._stagewise)
+        stages = self._stagewise.stages
+        ends = np.cumsum([len(part) for stage in stages for part in (stage.gx, stage.gv)])
+        self._places = np.split(np.arange(ends[-1]), ends[:-1])  # of state and variables of every stage
+        self._states = np.array(self._places[::2])
+        self._inputs = np.concatenate([place[: stage.nu] for place, stage in zip(self._places[1::2], stages)])
+        self._H, self._K = self._matrices()
         self._whole_H = (self._H + sparse.triu(self._H, 1).T).tocsr()
         self._K_T = self._K.T.tocsr()
-        self._check = PlanCheck(self._stagewise, self._whole_H, self._K)
+        self._equal = self._states.size
+        dynamics, self._limits = self._K[: self._equal], self._K[self._equal :].tocsr()
+        self._limits_T = self._limits.T.tocsr()
+        self._costates = splu(dynamics[:, self._states.ravel()].T.tocsc())
+        self._driven = dynamics[:, self._inputs].T.tocsr()
+        self._driven_sizes = abs(self._driven)
+        self._weight = float(np.abs(self._whole_H.diagonal()[self._inputs]).max(initial=0.0))
+        radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
+        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
         self._parameters = parameters
         self._workspace = threading.local()
 
@@ -80,12 +93,17 @@ class SparseSolver:
         """First candidate that meets the tolerance, or the last."""
         q, low, high = self._vectors(x, given)
         for solver in self.solvers:
-            v, y = self._osqp(q, low, high) if solver == "osqp" else self._clarabel(q, low, high)
+            if solver == "osqp":
+                v, y = self._osqp(q, low, high)
+            else:  # what is small beside the sets would be solved to fewer digits
+                data = float(np.abs(low[: self._equal]).max(initial=0.0))
+                unit = data if data > 1 / OVERFLOW else 1.0
+                v, y, _ = clarabel_solution(self._H, q, self._K, high, unit, self._equal)
             found = self._candidate(v, self._residuals(v, y, q, low, high), x, given, solver)
             if found.status is Status.SOLVED:
                 cost = None if self.problem.S is None else (
                     cost_of(self.problem, found.inputs, found.states, given) / self._stagewise.cost)  # fmt: skip
-                if self._check.doubt(v, y, q, high, found.states, cost) <= KKT_REPORTED:
+                if self._doubt(v, y, q, high, found.states, cost) <= KKT_REPORTED:
                     break
                 found = replace(found, status=Status.INACCURATE)
         return found
@@ -119,21 +137,6 @@ class SparseSolver:
         result = model.solve(raise_error=False)
         return np.asarray(result.x, dtype=np.float64), np.asarray(result.y, dtype=np.float64)
 
-    def _clarabel(self, q: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Variables and multipliers of Clarabel."""
-        import clarabel
-
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = INTERIOR_POINT
-        # what is small beside the sets would be solved to fewer digits: the tolerances are absolute, too
-        data = float(np.abs(low[np.isfinite(low)]).max(initial=0.0))
-        unit = data if data > 1 / OVERFLOW else 1.0
-        equal = int(np.isfinite(low).sum())
-        cones = [clarabel.ZeroConeT(equal), clarabel.NonnegativeConeT(len(high) - equal)]
-        solution = clarabel.DefaultSolver(self._H, q / unit, self._K, high / unit, cones, settings).solve()
-        return np.array(solution.x) * unit, np.array(solution.z) * unit
-
     def _residuals(self, v: Array, y: Array, q: Array, low: Array, high: Array) -> Residuals:
         """Relative KKT residuals on the scaled data."""
         Hv = self._whole_H @ v
@@ -164,14 +167,8 @@ class SparseSolver:
 
     def _trajectory(self, v: Array, x: Array, given: Given) -> tuple[Array, Array, float]:
         """Inputs within U, their states, and the relative miss of U."""
-        states = []
-        variables = []
-        column = 0
-        for stage in self._stagewise.stages:
-            states.append(v[column : column + len(stage.gx)])
-            variables.append(v[column + len(stage.gx) : column + len(stage.gx) + len(stage.gv)])
-            column += len(stage.gx) + len(stage.gv)
-        inputs, predicted = self._stagewise.plan(states, variables, x)
+        parts = [v[place] for place in self._places]
+        inputs, predicted = self._stagewise.plan(parts[::2], parts[1::2], x)
         if self.feedback is not None:
             starts = np.flatnonzero(~self._stagewise.held)
             deviations = inputs[starts] + np.einsum("bij,bj->bi", self.feedback, predicted[starts])
@@ -180,64 +177,35 @@ class SparseSolver:
         missed = float(np.abs((within - inputs) / self._stagewise.input_size).max())
         return within, rollout(self.problem, x, within, given), missed
 
+    def _matrices(self) -> tuple[Any, Any]:
+        """Upper triangle of the Hessian, and rows of dynamics and constraints."""
+        stages = self._stagewise.stages
+        blocks: list[Array] = []
+        for stage in stages:
+            joint = stage.Hc.any()  # else the zeros would be stored
+            blocks += [np.block([[stage.Hx, stage.Hc], [stage.Hc.T, stage.Hv]])] if joint else [stage.Hx, stage.Hv]
+        H = sparse.triu(sparse.block_diag(blocks)).tocsc()
+        equal = sparse.lil_matrix((self._states.size, H.shape[0]))
+        rows = np.arange(self._states.size).reshape(self._states.shape)
+        for k, stage in enumerate(stages):
+            equal[rows[k], self._states[k]] = 1.0
+            if k + 1 < len(stages):
+                places = np.concatenate(self._places[2 * k : 2 * k + 2])
+                equal[np.ix_(rows[k + 1], places)] = -np.hstack([stage.A, stage.B])
+        limits = sparse.block_diag([np.hstack([stage.D, stage.C]) for stage in stages])
+        return H, sparse.vstack([equal, limits]).tocsc()
 
-def _matrices(stagewise: StagewiseQP) -> tuple[Any, Any]:
-    """Upper triangle of the Hessian, and rows of dynamics and constraints."""
-    stages = stagewise.stages
-    n = stagewise.n
-    H = sparse.triu(sparse.block_diag([block for stage in stages for block in stage.hessians])).tocsc()
-    widths = [len(stage.gx) + len(stage.gv) for stage in stages]
-    starts = np.cumsum([0, *widths])
-    equal = sparse.lil_matrix((n * len(stages), int(starts[-1])))
-    for k, stage in enumerate(stages):
-        column = int(starts[k])
-        equal[n * k : n * (k + 1), column : column + n] = np.eye(n)
-        if k + 1 < len(stages):
-            equal[n * (k + 1) : n * (k + 2), column : column + widths[k]] = -np.hstack([stage.A, stage.B])
-    rows = sparse.block_diag([np.hstack([stage.D, stage.C]) for stage in stages])
-    return H, sparse.vstack([equal, rows]).tocsc()
+    def _doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array, own_cost: float | None) -> float:
+        """Largest relative error of the gradient by the inputs and of the duality gap, with `states` (N + 1, nx).
 
-
-class PlanCheck:
-    """Relative errors of the gradient by the inputs and the duality gap.
-
-    In the residuals of all variables those of another size would hide it. With a cross weight the parts may cancel to a
-    cost that is small beside them: then what both can have lost, by convexity, is also set against the cost itself.
-
-    Parameters
-    ----------
-    stagewise : StagewiseQP
-        Gives the order and the sizes of the variables.
-    H : (n, n) sparse matrix
-        Hessian, both triangles.
-    K : (m, n) sparse matrix
-        Rows: first state and dynamics, then limits.
-    """
-
-    def __init__(self, stagewise: StagewiseQP, H: Any, K: Any):
-        problem = stagewise.problem
-        self._size = stagewise.state_size
-        self._inputs, self._states = _columns(stagewise)
-        self._H = H
-        self._equal = self._states.size
-        dynamics, self._limits = K[: self._equal], K[self._equal :].tocsr()
-        self._limits_T = self._limits.T.tocsr()
-        self._costates = splu(dynamics[:, self._states.ravel()].T.tocsc())
-        self._driven = dynamics[:, self._inputs].T.tocsr()
-        self._driven_sizes = abs(self._driven)
-        self._weight = float(np.abs(H.diagonal()[self._inputs]).max(initial=0.0))
-        radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
-        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
-
-    def doubt(self, v: Array, y: Array, q: Array, high: Array, states: Array, own_cost: float | None = None) -> float:
-        """Largest relative error of v and y, with `states` (N + 1, nx).
-
-        `own_cost` is the cost of the plan in the units of H, where it is to be compared with.
+        In the residuals of all variables those of another size would hide it. With a cross weight the parts may cancel
+        to a cost that is small beside them: then what both can have lost, by convexity, is also set against the cost
+        itself, `own_cost`, in the units of H.
         """
         v = v.copy()
-        v[self._states[:, : states.shape[1]]] = states / self._size
+        v[self._states[:, : states.shape[1]]] = states / self._stagewise.state_size
         y = y[self._equal :]
-        Hv = self._H @ v
+        Hv = self._whole_H @ v
         pushed = self._limits_T @ y
         unit = float(np.abs(v).max(initial=0.0))
         left, largest = self._gradient(Hv, q, pushed, unit) if self._remembers else (np.zeros(1), 0.0)
@@ -257,11 +225,3 @@ class PlanCheck:
         left = force[self._inputs] - self._driven @ costates
         parts = [Hv[self._inputs], q[self._inputs], pushed[self._inputs], self._driven_sizes @ np.abs(costates)]
         return left, max(NEGLIGIBLE * self._weight * unit, *(float(np.linalg.norm(part)) for part in parts))
-
-
-def _columns(stagewise: StagewiseQP) -> tuple[Ints, Ints]:
-    """Places of inputs and states (N + 1, n) among the variables."""
-    widths = np.array([len(stage.gx) + len(stage.gv) for stage in stagewise.stages])
-    states = (np.cumsum(widths) - widths)[:, None] + np.arange(stagewise.n)
-    inputs = [first[-1] + 1 + np.arange(stage.nu) for first, stage in zip(states, stagewise.stages)]
-    return np.concatenate(inputs), states

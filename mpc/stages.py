@@ -15,7 +15,7 @@ from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
 
 @dataclass(frozen=True, eq=False)
 class QPStage:
-    """ξ⁺ = Aξ + Bν + c at cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν + ξ'Hcν, Cν + Dξ <= d; Hc may be None.
+    """ξ⁺ = Aξ + Bν + c at cost ½ξ'Hxξ + gx'ξ + ½ν'Hvν + gv'ν + ξ'Hcν, Cν + Dξ <= d.
 
     ξ is (x, last input) where the last input matters, ν is (u, t) with t >= 0 the largest violation of the step where
     it has a price; `nu` is the number of entries of u in ν, zero where the input is held and at the end.
@@ -32,22 +32,12 @@ class QPStage:
     D: Array
     d: Array
     nu: int
-    Hc: Array | None
-
-    @property
-    def hessians(self) -> list[Array]:
-        """Hessian in (ξ, ν) as diagonal blocks."""
-        if self.Hc is None:
-            return [self.Hx, self.Hv]
-        return [np.block([[self.Hx, self.Hc], [self.Hc.T, self.Hv]])]
+    Hc: Array
 
     def slopes(self, state: Array, variables: Array) -> tuple[Array, Array]:
         """Slope of the cost by ξ and by ν."""
-        by_state = self.Hx @ state + self.gx
-        by_variables = self.Hv @ variables + self.gv
-        if self.Hc is None:
-            return by_state, by_variables
-        return by_state + self.Hc @ variables, by_variables + self.Hc.T @ state
+        by_state = self.Hx @ state + self.gx + self.Hc @ variables
+        return by_state, self.Hv @ variables + self.gv + self.Hc.T @ state
 
 
 class StagewiseQP:
@@ -78,9 +68,7 @@ class StagewiseQP:
         self.n = problem.nx + self.memory
         self.Q, self.P = (np.asarray(w) * self.state_size * self.state_size[:, None] for w in (problem.Q, problem.P))
         self.R = np.asarray(problem.R) * self.input_size * self.input_size[:, None]
-        self.S: Array | None = None
-        if problem.S is not None:
-            self.S = problem.S * self.input_size * self.state_size[:, None]
+        self.S = problem.stage_weight[: problem.nx, problem.nx :] * self.input_size * self.state_size[:, None]
         self.cost = float(np.trace(self.Q) + np.trace(self.R)) or 1.0
         self.held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         last = given.get("u_prev", np.zeros(problem.nu))[: self.memory] / self.input_size[: self.memory]
@@ -134,38 +122,29 @@ class StagewiseQP:
         gx = np.zeros(n)
         Hv = np.zeros((free + priced,) * 2)
         gv = np.zeros(free + priced)
+        Hc = np.zeros((n, free + priced))
         weight = 2 * (self.P if k == last else self.Q) / self.cost
         Hx[:nx, :nx] = weight
         gx[:nx] = -weight @ self.x_ref[k]
-        R = 2 * self.R / self.cost
-        if free:
-            Hv[:nu, :nu] = R
-            gv[:nu] = -R @ self.u_ref[k]
-        elif k < last:
-            Hx[nx:, nx:] = R
-            gx[nx:] = -R @ self.u_ref[k]
         if self.price is not None and priced:
             gv[-1] = self.price[0] / self.cost
             Hv[-1, -1] = 2 * self.price[1] / self.cost
-        Hc = None
-        if self.S is not None and k < last:
-            Hc = self._cross(k, 2 * self.S / self.cost, Hx, gx, gv, free)
+        if k < last:
+            R = 2 * self.R / self.cost
+            S = 2 * self.S / self.cost
+            by_input = -R @ self.u_ref[k] - S.T @ self.x_ref[k]
+            gx[:nx] -= S @ self.u_ref[k]
+            if free:
+                Hv[:nu, :nu] = R
+                gv[:nu] = by_input
+                Hc[:nx, :nu] = S
+            else:  # the input is one of the states
+                Hx[nx:, nx:] = R
+                gx[nx:] = by_input
+                Hx[:nx, nx:] = S
+                Hx[nx:, :nx] = S.T
         A, B, c = self._dynamics(k, free, priced)
         return QPStage(A, B, c, Hx, gx, Hv, gv, *self._rows(k, free, priced), free, Hc)
-
-    def _cross(self, k: int, S: Array, Hx: Array, gx: Array, gv: Array, free: int) -> Array | None:
-        """Cross term Hc of step k; adds the rest of S in place."""
-        nx = self.problem.nx
-        gx[:nx] -= S @ self.u_ref[k]
-        if not free:  # the input is one of the states
-            Hx[:nx, nx:] = S
-            Hx[nx:, :nx] = S.T
-            gx[nx:] -= S.T @ self.x_ref[k]
-            return None
-        gv[:free] -= S.T @ self.x_ref[k]
-        Hc = np.zeros((len(gx), len(gv)))
-        Hc[:nx, :free] = S
-        return Hc
 
     def _dynamics(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
         """Dynamics (A, B, c) of the step after k; zero at the end."""

@@ -103,16 +103,12 @@ class _Iteration:
             st = self.stages[k]
             w = self.weights[k]
             M = st.Hv + (st.C.T * w) @ st.C + st.B.T @ V @ st.B
-            cross = st.B.T @ V @ st.A + (st.C.T * w) @ st.D
-            if st.Hc is not None:
-                cross += st.Hc.T
+            cross = st.B.T @ V @ st.A + (st.C.T * w) @ st.D + st.Hc.T
             inverse = _inverse(M)
             K = -inverse @ cross
             closed = st.A + st.B @ K
             rows = st.D + st.C @ K
-            V = st.Hx + closed.T @ V @ closed + K.T @ st.Hv @ K + (rows.T * w) @ rows
-            if st.Hc is not None:
-                V += 2 * st.Hc @ K  # made symmetric below
+            V = st.Hx + closed.T @ V @ closed + K.T @ st.Hv @ K + (rows.T * w) @ rows + 2 * st.Hc @ K
             V = (V + V.T) / 2
             self.gains[k] = K
             self.inverses[k] = inverse

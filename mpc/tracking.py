@@ -269,13 +269,7 @@ def _nearest(problem: MPCProblem, C: Array, r: Array, particular: Array, basis: 
     size = sizes_of(problem)
     output = np.hstack([C, np.zeros((len(C), problem.nu))]) * size
     unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
-    W = np.zeros((len(size), len(size)))
-    W[: problem.nx, : problem.nx] = problem.Q
-    W[problem.nx :, problem.nx :] = problem.R
-    if problem.S is not None:
-        W[: problem.nx, problem.nx :] = problem.S
-        W[problem.nx :, : problem.nx] = problem.S.T
-    W = W * size * size[:, None]
+    W = problem.stage_weight * size * size[:, None]
     W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(size))
     T = output / unit
     full = T.T @ T + TARGET_COST * W + drift

@@ -11,8 +11,8 @@ from mpc.checks import Array, Flags
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
-from mpc.sensitivities.changes import Changes
-from mpc.sensitivities.conditions import SOFTENED, Conditions, PlanModel, Point
+from mpc.sensitivities.changes import SOFTENED, Changes
+from mpc.sensitivities.conditions import Conditions, PlanModel, Point
 from mpc.sensitivities.linearised import Linearised
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE

@@ -15,6 +15,8 @@ from mpc.problem import MPCProblem
 from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
 from mpc.tolerances import UNIT_STEP
 
+SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
+
 
 @dataclass(frozen=True, eq=False)
 class Changes:
@@ -88,34 +90,29 @@ def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[s
     of which central differences are exact. The unit of a bound that is zero does not change with that bound.
     """
     own, units = limits.own(), limits.price_units()
-    sets = {"state": limits.state, "terminal": limits.terminal}
-    change = {kind: np.sign(h)[:, None] * np.where(own[kind][:, None], bounds[kind], 0.0)
-              for kind, (_, h) in sets.items()}  # fmt: skip
-    if all(own[kind].all() for kind in sets):
+    change = {kind: np.sign(limits.sets[kind][1])[:, None] * np.where(own[kind][:, None], bounds[kind], 0.0)
+              for kind in SOFTENED}  # fmt: skip
+    if all(own[kind].all() for kind in SOFTENED):
         return change
     for j in range(dB.shape[-1]):
         moves = {kind: np.where(own[kind], bounds[kind][:, j], 0.0) for kind in own}
         sizes = [(moves[kind], units[kind]) for kind in own]
         sizes.append((dB[:, :, j], np.asarray(np.abs(limits.B).max() or 1.0)))
-        rate = None
         if limits.rate is not None:
-            rate = bounds["rate"][: len(limits.rate), j]
-            sizes.append((rate, limits.rate))
+            moves["rate"] = bounds["rate"][: len(limits.rate), j]
+            sizes.append((moves["rate"], limits.rate))
         largest = max(float(np.abs(move / size).max(initial=0.0)) for move, size in sizes)
         if largest == 0:
             continue
         step = UNIT_STEP / largest
-        up, down = (_moved(limits, moves, dB[:, :, j], rate, part).reaches() for part in (step, -step))
-        for kind in sets:
+        up, down = (_moved(limits, moves, dB[:, :, j], part).reaches() for part in (step, -step))
+        for kind in SOFTENED:
             change[kind][:, j] += np.where(own[kind], 0.0, (up[kind] - down[kind]) / (2 * step))
     return change
 
 
-def _moved(limits: Limits, moves: dict[str, Array], dB: Array, rate: Array | None, part: float) -> Limits:
+def _moved(limits: Limits, moves: dict[str, Array], dB: Array, part: float) -> Limits:
     """Limits after a part of a move."""
-    state, terminal, actions = (
-        (H, h + part * moves[kind])
-        for kind, (H, h) in (("state", limits.state), ("terminal", limits.terminal), ("input", limits.input))
-    )
-    rates = None if limits.rate is None or rate is None else limits.rate + part * rate
-    return Limits(limits.B + part * dB, state, terminal, actions, rates, limits.horizon)
+    sets = {kind: (H, h + part * moves[kind]) for kind, (H, h) in limits.sets.items()}
+    rate = None if limits.rate is None else limits.rate + part * moves["rate"]
+    return Limits(limits.B + part * dB, sets, rate, limits.horizon)

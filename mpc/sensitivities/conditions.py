@@ -8,16 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from mpc.checks import Array, Flags
-from mpc.condensing import constraints_of, soften
+from mpc.condensing import constraints_of, predict, soften
 from mpc.feedback import block_lengths
-from mpc.parametric_qp import Constraint
+from mpc.parametric_qp import Constraint, places
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
 from mpc.sensitivities.changes import Changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
-
-SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
 
 
 class PlanModel(Protocol):
@@ -61,15 +59,9 @@ class Conditions:
     def __init__(self, problem: MPCProblem, model: PlanModel, changes: Changes, given: Given) -> None:
         self.problem, self.model, self.changes, self.given = problem, model, changes, given
         last = problem.nu if problem.rate_limit is not None else 0
-        ends = np.cumsum([0, problem.nx, changes.parameters, last, 1, 1, len(block_lengths(problem)) * problem.nu])
-        names = ("x", "p", "u_prev", "gap", "value", "z")
-        self.columns = {name: slice(int(a), int(b)) for name, a, b in zip(names, ends[:-1], ends[1:])}
-        self.nt = int(ends[3])
-        self.stage = np.block([[problem.Q, np.zeros((problem.nx, problem.nu))],
-                               [np.zeros((problem.nu, problem.nx)), problem.R]])  # fmt: skip
-        if problem.S is not None:
-            self.stage[: problem.nx, problem.nx :] = problem.S
-            self.stage[problem.nx :, : problem.nx] = problem.S.T
+        self.columns = places({"x": problem.nx, "p": changes.parameters, "u_prev": last, "gap": 1, "value": 1,
+                               "z": len(block_lengths(problem)) * problem.nu})  # fmt: skip
+        self.nt = self.columns["gap"].start
         cross = changes.S
         self.stage_change = np.block([[changes.Q.transpose(2, 0, 1), cross.transpose(2, 0, 1)],
                                       [cross.transpose(2, 1, 0), changes.R.transpose(2, 0, 1)]])  # fmt: skip
@@ -79,23 +71,11 @@ class Conditions:
     ) -> tuple[Array, Array]:
         """Inputs (N, nu, ·) and states (N + 1, nx, ·) as functions of ξ."""
         A, B, F = model
-        problem, at = self.problem, self.columns
-        N, width = problem.horizon, at["z"].stop
-        U, X = np.zeros((N, problem.nu, width)), np.zeros((N + 1, problem.nx, width))
-        X[0, :, at["x"]] = np.eye(problem.nx)
-        first = 0
-        for b, length in enumerate(block_lengths(problem)):
-            column = at["z"].start + b * problem.nu
-            form = np.zeros((problem.nu, width))
-            form[:, column : column + problem.nu] = np.eye(problem.nu)
-            if feedback is not None:
-                form -= feedback[b] @ X[first]
-            for k in range(first, first + length):
-                U[k] = form
-                X[k + 1] = A[k] @ X[k] + B[k] @ form
-                X[k + 1, :, at["p"]] += F[k]
-                X[k + 1, :, at["gap"]] += (after[k] - point.states[k + 1])[:, None]
-            first += length
+        at = self.columns
+        driven = np.zeros((len(A), self.problem.nx, at["z"].stop))
+        driven[:, :, at["p"]] = F
+        driven[:, :, at["gap"]] = (after - point.states[1:])[:, :, None]
+        U, X = predict(self.problem, A, B, driven, at["z"].start, feedback)
         U[:, :, at["value"]] = point.inputs[:, :, None]
         X[:, :, at["value"]] = point.states[:, :, None]
         return U, X
@@ -112,7 +92,7 @@ class Conditions:
             rows[of_kind, at["p"]] -= change[[labels[i].row for i in of_kind]]
         if problem.soft is None:
             return rows, value - bounds, labels
-        rows, bounds, labels, _, _ = soften(problem, rows, bounds, labels, np.zeros((0, 0)))
+        rows, bounds, labels = soften(problem, rows, bounds, labels)
         value = np.concatenate([value, np.zeros(problem.horizon)]) + rows[:, at["z"].stop :] @ point.slacks
         for i, change in self.priced(labels):  # the price of a violation is counted in units that may change
             rows[i, at["p"]] -= point.slacks[labels[i].step - 1] * change

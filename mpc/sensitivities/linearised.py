@@ -9,7 +9,8 @@ from scipy.optimize import nnls
 from mpc.checks import Array, Flags
 from mpc.condensing import row_units
 from mpc.feedback import block_lengths, feedback_along
-from mpc.sensitivities.conditions import SOFTENED, Conditions, Point
+from mpc.sensitivities.changes import SOFTENED
+from mpc.sensitivities.conditions import Conditions, Point
 from mpc.tolerances import ACTIVE, WEAKLY_ACTIVE
 
 
@@ -34,7 +35,7 @@ class Linearised:
         error = point.states - given["x_ref"].reshape(N + 1, -1) if "x_ref" in given else point.states
         effort = point.inputs - given["u_ref"].reshape(N, -1) if "u_ref" in given else point.inputs
         steps = np.hstack([error[:-1], effort])
-        self.slope = 2 * steps @ conditions.stage
+        self.slope = 2 * steps @ problem.stage_weight
         self.end_slope = 2 * problem.P @ error[-1]
         forms = np.concatenate([self.X[:-1], self.U], axis=1)
         slacks = len(point.slacks)
@@ -47,7 +48,7 @@ class Linearised:
             self.gradient[at["z"].stop :] = linear + 2 * quadratic * point.slacks
         mixed, end_mixed = self._mixed(steps, error[-1])
         self.cost_of_parameters = 0.5 * (np.einsum("ki,kip->p", steps, mixed) + error[-1] @ end_mixed)
-        curvature = np.broadcast_to(2 * conditions.stage, (N, nx + problem.nu, nx + problem.nu))
+        curvature = np.broadcast_to(2 * problem.stage_weight, (N, nx + problem.nu, nx + problem.nu))
         self.curvature = self._hessian(forms, curvature, slacks)[:, -n:]  # of the cost alone
         diagonal = self.curvature.diagonal()
         self.scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -101,7 +102,7 @@ class Linearised:
         on_states = np.zeros((problem.horizon + 1, problem.nx))
         on_inputs = np.zeros((problem.horizon, problem.nu))
         both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
-        sets = {"state": problem.state_rows[0], "terminal": problem.terminal_rows[0], "input": problem.input_rows[0]}
+        sets = problem.limits.sets
         for i in np.flatnonzero(self.multipliers):
             kind, step, row = self.labels[i]
             if kind == "rate":
@@ -110,7 +111,7 @@ class Linearised:
                     on_inputs[step - 1] -= self.multipliers[i] * both[row]
             elif kind in sets:
                 pushed = on_inputs if kind == "input" else on_states
-                pushed[step] += self.multipliers[i] * sets[kind][row]
+                pushed[step] += self.multipliers[i] * sets[kind][0][row]
         return on_states, on_inputs
 
     def _costates(self, A: Array, B: Array) -> Array:
