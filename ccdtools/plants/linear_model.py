@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finit
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace, check_finite
 from ccdtools.plants.holds import zero_order_hold
-from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
+from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_known
 
 
 class DiscreteModel:
@@ -67,7 +67,7 @@ class DiscreteModel:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearModel(DiscreteModel):
+class LinearModel(Symbolic, DiscreteModel):
     """Exact model x⁺ = A(p) x + B(p) u + E(p) w + c(p).
 
     Made by `discretise` or `LinearModel.from_state_space`.
@@ -90,6 +90,9 @@ class LinearModel(DiscreteModel):
     InputError
         If the shapes disagree, or a matrix is not finite somewhere in the box of designs.
     """
+
+    symbol_fields: ClassVar[tuple[str, ...]] = ("symbols",)
+    expression_fields: ClassVar[tuple[str, ...]] = ("A", "B", "E", "c")
 
     symbols: ca.SX
     A: ca.SX
@@ -157,16 +160,6 @@ class LinearModel(DiscreteModel):
         constant = ", a constant term" if self.affine else ""
         sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances{constant}, dt = {self.dt:g} s"
         return f"LinearModel({sizes}, design: {self.design!r})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        packed = pack([self.symbols], [self.A, self.B, self.E, self.c])
-        return {"expressions": packed, "dt": self.dt, "design": self.design}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        (symbols,), (A, B, E, c) = unpack(state["expressions"])
-        values = {"symbols": symbols, "A": A, "B": B, "E": E, "c": c, "dt": state["dt"], "design": state["design"]}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:
