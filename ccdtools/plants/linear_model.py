@@ -26,7 +26,9 @@ class DiscreteModel:
     nx: Any
     nu: Any
     design: Any
+    nw: Any
     function: Any
+    stepper: Any
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -59,6 +61,11 @@ class DiscreteModel:
         T = np.asarray(self.jacobian(p), dtype=float).reshape(-1, self.nx, len(p)).transpose(1, 0, 2)
         A, B, E = np.split(T, [self.nx, self.nx + self.nu], axis=1)
         return A, B, E
+
+    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
+        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
+        step = self.stepper(p, batch=1)
+        return lambda x, u: np.asarray(step(x, u, np.zeros(self.nw)))
 
     @property
     def _box(self) -> DesignSpace:
@@ -230,17 +237,9 @@ class LinearModel(Symbolic, DiscreteModel):
         """Model driven by (w, r), with r (nx,) added to the next state."""
         return replace(self, E=ca.horzcat(self.E, ca.SX.eye(self.nx)))
 
-    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
-        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
-        A, B, _ = self.matrices(p)
-        c = self.constant(p)
-        return lambda x, u: x @ A.T + u @ B.T + c
-
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
         A, B, E = self.matrices(p)
-        if not self.affine:
-            return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
         c = self.constant(p)
         return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T + c
 

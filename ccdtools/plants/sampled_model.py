@@ -168,11 +168,6 @@ class SampledModel(Immutable, DiscreteModel):
         p = self.design.check_one(p)
         return lambda x, u, w: self.advance(x, u, w, p)
 
-    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
-        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
-        p = self.design.check_one(p)
-        return lambda x, u: np.asarray(self.advance(x, u, np.zeros(self.nw), p))
-
     @cached_property
     def _jacobian(self) -> ca.Function:
         """(x, u, w, p) → ∂x⁺/∂(x, u, w), (nx, nx + nu + nw)."""
