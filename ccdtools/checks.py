@@ -45,8 +45,8 @@ def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "
     return frozen(finite(argument, array))
 
 
-def as_weight(argument: str, value: Any, size: int | None = None, *, definite: bool = False) -> Array:
-    """Read-only symmetric positive semidefinite (or definite) matrix; a number is 1 × 1."""
+def as_weight(argument: str, value: Any, size: int | None = None) -> Array:
+    """Read-only symmetric positive semidefinite matrix; a number is 1 × 1."""
     M = np.atleast_2d(as_floats(argument, value))
     n = len(M) if size is None else size
     if M.shape != (n, n):
@@ -56,9 +56,8 @@ def as_weight(argument: str, value: Any, size: int | None = None, *, definite: b
     if (np.abs(M - M.T) > 1e-9 * extent).any():
         raise InputError(argument, "a matrix that is not symmetric", f"{argument} = {argument}ᵀ")
     smallest = float(np.linalg.eigvalsh(M / extent)[0]) * extent if extent > 0 else 0.0
-    if smallest < -1e-12 * extent or (definite and smallest <= 0):
-        kind = "a positive definite matrix" if definite else "a positive semidefinite matrix"
-        raise InputError(argument, f"smallest eigenvalue {smallest:.3g}", kind)
+    if smallest < -1e-12 * extent:
+        raise InputError(argument, f"smallest eigenvalue {smallest:.3g}", "a positive semidefinite matrix")
     return frozen(M)
 
 

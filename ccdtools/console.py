@@ -73,7 +73,8 @@ def _of_usage(error: Any) -> str:
         return f"{error.option_name}: got an unknown option, expected one that exists.{near}{help_of}"
     if kind == "NoSuchCommand" or (kind == "UsageError" and "command" in error.format_message().lower()):
         *others, last = error.ctx.command.commands
-        word = _quoted_word(error)
+        _, *quoted = error.format_message().split("'")
+        word = repr(quoted[0]) if quoted else "nothing"
         near = nearest(word.strip("'"), [*others, last])
         return f"command: got {word}, expected {', '.join(others)} or {last}.{near and ' ' + near}{help_of}"
     if kind == "MissingParameter":
@@ -87,12 +88,6 @@ def _of_usage(error: Any) -> str:
         extra = error.format_message().rpartition("(")[2].rstrip(").")
         return f"arguments: got {extra} besides what is needed, expected no more.{help_of}"
     return f"arguments: got {' '.join(error.format_message().split())}{help_of}"
-
-
-def _quoted_word(error: Any) -> str:
-    """First quoted word of a message."""
-    parts = error.format_message().split("'")
-    return repr(parts[1]) if len(parts) > 1 else "nothing"
 
 
 def _in_plain(error: UnicodeError) -> tuple[str, int]:

@@ -119,7 +119,8 @@ def draw_map(
     without_grid(ax)
     artists: list[Any] = []
     if shown.count() > 3 and np.ptp(shown.compressed()) > 0:
-        levels = _even_levels(shown.compressed())
+        low, high = np.quantile(shown.compressed(), [1 - 0.9, 1.0])  # the worst tenth has one colour
+        levels = MaxNLocator(12).tick_values(float(low), float(high))
         filled: Any
         if whole:
             colours = BoundaryNorm(levels, matplotlib.colormaps["Blues_r"].N, extend="min")
@@ -137,9 +138,3 @@ def draw_map(
         gaps = np.diff(axis)[[0, -1]] / 2 if whole else np.full(2, 0.03 * np.ptp(axis))
         set_limits(axis[0] - gaps[0], axis[-1] + gaps[1])
     return artists
-
-
-def _even_levels(values: Array) -> Array:
-    """About a dozen equally spaced levels, without the worst designs."""
-    low, high = np.quantile(values, [1 - 0.9, 1.0])  # the worst tenth has one colour
-    return np.asarray(MaxNLocator(12).tick_values(float(low), float(high)))

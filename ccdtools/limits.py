@@ -75,8 +75,11 @@ class StateLimits(Immutable):
         first = self.rows[row, terms[0]]
         bound = self.bounds[row] / first
         side = ">" if first > 0 else "<"
-        others = (_term(self.rows[row, i] / first, names[i]) for i in terms[1:])
-        return f"{names[terms[0]]}{''.join(others)} {side} {bound:.4g}"
+        text = names[terms[0]]
+        for factor, name in ((self.rows[row, i] / first, names[i]) for i in terms[1:]):
+            size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
+            text += f" {'+' if factor > 0 else '−'} {size}{name}"
+        return f"{text} {side} {bound:.4g}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -263,9 +266,3 @@ def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
     width = np.where(np.isfinite(width), width, np.abs(bounds))
     width = np.where(width > FLAT_ROW * reach, width, reach)
     return np.where(width > 0, width, np.linalg.norm(rows, axis=1))
-
-
-def _term(factor: float, name: str) -> str:
-    """Text of a further term of a row."""
-    size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
-    return f" {'+' if factor > 0 else '−'} {size}{name}"

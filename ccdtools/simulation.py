@@ -131,7 +131,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     states[:, 0] = x
     for k in bar(range(steps), label="simulating", total=steps, progress=progress):
         running = diverged_at < 0
-        u = _checked_inputs(_asked(driver, k, x, plant.nu), running, plant.nu, k)
+        u = _asked(driver, k, x, plant.nu, running)
         inputs[:, k] = np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         x_next = step(x, u, w[:, k])
@@ -143,10 +143,11 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
 
 
-def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
-    """Controller's answer to the states x (n, nx), or an `InputError`."""
+def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]) -> Array:
+    """Inputs (n, nu) that the controller returns at the states x (n, nx), finite for running runs."""
+    shape = (len(x), nu)
     try:
-        return driver(k, x)
+        given = driver(k, x)
     except CCDError:
         raise
     except (TypeError, ValueError, IndexError) as error:
@@ -154,17 +155,13 @@ def _asked(driver: Driver, k: int, x: Array, nu: int) -> Any:
             raise
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         got = f"one that stops with {reason[:120]} for states of shape {x.shape}"
-        raise InputError("controller", got, f"inputs ({len(x)}, {nu})", BATCHED) from error
-
-
-def _checked_inputs(given: Any, running: NDArray[np.bool_], nu: int, k: int) -> Array:
-    """Inputs that a controller returned, finite for running runs."""
+        raise InputError("controller", got, f"inputs {shape}", BATCHED) from error
     try:
         u: Array = np.asarray(given, dtype=float)
     except (TypeError, ValueError, RuntimeError):
-        raise InputError("controller", f"{shown(given)} as its inputs", f"an array ({len(running)}, {nu})") from None
-    if u.shape != (len(running), nu):
-        raise InputError("controller", f"inputs of shape {u.shape}", f"({len(running)}, {nu})", BATCHED)
+        raise InputError("controller", f"{shown(given)} as its inputs", f"an array {shape}") from None
+    if u.shape != shape:
+        raise InputError("controller", f"inputs of shape {u.shape}", f"{shape}", BATCHED)
     if not np.isfinite(u[running]).all():
         raise InputError("controller", f"an input that is not finite at step {k}", "finite ones")
     return u

@@ -74,9 +74,15 @@ class AllowedDesigns:
             return points[:1]
         points[:, moving] = 0.5
         points[1:, moving] = qmc.Sobol(len(moving), rng=np.random.default_rng(0)).random(BOX_SAMPLES)
-        corners = np.tile(points[0], (2 ** min(len(moving), MAX_CORNERS), 1))
-        corners[:, moving[:MAX_CORNERS]] = list(product((0.0, 1.0), repeat=min(len(moving), MAX_CORNERS)))
-        return np.vstack([points, corners])
+        return np.vstack([points, self.corners])
+
+    @property
+    def corners(self) -> Array:
+        """Corners (n, np) of the first ten entries that are not fixed, the others in the middle."""
+        moving = np.flatnonzero(self._moving)[:MAX_CORNERS]
+        corners = np.tile(0.5 * self._moving, (2 ** len(moving), 1))
+        corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
+        return corners
 
     def rounded(self, v: Array) -> Array:
         """Points (..., np) with whole-number entries rounded."""

@@ -82,18 +82,15 @@ class ImplicitStep:
         x = xp.broadcast_to(x, (*batch, x.shape[-1]))
         along = tuple(a[..., None, :] for a in held)  # the same for every stage
         for _ in range(self.substeps):
-            x = self._part(xp, x, along)
+            if xp is np:
+                Z = self._solved(xp, x, along)
+            else:
+                with xp.no_grad():
+                    Z = self._solved(xp, x.detach(), tuple(a.detach() for a in along))
+                for _ in range(2):  # one gives the first derivatives, two the second and third
+                    Z = Z - self._newton(xp, Z, x, along)
+            x = Z[..., -1, :]
         return x
-
-    def _part(self, xp: Any, x: Any, along: tuple[Any, ...]) -> Any:
-        """x (..., nx) after one part of the sample."""
-        if xp is np:
-            return self._solved(xp, x, along)[..., -1, :]
-        with xp.no_grad():
-            Z = self._solved(xp, x.detach(), tuple(a.detach() for a in along))
-        for _ in range(2):  # one gives the first derivatives, two the second and third
-            Z = Z - self._newton(xp, Z, x, along)
-        return Z[..., -1, :]
 
     def _solved(self, xp: Any, x: Any, along: tuple[Any, ...]) -> Any:
         """Stages Z (..., 3, nx); NaN where Newton's method does not converge."""

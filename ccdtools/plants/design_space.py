@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_na
 from ccdtools.exceptions import InputError
 from ccdtools.plants.allowed_designs import AllowedDesigns, whole_bounds
 from ccdtools.plants.design_constraints import compiled, constraint_names
-from ccdtools.plants.tolerances import FEASIBLE, MAX_CORNERS
+from ccdtools.plants.tolerances import FEASIBLE
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,11 +259,8 @@ class DesignSpace(Immutable):
         """Corners (at most 10 parameters), centre and 64 seeded points, (n, np)."""
         if not self.free.any():
             return self.centre[None]
-        moving = np.flatnonzero(self.free)[:MAX_CORNERS]
-        corners = np.full((2 ** len(moving), self.dim), 0.5)
-        corners[:, moving] = list(product((0.0, 1.0), repeat=len(moving)))
         interior = self.latin_hypercube(64, np.random.default_rng(0))
-        return np.vstack([self.from_unit(corners), self.centre[None], interior])
+        return np.vstack([self.from_unit(self.allowed.corners), self.centre[None], interior])
 
     def latin_hypercube(self, n: int, rng: np.random.Generator) -> Array:
         """Latin hypercube sample of `n` designs, (n, np)."""

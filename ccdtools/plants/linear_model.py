@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -17,7 +17,7 @@ from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finit
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace, check_finite
 from ccdtools.plants.holds import zero_order_hold
-from ccdtools.plants.symbols import as_expression, as_symbols, check_known, pack, unpack
+from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_known
 
 
 class DiscreteModel:
@@ -26,7 +26,9 @@ class DiscreteModel:
     nx: Any
     nu: Any
     design: Any
+    nw: Any
     function: Any
+    stepper: Any
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -60,6 +62,11 @@ class DiscreteModel:
         A, B, E = np.split(T, [self.nx, self.nx + self.nu], axis=1)
         return A, B, E
 
+    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
+        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
+        step = self.stepper(p, batch=1)
+        return lambda x, u: np.asarray(step(x, u, np.zeros(self.nw)))
+
     @property
     def _box(self) -> DesignSpace:
         """Box of designs, empty for a model without a design."""
@@ -67,7 +74,7 @@ class DiscreteModel:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearModel(DiscreteModel):
+class LinearModel(Symbolic, DiscreteModel):
     """Exact model x⁺ = A(p) x + B(p) u + E(p) w + c(p).
 
     Made by `discretise` or `LinearModel.from_state_space`.
@@ -90,6 +97,9 @@ class LinearModel(DiscreteModel):
     InputError
         If the shapes disagree, or a matrix is not finite somewhere in the box of designs.
     """
+
+    symbol_fields: ClassVar[tuple[str, ...]] = ("symbols",)
+    expression_fields: ClassVar[tuple[str, ...]] = ("A", "B", "E", "c")
 
     symbols: ca.SX
     A: ca.SX
@@ -157,16 +167,6 @@ class LinearModel(DiscreteModel):
         constant = ", a constant term" if self.affine else ""
         sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances{constant}, dt = {self.dt:g} s"
         return f"LinearModel({sizes}, design: {self.design!r})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        packed = pack([self.symbols], [self.A, self.B, self.E, self.c])
-        return {"expressions": packed, "dt": self.dt, "design": self.design}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        (symbols,), (A, B, E, c) = unpack(state["expressions"])
-        values = {"symbols": symbols, "A": A, "B": B, "E": E, "c": c, "dt": state["dt"], "design": state["design"]}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:
@@ -237,17 +237,9 @@ class LinearModel(DiscreteModel):
         """Model driven by (w, r), with r (nx,) added to the next state."""
         return replace(self, E=ca.horzcat(self.E, ca.SX.eye(self.nx)))
 
-    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
-        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
-        A, B, _ = self.matrices(p)
-        c = self.constant(p)
-        return lambda x, u: x @ A.T + u @ B.T + c
-
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
         A, B, E = self.matrices(p)
-        if not self.affine:
-            return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T
         c = self.constant(p)
         return lambda x, u, w: x @ A.T + u @ B.T + w @ E.T + c
 

@@ -72,22 +72,20 @@ class PathwiseStep:
 
     def slopes(self, x: Array, held: tuple[Array, ...], states: list[Array], multiplier: Array) -> list[Array]:
         """Products (n, ·) of the multiplier (n, nx) with ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂w, ∂x⁺/∂p."""
-        found = self._back(states, held, multiplier) if states else self._of_sample(x, *held, multiplier)
-        return np.split(found, np.cumsum(self._sizes)[:-1], axis=1)
-
-    def _back(self, states: list[Array], held: tuple[Array, ...], multiplier: Array) -> Array:
-        """Slopes of many runs, part by part backwards."""
+        ends = np.cumsum(self._sizes)[:-1]
+        if not states:
+            return np.split(self._of_sample(x, *held, multiplier), ends, axis=1)
         state = np.empty_like(states[0])
         factor = as_rows(multiplier)
         part = InPlace(self._of_part, [state, *map(as_rows, held), factor])
         total = np.zeros_like(part.out)
-        for before in reversed(states[:-1]):
+        for before in reversed(states[:-1]):  # part by part backwards
             state[:] = before
             part.run()
             factor[:] = part.out[: len(state)]
             total += part.out
         total[: len(state)] = factor
-        return total.T
+        return np.split(total.T, ends, axis=1)
 
 
 def _slopes_of(step: ca.Function) -> ca.Function:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -18,11 +18,11 @@ from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.design_space import DesignSpace, check_finite
 from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
-from ccdtools.plants.symbols import as_expression, as_symbols, check_distinct, check_known, check_numbers, pack, unpack
+from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_distinct, check_known, check_numbers
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plant:
+class Plant(Symbolic):
     """Dynamics as a CasADi expression in state, input, disturbance and design.
 
     Parameters
@@ -54,6 +54,9 @@ class Plant:
         If a symbol is not symbolic or used twice, shapes disagree, `dynamics` has other free symbols or an operation
         that arrays do not have.
     """
+
+    symbol_fields: ClassVar[tuple[str, ...]] = ("x", "u", "w", "p")
+    expression_fields: ClassVar[tuple[str, ...]] = ("dynamics", "outputs")
 
     x: ca.SX
     u: ca.SX
@@ -119,18 +122,6 @@ class Plant:
     def __repr__(self) -> str:
         kind = f"continuous, sampled every {self.dt:g} s" if self.continuous else f"discrete, dt = {self.dt:g} s"
         return f"Plant({self.nx} states, {self.nu} inputs, {self.nw} disturbances, {kind}, design: {self.design!r})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        plain = ("design", "dt", "continuous", "substeps", "state_names", "input_names", "output_names",
-                 "output_limits")  # fmt: skip
-        expressions = pack([self.x, self.u, self.w, self.p], [self.dynamics, self.outputs])
-        return {"expressions": expressions} | {name: getattr(self, name) for name in plain}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        symbols, (dynamics, outputs) = unpack(state.pop("expressions"))
-        named = dict(zip(("x", "u", "w", "p"), symbols), dynamics=dynamics, outputs=outputs)
-        for name, value in (named | state).items():
-            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:

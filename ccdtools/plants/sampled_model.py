@@ -24,31 +24,6 @@ from ccdtools.plants.runge_kutta import ExplicitStep
 METHODS = ("rk4", "collocation")
 
 
-class WithErrors:
-    """(x, u, (w, r), p) → x⁺ + r of a step."""
-
-    def __init__(self, step: Any, nw: int) -> None:
-        self._step = step
-        self._nw = nw
-
-    @cached_property
-    def function(self) -> ca.Function:
-        """The step as a CasADi function."""
-        own = self._step.function
-        nx = own.numel_out(0)
-        sizes = (nx, own.numel_in(1), self._nw + nx, own.numel_in(3))
-        x, u, w, p = (ca.MX.sym(name, size) for name, size in zip("xuwp", sizes))
-        after = own(x, u, w[: self._nw], p) + w[self._nw :]
-        return ca.Function("step", [x, u, w, p], [after], list("xuwp"), ["x_next"])
-
-    def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
-        """x⁺ (..., nx) of arrays or tensors."""
-        after = self._step(x, u, w[..., : self._nw], p)
-        if w.shape[-1] != self._nw + after.shape[-1]:
-            raise InputError("w", f"shape {tuple(w.shape)}", f"(..., {self._nw + after.shape[-1]})")
-        return after + w[..., self._nw :]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledModel(Immutable, DiscreteModel):
     """Model x⁺ = f(x, u, w, p) of a nonlinear plant.
@@ -117,15 +92,15 @@ class SampledModel(Immutable, DiscreteModel):
         return self.plant.design
 
     @cached_property
-    def advance(self) -> ExplicitStep | ImplicitStep | WithErrors:
+    def advance(self) -> Callable[..., Any]:
         """(x, u, w, p) → x⁺ on arrays or tensors (..., n); leading shapes broadcast.
 
         Of tensors it is differentiable in all four; to second order where the dynamics are.
         """
-        return WithErrors(self._own_step, self.plant.nw) if self.errors else self._own_step
+        return self._with_errors(self._own_step)
 
     @cached_property
-    def pathwise(self) -> Any:
+    def pathwise(self) -> Callable[..., Any]:
         """Step on torch tensors (n, ·) with p (np,) or (n, np), faster than `advance`.
 
         It is differentiable once.
@@ -135,9 +110,18 @@ class SampledModel(Immutable, DiscreteModel):
         from ccdtools.plants.pathwise_step import PathwiseStep
 
         own = self._own_step
-        if not isinstance(own, ExplicitStep):
-            return self.advance
-        return WithErrors(PathwiseStep(own), self.plant.nw) if self.errors else PathwiseStep(own)
+        return self._with_errors(PathwiseStep(own)) if isinstance(own, ExplicitStep) else self.advance
+
+    def _with_errors(self, own: Callable[..., Any]) -> Callable[..., Any]:
+        """(x, u, (w, r), p) → x⁺ + r of a step without errors, if the model has them."""
+
+        def step(x: Any, u: Any, w: Any, p: Any) -> Any:
+            """x⁺ (..., nx) of arrays or tensors."""
+            if w.shape[-1] != self.nw:
+                raise InputError("w", f"shape {tuple(w.shape)}", f"(..., {self.nw})")
+            return own(x, u, w[..., : self.plant.nw], p) + w[..., self.plant.nw :]
+
+        return step if self.errors else own
 
     @cached_property
     def _own_step(self) -> ExplicitStep | ImplicitStep:
@@ -169,20 +153,20 @@ class SampledModel(Immutable, DiscreteModel):
         at_rest = self._jacobian(*(ca.DM.zeros(size, 1) for size in (self.nx, self.nu, self.nw)), p)
         return ca.Function("matrices", [p], [at_rest])
 
-    @property
+    @cached_property
     def step(self) -> ca.Function:
         """(x, u, w, p) → x⁺ as a CasADi function."""
-        return self.advance.function
+        own = self._own_step.function
+        if not self.errors:
+            return own
+        x, u, w, p = (ca.MX.sym(n, size) for n, size in zip("xuwp", (self.nx, self.nu, self.nw, self.design.dim)))
+        after = own(x, u, w[: self.plant.nw], p) + w[self.plant.nw :]
+        return ca.Function("step", [x, u, w, p], [after], list("xuwp"), ["x_next"])
 
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
         p = self.design.check_one(p)
         return lambda x, u, w: self.advance(x, u, w, p)
-
-    def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
-        """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
-        p = self.design.check_one(p)
-        return lambda x, u: np.asarray(self.advance(x, u, np.zeros(self.nw), p))
 
     @cached_property
     def _jacobian(self) -> ca.Function:

@@ -2,19 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from math import isnan
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
+from ccdtools.arrays import Immutable
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Tape
 
 MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
+
+
+class Symbolic(Immutable):
+    """Base of frozen dataclasses with expressions, copied and pickled with fresh symbols of the same names.
+
+    Attributes
+    ----------
+    symbol_fields, expression_fields : tuples of str
+        Fields that are columns of symbols, and those that are expressions in them.
+    """
+
+    symbol_fields: ClassVar[tuple[str, ...]]
+    expression_fields: ClassVar[tuple[str, ...]]
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = super().__getstate__()
+        columns = [state.pop(name) for name in self.symbol_fields]
+        expressions = [state.pop(name) for name in self.expression_fields]
+        names = [[symbol.name() for symbol in elements(column)] for column in columns]
+        return state | {"columns": names, "function": ca.Function("packed", columns, expressions).serialize()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        columns = [ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX(0, 1) for names in state.pop("columns")]
+        expressions = ca.Function.deserialize(state.pop("function")).call(columns)
+        super().__setstate__(
+            state | dict(zip(self.symbol_fields, columns)) | dict(zip(self.expression_fields, expressions))
+        )
 
 
 def as_symbols(argument: str, value: Any) -> ca.SX:
@@ -74,18 +101,6 @@ def check_numbers(argument: str, expression: ca.SX) -> None:
 def elements(column: ca.SX) -> list[ca.SX]:
     """Scalar symbols of a column."""
     return [] if column.is_empty() else ca.vertsplit(column)
-
-
-def pack(inputs: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> dict[str, Any]:
-    """Expressions and their symbols as plain text."""
-    names = [[symbol.name() for symbol in elements(column)] for column in inputs]
-    return {"names": names, "function": ca.Function("packed", list(inputs), list(outputs)).serialize()}
-
-
-def unpack(packed: dict[str, Any]) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Fresh symbols of the same names and the expressions in them."""
-    inputs = [ca.vertcat(*map(ca.SX.sym, names)) if names else ca.SX(0, 1) for names in packed["names"]]
-    return inputs, ca.Function.deserialize(packed["function"]).call(inputs)
 
 
 def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:

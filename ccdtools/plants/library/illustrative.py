@@ -33,13 +33,9 @@ def illustrative(*, real: bool = False) -> Plant:
     p = ca.SX.sym("p")
     following = ca.DM([[0.8, 0.5], [0.5, 0.6]]) @ x + ca.vertcat(0.5, p) * u + w
     if as_flag("real", real):
-        following += _unmodelled(x[0], x[1], u, p)
+        x1, x2 = ca.vertsplit(x)
+        drift = ca.vertcat(x1 * ca.sin(x1) + x2 * ca.cos(x2), x2 * ca.sin(x2) + x1 * ca.cos(x1))
+        gain = ca.vertcat(ca.sin(x1), p * ca.cos(x2))
+        following += ca.DM([0.1, -0.2]) + 0.1 * drift + 0.5 * gain * u
     design = DesignSpace(["p"], lower=[0.5], upper=[3.0])
     return Plant(x, u, w, p, following, design, dt=1.0, continuous=False)
-
-
-def _unmodelled(x1: ca.SX, x2: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-    """Terms that the real system adds to the nominal one."""
-    drift = ca.vertcat(x1 * ca.sin(x1) + x2 * ca.cos(x2), x2 * ca.sin(x2) + x1 * ca.cos(x1))
-    gain = ca.vertcat(ca.sin(x1), p * ca.cos(x2))
-    return ca.DM([0.1, -0.2]) + 0.1 * drift + 0.5 * gain * u

@@ -13,8 +13,6 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import Parameters, clipped, given_or_default, linear_part
 from ccdtools.plants.plant import Plant
 
-ROUNDING = 0.02  # V, over which the limits of the real pump are rounded
-
 
 @dataclass(frozen=True)
 class Tanks(Parameters):
@@ -124,7 +122,7 @@ def _torricelli(tanks: Tanks, level: ca.SX) -> ca.SX:
 def _dynamics(x: ca.SX, u: ca.SX, w: ca.SX, p: ca.SX, tanks: Tanks, *, real: bool) -> ca.SX:
     """Balance of volumes, in levels and voltage."""
     open_part = 1 - tanks.clogged if real else 1.0
-    voltage = clipped(u, tanks.voltage_limit, ROUNDING) if real else u
+    voltage = clipped(u, tanks.voltage_limit, rounding=0.02) if real else u
     leak = tanks.leak * _torricelli(tanks, x[0]) if real else 0.0
     upper = open_part * p[2] * _torricelli(tanks, x[0])
     lower = open_part * tanks.outlet * _torricelli(tanks, x[1])
