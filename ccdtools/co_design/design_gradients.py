@@ -14,10 +14,10 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.differentiable_model import ScenarioTensors, in_double, scenario_tensors, to_design
+from ccdtools.co_design.environment import network_input_gradient
 from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
-from ccdtools.co_design.ppo_part import network_input_gradient
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import AGREEING, FINER_STEPS, LEVEL_SLOPE, SIGNIFICANT, SLOPE_AHEAD, UNRESOLVED_SLOPE
 from learning.networks import ActorCritic

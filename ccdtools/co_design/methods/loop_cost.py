@@ -17,9 +17,10 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in
 from ccdtools.co_design.episodes import Episode, simulated
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import descend
-from ccdtools.co_design.methods.design_search import DesignCost, End, HistoryRow
-from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw
+from ccdtools.co_design.methods.design_search import DesignCost, End
+from ccdtools.co_design.methods.laws import LQR, DesignLaw
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.tolerances import (
     COST_STEP,
@@ -67,7 +68,7 @@ class LoopCost(DesignCost):
 
     def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost at a point (np,), and its slope (np,): exact, or by differences of whole closed loops."""
-        exact = self.law.differentiable
+        exact = self.law.exact is not None
         point = torch.tensor(v, dtype=torch.float64, requires_grad=exact)
         with torch.set_grad_enabled(exact):
             cost = self._cost(point, v)
@@ -130,7 +131,7 @@ class LoopCost(DesignCost):
     def _episode(self, v: Tensor, *, depths: bool) -> Episode:
         """Episodes at a unit-box point."""
         p = to_design(self.problem, v)
-        return simulated(Stepper.at(self.problem, p), self.law.law(self.problem, p), self.scenarios, depths=depths)
+        return simulated(Stepper.at(self.problem, p), self.law.at(self.problem, p), self.scenarios, depths=depths)
 
     def plain(self, seen: Episode) -> float:
         """Cost of episodes, whatever they do to the limits."""
@@ -138,10 +139,10 @@ class LoopCost(DesignCost):
 
     def worth_a_start(self, v: Array) -> bool:
         """Whether saturated LQR, which is cheap, loses no run at a point."""
-        if self.law.differentiable:
+        if self.law.exact is not None:
             return True
         try:
-            return not bool(LoopCost(self.problem, LQRLaw(), self.scenarios).seen(v).diverged.any())
+            return not bool(LoopCost(self.problem, LQR, self.scenarios).seen(v).diverged.any())
         except NotStabilisableError:
             return False
 
