@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -202,14 +203,22 @@ def check_gradients(
     v = inside(v, step)
     by_difference = differences.about(v, step)
     pathwise = pathwise_by_run(problem, agent, v, scenarios)
-    network = torch.full_like(v, torch.nan)
+    others = {}
     if as_flag("network_input", network_input):
-        network = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
+        found = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
+        others["network_input"] = found.double().numpy()
     with torch.no_grad():
         mean = episode_at(problem, agent, v, scenarios).total.mean()
         scale = float(problem.made_by_control(mean, to_design(problem, v)))
+    return compared(tuple(problem.design.names), pathwise, by_difference, scale, **others)
+
+
+def compared(
+    names: tuple[str, ...], pathwise: Tensor, by_difference: Tensor, scale: float, **others: Any
+) -> GradientCheck:
+    """Means of every run's slopes (n, np), both ways, with their errors."""
     return GradientCheck(
-        tuple(problem.design.names), by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), network.double().numpy(),
-        standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
-        standard_error(pathwise - by_difference).numpy(), scale,
+        names, by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), scale=scale,
+        finite_difference_error=standard_error(by_difference).numpy(), pathwise_error=standard_error(pathwise).numpy(),
+        deviation_error=standard_error(pathwise - by_difference).numpy(), **others,
     )  # fmt: skip

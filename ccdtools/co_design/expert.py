@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
-from ccdtools.co_design.candidates import Starts, starts
+from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import SETS, SetBudget, SetCounts, limited
 from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED, SET_SECONDS
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
