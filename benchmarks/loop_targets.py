@@ -19,8 +19,8 @@ import torch
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.environment import DesignEnv
 from ccdtools.co_design.expert import expert_dataset
-from ccdtools.co_design.ppo_part import DesignEnv
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.simulation import simulate

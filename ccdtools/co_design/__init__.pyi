@@ -1,4 +1,3 @@
-from ccdtools.co_design.admissible import admissible_inputs as admissible_inputs
 from ccdtools.co_design.configuration import CoDesignConfig as CoDesignConfig
 from ccdtools.co_design.custom_objective import CustomObjective as CustomObjective, output_objective as output_objective
 from ccdtools.co_design.design_controllers import (
@@ -7,7 +6,11 @@ from ccdtools.co_design.design_controllers import (
     saturated_lqr as saturated_lqr,
 )
 from ccdtools.co_design.design_sensitivity import DesignSensitivity as DesignSensitivity
-from ccdtools.co_design.expert import expert_dataset as expert_dataset, feasible_sets as feasible_sets
+from ccdtools.co_design.expert import (
+    admissible_inputs as admissible_inputs,
+    expert_dataset as expert_dataset,
+    feasible_sets as feasible_sets,
+)
 from ccdtools.co_design.learned_result import LearnedCoDesign as LearnedCoDesign
 from ccdtools.co_design.method_pairs import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.methods.learned import Learned as Learned

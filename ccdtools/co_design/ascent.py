@@ -17,6 +17,7 @@ Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16, 1995 (L-BFGS-B, in SciPy); L
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -24,18 +25,19 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.climb import SampleAverage, climb
+from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
+from ccdtools.co_design.environment import DesignEnv, loss_gradient
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
 from ccdtools.co_design.learned_result import Convergence
-from ccdtools.co_design.limits import Prices
-from ccdtools.co_design.ppo_part import PPOPart
-from ccdtools.co_design.result import History
+from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk_intervals import of_kept_runs
-from ccdtools.co_design.sample_average import Climb, SampleAverage
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.task import Iterate, Task
 from ccdtools.co_design.tolerances import (
     FEW_PARAMETERS,
     FINER_STEPS,
@@ -46,7 +48,77 @@ from ccdtools.co_design.tolerances import (
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
-from learning.ppo import decay_exploration
+from learning.ppo import PPO, decay_exploration, prepare
+from learning.rollout import collect
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Objective of a co-design, with its settings.
+
+    Attributes
+    ----------
+    problem, judge : CoDesignProblem
+        What the gradients come from, and what iterates are scored on.
+    method : {"pathwise", "ppo", "pathwise+ppo"}
+    config : CoDesignConfig
+    limits : StateLimitPenalty or None
+    """
+
+    problem: CoDesignProblem
+    judge: CoDesignProblem
+    method: str
+    config: CoDesignConfig
+    limits: StateLimitPenalty | None = None
+
+    @property
+    def pathwise(self) -> bool:
+        """Whether the policy follows its gradient through the model."""
+        return "pathwise" in self.method and self.config.policy_rate > 0
+
+    @property
+    def ppo(self) -> bool:
+        """Whether the policy follows PPO."""
+        return "ppo" in self.method
+
+    @property
+    def smooth(self) -> bool:
+        """True if policy or design moves, by gradients through the model alone."""
+        alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"
+        return alone and (self.pathwise or self.moving)
+
+    @property
+    def designing(self) -> bool:
+        """Whether a design other than the given may be found."""
+        return self.config.design_rate > 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether any entry of a start's design moves, apart from whole numbers."""
+        return self.designing and bool(self.problem.design.allowed.free.any())
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Design and policy, with their results on the fixed scenarios."""
+
+    v: Tensor
+    agent: ActorCritic
+    returns: Array  # (n,): of every evaluation run; a diverged one with its whole, huge cost
+    violation: float  # by how much the tolerance of the state limits is exceeded
+    lost: float  # fraction of the runs that diverged
+    limits: LimitsOutcome | None = None  # how it keeps the state limits
+
+    @property
+    def score(self) -> float:
+        """Mean return over the evaluation runs."""
+        return float(self.returns.mean())
+
+    def beats(self, other: Iterate) -> bool:
+        """True if this iterate is preferred, by violation, then return."""
+        if self.violation > 0 or other.violation > 0:
+            return self.violation < other.violation
+        return self.score > other.score
 
 
 class Ascent:
@@ -61,43 +133,40 @@ class Ascent:
     def __init__(
         self, task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator, evaluation: ScenarioTensors
     ) -> None:
-        config = task.config
+        problem, config = task.problem, task.config
         self.task = task
         self.agent = agent
         self.rng = rng
         self.start = design
         self.evaluation = evaluation
         self.limits = task.limits
-        self.region = DesignRegion(task.problem.design, task.problem.design.to_unit(design))
-        self.v = torch.tensor(task.problem.design.to_unit(design), dtype=torch.float32).requires_grad_(True)
+        self.region = DesignRegion(problem.design, problem.design.to_unit(design))
+        self.v = torch.tensor(self.region.last, dtype=torch.float32).requires_grad_(True)
         asked = config.design_gradient == "network_input"
         self.check = (
-            check_gradients(task.problem, agent, design, rng=rng, ppo=config.ppo, network_input=asked)
+            check_gradients(problem, agent, design, rng=rng, ppo=config.ppo, network_input=asked)
             if task.moving else None
         )  # fmt: skip
-        self.ppo = PPOPart(task.problem, agent, self._p(), rng, config)
+        self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
+        self.env = DesignEnv(problem, self._p(), runs=fewer_runs(config.runs, problem.steps), rng=rng)
         self.first_std = agent.log_std.exp().mean().item()
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
             decay_exploration(agent, self.first_std, config.ppo.final_std, 1.0)
+        self.ppo = PPO(agent, config.ppo)
         self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
         self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
-        self.model_steps = 0
+        self.samples = 0  # steps of the model and of the environment so far
         self.iterations = 0
         self.blocks = 0
         self.quiet = 0
         self.longer = 1
         self.step = FINER_STEPS[0]  # of the finite differences, where the design follows them
         self.prices: Prices | None = None  # of leaving X, at the last cost
-        self.rows: list[tuple[int, int, Array, float, float, float]] = []
+        self.rows: list[HistoryRow] = []
         self.best = self.evaluated()
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
         self.slope = Slope.none(len(self.v))
-        self.status: CoDesignStatus | None = None
-
-    @property
-    def ended(self) -> bool:
-        """True if the co-design has settled or spent its budget."""
-        return self.status is not None
+        self.status: CoDesignStatus | None = None  # once it has settled or spent its budget
 
     @property
     def limited(self) -> bool:
@@ -111,24 +180,33 @@ class Ascent:
         return wrong and self.region.free.sum() <= FEW_PARAMETERS and self.task.config.design_gradient == "pathwise"
 
     def block(self, bar: tqdm) -> None:
-        """Run one block of iterations and return its gain."""
+        """Run one block of iterations from the best iterate, and set the status if it was the last."""
         config = self.task.config
         before = self.best
         length = min(self.longer * config.block, config.iterations - self.iterations)
         if self.by_differences and self.task.moving:
-            self.step = self._differences(self.drawn(config.pathwise_runs)).step(self.v)
+            self.step = self._differences(self._drawn()).step(self.v)
         if self.task.smooth and before.lost == 0 and not self.limited:
             self._climb(length, bar)
-        else:
-            self._follow(length, bar)
-        self._return_to_best()
+        else:  # steps of Adam, and of PPO if used, on fresh scenarios
+            for k in range(length):
+                self.iterate(k, length)
+                self._count(bar)
+                if (k + 1) % config.evaluate_every == 0 or k + 1 == length:
+                    self._look()
+        self.agent.load_state_dict(self.best.agent.state_dict())
+        with torch.no_grad():
+            self.v.copy_(self.best.v)
         self.blocks += 1
         self.gain = paired_difference(self.best.returns, before.returns)
         self._judge(before)
 
     def _judge(self, before: Iterate) -> None:
         """Set the status if this was the last block."""
-        improving = self._improved(before)
+        best = self.best
+        worthwhile = bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
+        fewer = best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation
+        improving = fewer or worthwhile
         self.quiet = 0 if improving else self.quiet + 1
         spent = self.iterations >= self.task.config.iterations
         enough = QUIET_BLOCKS_LIMITED if self.limited else QUIET_BLOCKS[self.task.method]
@@ -143,7 +221,8 @@ class Ascent:
 
     def _verdict(self, improving: bool, climbing: bool) -> CoDesignStatus:
         """Status of the co-design, whatever its closed loop does."""
-        if self.task.moving and self._untrusted():
+        unknown = self.check is not None and not self.check.trusted and self.task.config.design_gradient == "pathwise"
+        if self.task.moving and unknown and (self.slope.unresolved(self._size) or not self.by_differences):
             return CoDesignStatus.GRADIENT_UNTRUSTED
         if improving:
             return CoDesignStatus.STILL_IMPROVING
@@ -151,13 +230,6 @@ class Ascent:
             return CoDesignStatus.BUDGET_SPENT
         held = self.slope.rises_across_bounds(self._matters)
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
-
-    def _improved(self, before: Iterate) -> bool:
-        """True if the block brought a worthwhile gain, fewer lost runs or violations."""
-        best = self.best
-        if best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation:
-            return True
-        return bool(self.gain.ci95[0] > 0 and self.gain.mean > self.task.config.tolerance * self._size)
 
     def _climbs(self) -> bool:
         """True if the scoring return still rises along the design inside the box."""
@@ -187,37 +259,18 @@ class Ascent:
         """Gradient (np,) of the mean return by finite differences."""
         return self._differences(scenarios).about(self.v, self.step).mean(0)
 
-    def _untrusted(self) -> bool:
-        """Whether no estimate of the design gradient is trusted."""
-        if self.check is None or self.check.trusted or self.task.config.design_gradient != "pathwise":
-            return False
-        return self.slope.unresolved(self._size) or not self.by_differences
-
-    def drawn(self, runs: int) -> ScenarioTensors:
-        """Fresh scenarios of the problem."""
-        return scenario_tensors(self.task.problem, fewer_runs(runs, self.task.problem.steps), self.rng)
-
-    def keep(self, iterate: Iterate) -> None:
-        """Keep an iterate if it beats the best so far."""
-        self.best = iterate if iterate.beats(self.best) else self.best
-
-    def _return_to_best(self) -> None:
-        """Go on from the best iterate."""
-        self.agent.load_state_dict(self.best.agent.state_dict())
-        with torch.no_grad():
-            self.v.copy_(self.best.v)
+    def _drawn(self) -> ScenarioTensors:
+        """Fresh scenarios of the problem, for a gradient through the model."""
+        problem = self.task.problem
+        return scenario_tensors(problem, fewer_runs(self.task.config.pathwise_runs, problem.steps), self.rng)
 
     def _climb(self, length: int, bar: tqdm) -> None:
-        """Climb by at most `length` evaluations of L-BFGS-B.
-
-        All are on one set of scenarios.
-        """
-        scenarios = self.drawn(self.task.config.pathwise_runs)
-        samples = scenarios[1].shape[0] * scenarios[1].shape[1]
+        """Climb on one set of scenarios, by at most `length` evaluations of L-BFGS-B."""
+        scenarios = self._drawn()
 
         def counted() -> bool:
-            self.count(bar)
-            self.model_steps += samples
+            self._count(bar)
+            self.samples += scenarios[1].shape[0] * scenarios[1].shape[1]
             return self.iterations % self.task.config.evaluate_every == 0
 
         paid = float(self.task.problem.cost_of_design(self._p()))  # a constant, beside which nothing would matter
@@ -229,22 +282,15 @@ class Ascent:
             slope=(lambda: self._slope_by_differences(scenarios)) if self.by_differences else None,
             region=None if self.region.whole_box else self.region,
         )
-        Climb(average, length, counted=counted, look=self._looked).run()
+        climb(average, length, counted=counted, look=self._look)
 
-    def _looked(self) -> bool:
-        """Score the present iterate; return whether leaving X costs anything now."""
-        self.keep(self.evaluated())
+    def _look(self) -> bool:
+        """Score the present iterate, keep it if best; return whether leaving X costs anything now."""
+        iterate = self.evaluated()
+        self.best = iterate if iterate.beats(self.best) else self.best
         return self.limited
 
-    def _follow(self, length: int, bar: tqdm) -> None:
-        """Take steps of Adam, and of PPO if used, on fresh scenarios."""
-        for k in range(length):
-            self.iterate(k, length)
-            self.count(bar)
-            if (k + 1) % self.task.config.evaluate_every == 0 or k + 1 == length:
-                self.keep(self.evaluated())
-
-    def count(self, bar: tqdm) -> None:
+    def _count(self, bar: tqdm) -> None:
         """Count one more iteration."""
         self.iterations += 1
         most = self.task.config.iterations
@@ -270,10 +316,9 @@ class Ascent:
     def evaluated(self) -> Iterate:
         """Present iterate on the fixed scenarios; a history row is added."""
         seen = self._seen(self)
-        values = self.task.judge.risk.values(seen.total)
-        mean, std, lost = of_kept_runs(self.task.judge.risk, seen.total.double().numpy(), seen.diverged.numpy())
-        steps = self.model_steps + self.ppo.env_steps
-        self.rows.append((self.iterations, steps, self.region.settled(self.v), mean, std, lost))
+        risk = self.task.judge.risk
+        mean, std, lost = of_kept_runs(risk, seen.total.double().numpy(), seen.diverged.numpy())
+        self.rows.append((self.iterations, self.samples, self.region.settled(self.v), mean, std, lost))
         violation = 0.0
         outcome = None
         if self.limits is not None:
@@ -281,7 +326,8 @@ class Ascent:
                 self.limits = self.limits.updated(seen, self.v.detach(), self.evaluation)
             violation = self.limits.violation(seen)
             outcome = self.limits.outcome(seen)
-        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), values.numpy(), violation, lost, outcome)
+        returns = risk.values(seen.total).numpy()
+        return Iterate(self.v.detach().clone(), copy.deepcopy(self.agent), returns, violation, lost, outcome)
 
     def iterate(self, k: int, length: int) -> None:
         """Take one step of policy and design at iteration k's rates."""
@@ -293,11 +339,16 @@ class Ascent:
         by_network_input = task.moving and config.design_gradient == "network_input"
         gradient: Tensor | None = None
         if task.ppo or by_network_input:
-            rollout = self.ppo.collect(self._p())
-            if by_network_input:
-                gradient = self.ppo.network_input_gradient(rollout, self.v)
+            self.env.move(self._p())
+            self.samples += self.env.runs * task.problem.steps
+            rollout = collect(self.env, self.agent, steps=task.problem.steps, generator=self.generator)
+            if by_network_input:  # before the update
+                batch = prepare(self.agent, rollout, config.ppo)
+                gradient = loss_gradient(task.problem, self.agent, self.v, batch, config.ppo)
             if task.ppo:
-                self.ppo.update(rollout, factor=factor, actor=self.iterations >= config.ppo.critic_only)
+                _set_rate(self.ppo.actor_optimiser, config.ppo.learning_rate * factor)
+                _set_rate(self.ppo.critic_optimiser, config.ppo.value_rate * factor)
+                self.ppo.update(rollout, generator=self.generator, actor=self.iterations >= config.ppo.critic_only)
         if task.pathwise or (task.moving and not by_network_input):
             through_model = self._follow_model(factor)
             gradient = through_model if gradient is None else gradient
@@ -305,13 +356,10 @@ class Ascent:
             self._move_design(gradient, factor)
 
     def _follow_model(self, factor: float) -> Tensor:
-        """Gradient of the relative return by the design through the dynamics.
-
-        The policy takes a step on its own.
-        """
+        """Gradient of the relative return by the design through the dynamics, after a step of the policy on its own."""
         task = self.task
-        scenarios = self.drawn(task.config.pathwise_runs)
-        self.model_steps += scenarios[1].shape[0] * scenarios[1].shape[1]
+        scenarios = self._drawn()
+        self.samples += scenarios[1].shape[0] * scenarios[1].shape[1]
         cost = self.cost(self.v, scenarios)
         paid: Tensor = task.problem.cost_of_design(self._p())
         size = (cost.detach() - paid).abs()  # relative, so that a lost run's 1e8 today does not drown tomorrow's steps
@@ -349,10 +397,6 @@ class Ascent:
     def _p(self) -> Tensor:
         """Present design (np,), without its gradient."""
         return to_design(self.task.problem, self.v.detach())
-
-    def history(self) -> History:
-        """Evaluations so far."""
-        return History(*(np.array(column) for column in zip(*self.rows)))
 
     def convergence(self) -> Convergence:
         """Evidence that the status rests on."""

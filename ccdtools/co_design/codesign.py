@@ -14,10 +14,10 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
 from ccdtools.co_design.configuration import METHODS as LEARNED, CoDesignConfig
 from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.settling import Settling
-from ccdtools.co_design.task import LimitPenalty
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
 
@@ -44,7 +44,7 @@ class Method(Protocol):
 def codesign(
     problem: CoDesignProblem, *, agent: ActorCritic, rng: np.random.Generator, design: ArrayLike | None = None,
     method: str | Method = "pathwise", config: CoDesignConfig | None = None, judge: CoDesignProblem | None = None,
-    limits: LimitPenalty | None = None, progress: bool = False,
+    limits: StateLimitPenalty | None = None, progress: bool = False,
 ) -> LearnedCoDesign: ...  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def codesign(
 def codesign(
     problem: CoDesignProblem, *, agent: None = None, rng: np.random.Generator, design: ArrayLike | None = None,
     method: str | Method = "pathwise", config: CoDesignConfig | None = None, judge: CoDesignProblem | None = None,
-    limits: LimitPenalty | None = None, progress: bool = False,
+    limits: StateLimitPenalty | None = None, progress: bool = False,
 ) -> CoDesignResult: ...  # fmt: skip
 
 
@@ -65,7 +65,7 @@ def codesign(
     agent: ActorCritic | None = None,
     config: CoDesignConfig | None = None,
     judge: CoDesignProblem | None = None,
-    limits: LimitPenalty | None = None,
+    limits: StateLimitPenalty | None = None,
     progress: bool = False,
 ) -> CoDesignResult:
     """Best design and controller found for `problem`.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback
@@ -36,6 +38,15 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
     A, B, _ = problem.model.matrices(p)
     K, _ = lqr(A, B, **problem.weights(p).keywords())
     return LinearFeedback(K, *problem.input_bounds_at(p))
+
+
+def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
+    """LQR gains (n, nu, nx) of designs (n, np), NaN where none stabilises."""
+    K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
+    for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
+        with suppress(NotStabilisableError):
+            K[i] = lqr(*pair, **problem.weights(p).keywords())[0]
+    return K
 
 
 def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:

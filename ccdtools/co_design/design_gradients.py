@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,10 +15,10 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.differentiable_model import ScenarioTensors, in_double, scenario_tensors, to_design
+from ccdtools.co_design.environment import network_input_gradient
 from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
-from ccdtools.co_design.ppo_part import network_input_gradient
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import AGREEING, FINER_STEPS, LEVEL_SLOPE, SIGNIFICANT, SLOPE_AHEAD, UNRESOLVED_SLOPE
 from learning.networks import ActorCritic
@@ -202,14 +203,22 @@ def check_gradients(
     v = inside(v, step)
     by_difference = differences.about(v, step)
     pathwise = pathwise_by_run(problem, agent, v, scenarios)
-    network = torch.full_like(v, torch.nan)
+    others = {}
     if as_flag("network_input", network_input):
-        network = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
+        found = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
+        others["network_input"] = found.double().numpy()
     with torch.no_grad():
         mean = episode_at(problem, agent, v, scenarios).total.mean()
         scale = float(problem.made_by_control(mean, to_design(problem, v)))
+    return compared(tuple(problem.design.names), pathwise, by_difference, scale, **others)
+
+
+def compared(
+    names: tuple[str, ...], pathwise: Tensor, by_difference: Tensor, scale: float, **others: Any
+) -> GradientCheck:
+    """Means of every run's slopes (n, np), both ways, with their errors."""
     return GradientCheck(
-        tuple(problem.design.names), by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), network.double().numpy(),
-        standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
-        standard_error(pathwise - by_difference).numpy(), scale,
+        names, by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), scale=scale,
+        finite_difference_error=standard_error(by_difference).numpy(), pathwise_error=standard_error(pathwise).numpy(),
+        deviation_error=standard_error(pathwise - by_difference).numpy(), **others,
     )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,8 +11,7 @@ from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import fewest_runs
-from ccdtools.design_limits import DesignLimits, widest
-from ccdtools.limits import StateLimits
+from ccdtools.design_limits import DesignLimits
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
 
@@ -104,27 +102,18 @@ class Stepper:
 
     def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
         """Next states and errors (n, nx), and any penalty (n,)."""
-        discrepancy = self.problem.discrepancy
-        if isinstance(self.problem.model, SampledModel):
-            return self._sampled(self.problem.model, x, e, u, drive)
+        discrepancy, model = self.problem.discrepancy, self.problem.model
+        penalty: tuple[Tensor, ...] = ()
+        if discrepancy is not None:
+            e, paid = discrepancy.advance(e, x, u, self.p, drive)
+            penalty = (paid,)
+            error = e[..., : x.shape[-1]]  # the rest is what draws remember
+            drive = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
+        if not isinstance(model, SampledModel):
+            return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, penalty
         if discrepancy is None:
-            return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, ()
-        e, penalty = discrepancy.advance(e, x, u, self.p, drive)
-        error = e[..., : x.shape[-1]]  # the rest is what draws remember
-        carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
-        return _plus_times(_plus_times(carried, self.A, x), self.B, u), e, (penalty,)
-
-    def _sampled(
-        self, model: SampledModel, x: Tensor, e: Tensor, u: Tensor, drive: Tensor
-    ) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-        """Next states, errors and penalties of a nonlinear model."""
-        discrepancy = self.problem.discrepancy
-        if discrepancy is None:
-            return model.pathwise(x, u, drive, self.p), e, ()
-        e, penalty = discrepancy.advance(e, x, u, self.p, drive)
-        error = e[..., : x.shape[-1]]
-        carried = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
-        return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + carried, e, (penalty,)
+            return model.pathwise(x, u, drive, self.p), e, penalty
+        return model.pathwise(x, u, x.new_zeros(model.nw), self.p) + drive, e, penalty
 
     def rewards(self, x_next: Tensor, u: Tensor, x: Tensor) -> Tensor:
         """Rewards (T, n) of next states (T, n, nx), inputs (T, n, nu), present states."""
@@ -150,18 +139,13 @@ class Stepper:
         if isinstance(self.problem.X, DesignLimits):
             depth: Tensor = self.problem.X.depths(x_next, self.p).amax(-1)
         else:
-            F, g = self._facets
+            X = self.problem.state_rows
+            F, g = (x_next.new_tensor(part.tolist()) for part in (X.rows, X.bounds))
             depth = (x_next @ F.T - g).amax(-1)
         limits = self.problem.output_limits
         if limits is not None:
             depth = torch.maximum(depth, limits.depths(x, u, self.p).amax(-1))
         return depth.clamp(min=0.0)
-
-    @cached_property
-    def _facets(self) -> tuple[Tensor, Tensor]:
-        """Rows F x ≤ g of X, each divided by X's half-width."""
-        limits = StateLimits(widest(self.problem.X))
-        return self.limit.new_tensor(limits.rows.tolist()), self.limit.new_tensor(limits.bounds.tolist())
 
 
 def _times(M: Tensor, x: Tensor) -> Tensor:

@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
-from ccdtools.co_design.candidates import Starts, starts
+from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
 from ccdtools.co_design.expert_loops import ExpertLoops, follow
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.set_choice import SETS, SetBudget, SetCounts, limited
-from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
+from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED, SET_SECONDS
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import Echo, telling
-from invariant_sets import ParametricSet
+from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_control_invariant_set
 
 EXPERTS = ("lqr", "mpc", "explicit")
 
@@ -70,6 +70,36 @@ def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
     matrices = partial(_state_and_input_matrices, problem.model)
     X, U = (limits.at if isinstance(limits, DesignLimits) else limits for limits in (problem.X, problem.U))
     return ParametricSet(matrices, X, U)
+
+
+def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Polytope | None = None) -> AdmissibleInputs:
+    """Inputs that keep the next nominal state in X_fea(p).
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    design : (np,) array_like
+    into : Polytope, optional
+        Another set for the next state; by default X_fea(p), the maximal control invariant set of the design, or as
+        much of it as is certified within a minute.
+
+    Raises
+    ------
+    InputError
+        If the design lies outside its box, or no control invariant set in X is found there.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    p = problem.design.check_one(design)
+    A, B, _ = problem.model.matrices(p)
+    U = problem.input_limits(p)
+    if into is None:
+        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, time_limit=SET_SECONDS)
+        into = found.set
+        if into.is_empty:
+            got = f"{problem.design.describe(p)}, where no control invariant set in X was found ({found.status.name})"
+            raise InputError("design", got, "a design at which some states can be kept within X", found.status.advice)
+    as_instance("into", into, Polytope, "a Polytope or None")
+    return AdmissibleInputs(A, B, into, U)
 
 
 def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:

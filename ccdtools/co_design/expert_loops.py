@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +12,6 @@ import torch
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK, VALUE_TAIL, VISITS
 from ccdtools.controllers.controllers import Controller
@@ -39,7 +39,7 @@ def follow(
     x = loops.starts.x
     steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
-    step = NominalSteps(loops.starts.regions) if problem.discrepancy is None else UpdatedSteps(problem, loops.starts.p)
+    updated = None if problem.discrepancy is None else UpdatedSteps(problem, loops.starts.p)
     rewards = np.empty((steps, len(x)))
     visited = []
     actions = []
@@ -49,7 +49,7 @@ def follow(
             visited.append(x)
             actions.append(u)
         before = x
-        x, penalty = step(x, u, w[:, k])
+        x, penalty = updated(x, u, w[:, k]) if updated else (loops.starts.regions.disturbed(x, u, w[:, k]), 0.0)
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
         earned = problem.objective.rewards(x, u, before, loops.starts.p) - penalty
         rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)
@@ -87,14 +87,8 @@ class ExpertLoops:
             applied = [problem.input_limits(p) for p in starts.p]
             models = zip(starts.regions.A, starts.regions.B, weights, kept, applied)
             laws = [LinearMPC(A, B, **own, horizon=horizon, X=X, U=U) for A, B, own, X, U in models]
-            label = f"{expert} of every design"
-            made = counted(laws, label, total=len(laws), progress=progress)
-            self.controllers = [self._law(law, expert) for law in made]
-
-    @staticmethod
-    def _law(law: LinearMPC, expert: str) -> Controller:
-        """Law itself, or its explicit form."""
-        return law.explicit() if expert == "explicit" else law  # type: ignore[return-value]
+            made: Any = counted(laws, f"{expert} of every design", total=len(laws), progress=progress)
+            self.controllers = [law.explicit() if expert == "explicit" else law for law in made]
 
     def inputs(self, x: Array) -> Array:
         """Expert's inputs (n, nu); NaN where the state is."""
@@ -105,17 +99,6 @@ class ExpertLoops:
         for i in np.flatnonzero(np.isfinite(x).all(axis=1)):
             u[i] = self.controllers[i](x[i])
         return u
-
-
-class NominalSteps:
-    """Steps of the nominal model, one design per run."""
-
-    def __init__(self, model: LQRRegions) -> None:
-        self._model = model
-
-    def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, float]:
-        """Next states (n, nx) under disturbances (n, nw), and no penalty."""
-        return self._model.disturbed(x, u, w), 0.0
 
 
 class UpdatedSteps:

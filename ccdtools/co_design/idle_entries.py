@@ -25,7 +25,7 @@ from ccdtools.co_design.tolerances import (
     TERM_POINTS,
     TERM_ROUNDING,
 )
-from ccdtools.design_limits import DesignLimits, widest
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
@@ -188,5 +188,4 @@ def _disturbance(problem: Any, runs: int) -> Array:
 
 def _extents(problem: Any, disturbance: Any) -> dict[str, Any]:
     """Largest size of each state, input and disturbance."""
-    boxes = {"x": widest(problem.X).bounding_box(), "u": widest(problem.U).bounding_box()}
-    return {name: np.max(np.abs(box), axis=0) for name, box in boxes.items()} | {"w": disturbance}
+    return {"x": problem.state_scale, "u": np.max(np.abs(problem.input_bounds), axis=0), "w": disturbance}

@@ -47,7 +47,7 @@ class GradientCheck(Immutable):
     names: tuple[str, ...]
     finite_difference: Array
     pathwise: Array
-    network_input: Array
+    network_input: ArrayField = np.nan
     finite_difference_error: ArrayField = 0.0
     pathwise_error: ArrayField = 0.0
     deviation_error: ArrayField = 0.0

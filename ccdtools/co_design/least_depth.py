@@ -57,14 +57,6 @@ def unavoidable_depth(problem: CoDesignProblem, design: Array) -> tuple[float, f
     return here, anywhere if anywhere > NO_VIOLATION else 0.0
 
 
-def unavoidable_text(here: float, anywhere: float) -> str:
-    """Sentence on `unavoidable_depth`; empty if the limits can be kept."""
-    if here == 0.0:
-        return ""
-    where = f"; the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "; other designs can keep it"
-    return f"no controller keeps X from the start at this design: it is left by {here:.3g} half-widths at least{where}"
-
-
 def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
     """Issue a `LimitWarning` if a fixed start forces every controller outside X.
 
@@ -80,7 +72,9 @@ def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
             warnings.warn(text, LimitWarning, stacklevel=3)
     here, anywhere = unavoidable_depth(problem, design)
     if here > 0:
-        warnings.warn(unavoidable_text(here, anywhere), LimitWarning, stacklevel=3)
+        where = f"the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "other designs can keep it"
+        text = f"no controller keeps X from the start at this design: it is left by {here:.3g} half-widths at least"
+        warnings.warn(f"{text}; {where}", LimitWarning, stacklevel=3)
 
 
 def _starts(problem: CoDesignProblem) -> Array:

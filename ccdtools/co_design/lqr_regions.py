@@ -12,7 +12,6 @@ Gilbert, Tan (1991), IEEE TAC 36(9): trajectories that keep the constraints unti
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,12 +19,12 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
+from ccdtools.co_design.design_controllers import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import NEARLY_LINEAR, ON_LIMIT
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
-from mpc import NotStabilisableError, lqr
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,15 +167,6 @@ def _quadratic(M: Array, x: Array) -> Array:
     values = np.full(len(x), np.inf)
     values[known] = np.einsum("ni,nij,nj->n", x[known], M[known], x[known])
     return values
-
-
-def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
-    """LQR gains (n, nu, nx) of designs (n, np), NaN where none stabilises."""
-    K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
-    for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
-        with suppress(NotStabilisableError):
-            K[i] = lqr(*pair, **problem.weights(p).keywords())[0]
-    return K
 
 
 def _own(value: Array, of: Any, usual: int) -> Array:

@@ -11,12 +11,13 @@ import numpy as np
 
 from ccdtools.arrays import Immutable
 from ccdtools.checks import writable_path
+from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.method_pairs import MethodRow
-from ccdtools.co_design.method_verdicts import leaves_limits, method_verdicts, signed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
-from ccdtools.co_design.tolerances import MORE_LOST
+from ccdtools.co_design.tolerances import MORE_LOST, OUTSIDE_SHARE, OWN_OBJECTIVE, SAME_PLACE, SAME_RETURN
 from ccdtools.exceptions import InputError
+from ccdtools.statistics import PairedDifference
 from ccdtools.table import Table, csv_text
 
 HEAD = (
@@ -82,8 +83,19 @@ class MethodComparison(Immutable):
 
     @property
     def verdict(self) -> list[str]:
-        """Sentences on equal methods, the winner and why."""
-        return method_verdicts(self)
+        """Sentences on methods that are equal, win, lose or refused, with measured parts."""
+        rows: list[Any] = [row for row in self.rows if row.result is not None]
+        refused = [f"{row.name} refused: {row.refused}" for row in self.rows if row.result is None]
+        if not rows:
+            return ["No method could treat this problem.", *refused]
+        lines = [_equal(self, rows), _winner(self)]
+        for row in rows:
+            if row.name == self.reference or row is self.best or not _differs(self, row):
+                continue
+            only = ", in return only" if leaves_limits(self, row) and _percent(self, row)[0] > 0 else ""
+            lines.append(f"{row.name}: {_said(self, row, only)}.")
+        lines += _unsound(self, rows)
+        return [line for line in (*lines, tangent_note(self.problem)) if line] + refused
 
     def percent(self, difference: float) -> float:
         """Difference in per cent of `size`."""
@@ -111,29 +123,23 @@ class MethodComparison(Immutable):
     def _cells(self, row: MethodRow) -> dict[str, Any]:
         """Values of a row."""
         space = self.problem.design
-        found = row.result
-        nothing = (np.nan, np.nan)
-        loop = None if found is None else row.closed_loop
-        mean, ends, runs = (np.nan, nothing, 0) if loop is None else _summary(loop)
-        gap = row.difference
-        low, high = nothing if gap is None else gap.ci95
-        parts = [np.nan if part is None else self.percent(part.mean) for part in (row.from_design, row.from_control)]
-        design = np.full(space.dim, np.nan) if found is None else found.design
+        found = row.result or CoDesignResult(design=np.full(space.dim, np.nan))
+        loop = found.closed_loop or ClosedLoopReturns(np.zeros(0), np.zeros(0, dtype=bool), np.nan, np.nan)
+        mean, ends = loop.summary.mean, loop.summary.ci95
+        gap, by_design, by_control = (
+            part or PairedDifference(np.nan, (np.nan, np.nan))
+            for part in (row.difference, row.from_design, row.from_control)
+        )
         return {
-            "method": row.name, **{name: float(value) for name, value in zip(space.names, design)},
-            "return": mean, "return_low95": ends[0], "return_high95": ends[1], "runs": runs,
-            "lost": np.nan if loop is None else loop.lost_share,
-            "outside": np.nan if loop is None else loop.outside, "depth": np.nan if loop is None else loop.depth,
-            "difference": np.nan if gap is None else gap.mean, "difference_low95": low, "difference_high95": high,
-            "difference_percent": np.nan if gap is None else self.percent(gap.mean), "common_runs": row.runs,
-            "from_design_percent": parts[0], "from_control_percent": parts[1],
-            "objective": np.nan if found is None else found.objective,
-            "criterion": "" if found is None else found.criterion,
-            "evaluations": 0 if found is None else found.evaluations,
-            "seconds": np.nan if found is None else found.seconds,
-            "status": "refused" if found is None else found.status.name,
-            "held_by": "" if found is None else held(found),
-            "violation": np.nan if found is None else row.violation, "refused": row.refused,
+            "method": row.name, **dict(zip(space.names, found.design.tolist())), "return": mean,
+            "return_low95": ends[0], "return_high95": ends[1], "runs": loop.summary.n, "lost": loop.lost_share,
+            "outside": loop.outside, "depth": loop.depth, "difference": gap.mean, "difference_low95": gap.ci95[0],
+            "difference_high95": gap.ci95[1], "difference_percent": self.percent(gap.mean), "common_runs": row.runs,
+            "from_design_percent": self.percent(by_design.mean),
+            "from_control_percent": self.percent(by_control.mean), "objective": found.objective,
+            "criterion": found.criterion, "evaluations": found.evaluations, "seconds": found.seconds,
+            "status": "refused" if row.result is None else found.status.name, "held_by": held(found),
+            "violation": np.nan if row.result is None else row.violation, "refused": row.refused,
         }  # fmt: skip
 
     def __str__(self) -> str:
@@ -155,13 +161,14 @@ class MethodComparison(Immutable):
         if row.result is None:
             return row.name, f"refused: {row.refused}"
         found = row.result
-        mean, (low, high), _ = _summary(row.closed_loop)
+        summary = row.closed_loop.summary
+        low, high = summary.ci95
         lost = row.closed_loop.lost_share
         runs = len(row.closed_loop.values)
         fewer = any(other.result is not None and len(other.closed_loop.values) > runs for other in self.rows)
         of = f" ({runs} runs)" if fewer else ""
         return (
-            row.name, self.problem.design.describe(found.design), f"{mean:.5g}{of}", f"[{low:.5g}, {high:.5g}]",
+            row.name, self.problem.design.describe(found.design), f"{summary.mean:.5g}{of}", f"[{low:.5g}, {high:.5g}]",
             f"{lost:.2%}" if lost else "0", self.difference_text(row), f"{found.objective:.5g}",
             str(found.evaluations), f"{found.seconds:.3g} s", found.status.name.lower().replace("_", " "),
             held(found) or "–",
@@ -183,7 +190,115 @@ def held(result: CoDesignResult) -> str:
     return ", ".join([*bounds, *result.active_constraints])
 
 
-def _summary(loop: ClosedLoopReturns) -> tuple[float, tuple[float, float], int]:
-    """Mean, interval and number of the kept runs."""
-    summary = loop.summary
-    return summary.mean, summary.ci95, summary.n
+def leaves_limits(comparison: MethodComparison, row: Any) -> bool:
+    """Whether a method leaves limits more often than the reference may."""
+    return bool(row.closed_loop.outside > 2 * comparison[comparison.reference].closed_loop.outside + OUTSIDE_SHARE)
+
+
+def signed(percent: float) -> str:
+    """Signed number with two decimals, 0 if rounded away."""
+    return f"{percent:+.2f}" if abs(percent) >= 0.005 else "0"
+
+
+def _percent(comparison: MethodComparison, row: Any) -> tuple[float, float, float]:
+    """Difference to the reference with interval [%], NaN without pairs."""
+    if row.difference is None:
+        return (np.nan, np.nan, np.nan)
+    low, high = row.difference.ci95
+    return comparison.percent(row.difference.mean), comparison.percent(low), comparison.percent(high)
+
+
+def _differs(comparison: MethodComparison, row: Any) -> bool:
+    """Whether a method and the reference are not equal."""
+    return not abs(_percent(comparison, row)[0]) <= SAME_RETURN
+
+
+def _equal(comparison: MethodComparison, rows: list[Any]) -> str:
+    """Methods as good as the reference."""
+    if comparison[comparison.reference].closed_loop.lost.all():
+        return f"Every run of {comparison.reference} is lost: there is nothing to compare with."
+    same = [row for row in rows if not _differs(comparison, row)]
+    names = ", ".join(row.name for row in same)
+    if len(rows) == 1:
+        return ""
+    if len(same) < 2:
+        return f"No other method is within {SAME_RETURN:g} % of {comparison.reference}."
+    space = comparison.problem.design
+    points = space.to_unit(np.array([row.result.design for row in same]))
+    spread = float(np.ptp(points, axis=0).max())
+    first: Any = comparison[comparison.reference].result
+    if spread <= SAME_PLACE:
+        where = f"at one design, {space.describe(first.design)}"
+    else:
+        where = f"at designs up to {spread:.0%} of the box apart: the return is flat there"
+    return f"Equal within {SAME_RETURN:g} % of the return of {comparison.reference}: {names}; {where}."
+
+
+def _winner(comparison: MethodComparison) -> str:
+    """Best method and its lead, if better than the reference."""
+    best = comparison.best
+    if sum(row.result is not None for row in comparison.rows) == 1:
+        return ""
+    mean, low, _ = _percent(comparison, best)
+    if comparison[comparison.reference].closed_loop.lost.all():
+        return ""
+    if best.name == comparison.reference or not mean > SAME_RETURN:
+        better = (row for row in comparison.rows if row.result is not None and _percent(comparison, row)[0] > SAME_RETURN)
+        kept = " that keeps the limits" if any(leaves_limits(comparison, row) for row in better) else ""
+        return f"No method{kept} is better than {comparison.reference} by more than {SAME_RETURN:g} %."
+    certain = "" if low > 0 else " (the interval holds 0)"
+    return f"{best.name} wins: {_said(comparison, best, certain)}."
+
+
+def _said(comparison: MethodComparison, row: Any, added: str) -> str:
+    """Difference in words with an addition, and its parts."""
+    return "; ".join(part for part in (f"{_difference(comparison, row)}{added}", _parts(comparison, row)) if part)
+
+
+def _difference(comparison: MethodComparison, row: Any) -> str:
+    """Difference in words."""
+    mean, low, high = _percent(comparison, row)
+    if np.isnan(mean):
+        return f"no run in common with {comparison.reference} that is not lost"
+    better = "better" if mean > 0 else "worse"
+    ends = sorted((abs(low), abs(high))) if low * high > 0 else (np.sign(mean) * low, np.sign(mean) * high)
+    first, last = sorted(ends)
+    return f"{abs(mean):.2f} % [{first:.2f}, {last:.2f}] {better} than {comparison.reference}"
+
+
+def _parts(comparison: MethodComparison, row: Any) -> str:
+    """Measured parts of a difference: design, controller and objective.
+
+    No cause is named: that would take the same method without the supposed cause.
+    """
+    result = row.result
+    made_for = f"its criterion is the {result.criterion}" if result.criterion else ""
+    loop = row.closed_loop.summary.mean
+    if made_for and abs(comparison.percent(result.objective - loop)) > OWN_OBJECTIVE:
+        made_for += f", {result.objective:.5g}, beside {loop:.5g} in closed loop"
+    if row.from_design is None or row.from_control is None:
+        return made_for
+    by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
+    measured = f"{signed(by_design)} % by its design, {signed(by_control)} % by its controller"
+    if abs(by_design) > SAME_RETURN / 2:
+        measured += f" at {comparison.problem.design.describe(result.design)}"
+    ended = "" if result.status.settled else result.status.value
+    return "; ".join(part for part in (measured, made_for, ended) if part)
+
+
+def _unsound(comparison: MethodComparison, rows: list[Any]) -> list[str]:
+    """Methods with lost runs, broken limits or constraints, or a doubtful interval."""
+    lines = []
+    for row in rows:
+        loop = row.closed_loop
+        said = [f"{loop.lost_share:.2%} of its runs are lost"] if loop.lost.any() else []
+        said += [loop.summary.warning] if loop.summary.warning else []
+        if leaves_limits(comparison, row):
+            said.append(f"{loop.outside:.2%} of its states are outside the limits, {loop.depth:.2g} half-widths deep")
+        if not row.sound:
+            said.append(row.result.status.value)
+        if row.violation > 1e-6:
+            said.append(f"its design breaks a constraint by {row.violation:.2g} of the box")
+        if said:
+            lines.append(f"{row.name}: {', '.join(said)}.")
+    return lines

@@ -14,7 +14,7 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.descent import descend
 from ccdtools.co_design.methods.design_search import DesignCost
-from ccdtools.co_design.methods.laws import LQRLaw
+from ccdtools.co_design.methods.laws import LQR
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
@@ -148,7 +148,7 @@ def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: 
         cost: DesignCost = RiccatiCost(problem)
     else:
         drawn = scenario_tensors(problem, fewer_runs(runs, problem.steps), np.random.default_rng(seed))
-        cost = LoopCost(problem, LQRLaw(), drawn)
+        cost = LoopCost(problem, LQR, drawn)
     v = space.allowed.rounded(np.clip(space.to_unit(design), 0.0, 1.0))
     value = cost(v)[0]
     size = float(problem.made_by_control(-value, space.from_unit(v))) if np.isfinite(value) else 1.0

@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_gradients import standard_error
+from ccdtools.co_design.design_gradients import compared
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double
 from ccdtools.co_design.episodes import Episode, latent_law, simulated
 from ccdtools.co_design.learned_result import GradientCheck
@@ -125,12 +125,8 @@ def _differences(retuned: Retuned, directions: Tensor, step: float) -> Tensor:
 def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientCheck:
     """Both means with their errors."""
     names = tuple(f"direction {i + 1}" for i in range(pathwise.shape[1]))
-    return GradientCheck(
-        names, by_difference.mean(0).numpy(), pathwise.mean(0).numpy(), np.full(len(names), np.nan),
-        standard_error(by_difference).numpy(), standard_error(pathwise).numpy(),
-        standard_error(pathwise - by_difference).numpy(), scale,
-        float((pathwise.norm(dim=1) <= NO_GRADIENT * scale).double().mean()),
-    )  # fmt: skip
+    blind = float((pathwise.norm(dim=1) <= NO_GRADIENT * scale).double().mean())
+    return compared(names, pathwise, by_difference, scale, blind=blind)
 
 
 @torch.no_grad()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,9 +24,10 @@ from ccdtools.co_design.idle_entries import check_every_entry_acts
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
-from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, bounds_at, limits_at, widest
+from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.limits import StateLimits
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
@@ -314,12 +316,13 @@ class CoDesignProblem(Immutable):
 
     def input_bounds_at(self, p: Any) -> tuple[Any, Any]:
         """Input bounds (nu,) or of U(p) (..., nu), at designs (..., np)."""
-        return bounds_at(self.U, p)
+        return self.U.bounds(p) if isinstance(self.U, DesignLimits) else self.input_bounds
 
     @property
     def input_bounds(self) -> tuple[Array, Array]:
         """Lower and upper input bounds (nu,), widest of a U(p)."""
-        return widest(self.U).bounding_box()
+        lower, upper = self._boxes[1]
+        return lower.copy(), upper.copy()
 
     @property
     def action_bounds(self) -> tuple[Array, Array] | DesignLimits:
@@ -329,7 +332,17 @@ class CoDesignProblem(Immutable):
     @property
     def state_scale(self) -> Array:
         """Largest |x| within X, at any design, (nx,)."""
-        return np.asarray(np.max(np.abs(widest(self.X).bounding_box()), axis=0))
+        return np.asarray(np.max(np.abs(self._boxes[0]), axis=0))
+
+    @cached_property
+    def _boxes(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Bounding boxes of X and U, widest of those that depend on the design."""
+        return widest(self.X).bounding_box(), widest(self.U).bounding_box()
+
+    @cached_property
+    def state_rows(self) -> StateLimits:
+        """Rows of X in its half-widths, widest of an X(p)."""
+        return StateLimits(widest(self.X))
 
     @property
     def limit(self) -> Array:

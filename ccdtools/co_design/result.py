@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,8 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
 from ccdtools.controllers.controllers import Controller
 from ccdtools.statistics import PairedDifference, Summary
+
+HistoryRow = tuple[int, int, Array, float, float, float]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,6 +44,11 @@ class History(Immutable):
     def __post_init__(self) -> None:
         for column in fields(self):
             object.__setattr__(self, column.name, frozen(np.array(getattr(self, column.name))))
+
+    @classmethod
+    def of(cls, rows: Sequence[HistoryRow]) -> History:
+        """History of rows in the order of the attributes."""
+        return cls(*(np.array(column) for column in zip(*rows)))
 
     def __repr__(self) -> str:
         first = self.model_return[0]
@@ -239,8 +247,7 @@ class CoDesignResult(Immutable):
     def __post_init__(self) -> None:
         object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
         if self.history is None:
-            row = ([1], [1], [self.design], [self.objective], [0.0], [0.0])
-            object.__setattr__(self, "history", History(*map(np.array, row)))
+            object.__setattr__(self, "history", History.of([(1, 1, self.design, self.objective, 0.0, 0.0)]))
 
     def __repr__(self) -> str:
         bounds = ", ".join(f"{name} at its {side} bound" for name, side in self.active_bounds.items()) or "none"

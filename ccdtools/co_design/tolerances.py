@@ -122,6 +122,7 @@ FEW_RUNS_DECIDE = 2.0  # A few runs decide where their standard deviation exceed
 UNFORESEEN = 0.5  # An objective that predicts more by this part of the closed loop's return did not see what happens.
 
 # --- comparison of methods --------------------------------------------------------------------------------------------
+SAME_RETURN = 0.5  # Methods are equal if they differ by at most this part of the reference's return [%].
 MORE_LOST = 1e-3  # A method is not the best if it loses more of the runs than the one that loses fewest by this.
 OWN_OBJECTIVE = 5.0  # A difference between a method's own objective and the closed loop is worth a word above this [%].
 OUTSIDE_SHARE = 1e-3  # A share of states outside the limits is worth a word above twice the reference's and this.

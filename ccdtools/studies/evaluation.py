@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.admissible import admissible_inputs
 from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.expert import admissible_inputs
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Risk, WorstCase, has_cases
 from ccdtools.comparison.comparison import Score, compare

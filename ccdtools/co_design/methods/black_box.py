@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import compressed
-from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.tolerances import (
     BETTER_SHARE,
     DISTANCE_COST,
@@ -20,34 +19,8 @@ from ccdtools.co_design.tolerances import (
     SIZE_EVALUATIONS,
     VIOLATION_COST,
 )
-from mpc import NotStabilisableError
 
-
-class ClosedLoop:
-    """Closed loop of a law: cost and violation of limits."""
-
-    def __init__(self, problem: CoDesignProblem, cost: LoopCost) -> None:
-        self.cost = cost
-        self.penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
-
-    def __call__(self, v: Array) -> tuple[float, float]:
-        """Cost and limit violation at a unit-box point."""
-        try:
-            if self.penalty is None:
-                seen = self.cost.seen(v)
-            else:
-                seen, self.penalty = self.cost.updated(self.penalty, v)
-        except NotStabilisableError:
-            return np.inf, 0.0
-        return self.cost.plain(seen), 0.0 if self.penalty is None else self.penalty.violation(seen)
-
-    def outcome(self, v: Array) -> Any:
-        """Violation of the limits beside the tolerance measured at a point.
-
-        On the way the tolerance is extrapolated.
-        """
-        seen, penalty = self.cost.updated(StateLimitPenalty(self.cost.problem), v)
-        return penalty.outcome(seen)
+Value = Callable[[Array], tuple[float, float]]  # point (np,) of the unit box → cost and violation of the limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,20 +50,15 @@ class BlackBox:
     A little is taken off for the distance.
     """
 
-    def __init__(self, problem: CoDesignProblem, value: Any, start: Array) -> None:
+    def __init__(self, problem: CoDesignProblem, value: Value, start: Array) -> None:
         self.problem = problem
         self.value = value
         self.start = problem.design.allowed.rounded(start)
         self.free = problem.design.free
         self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
         self.best_v = self.start
-        self.rows: list[tuple[int, int, Array, float, float, float]] = []
+        self.rows: list[HistoryRow] = []
         self.looks: list[Evaluation] = []
-
-    @property
-    def first(self) -> Array:
-        """Free entries of the start."""
-        return np.asarray(self.start[self.free])
 
     @property
     def size(self) -> float:
@@ -100,7 +68,7 @@ class BlackBox:
 
     def begin(self, budget: int, rng: np.random.Generator) -> None:
         """Evaluate the start, then random points until one has a value."""
-        z = self.first
+        z = np.asarray(self.start[self.free])
         for _ in range(budget):
             self(z)
             if np.isfinite(self.best[1]):

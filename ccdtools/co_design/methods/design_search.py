@@ -14,7 +14,7 @@ from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.methods.descent import Cost, Descent, descend
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History, Valley
+from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
 from ccdtools.controllers.controllers import Controller
@@ -25,8 +25,6 @@ from ccdtools.plants.tolerances import ON_EDGE
 from ccdtools.progress import bar
 
 OTHERS = "other whole numbers were never looked at: raise starts"
-
-HistoryRow = tuple[int, int, Array, float, float, float]
 
 
 class DesignCost(ABC):
@@ -195,7 +193,7 @@ class DesignSearch:
         design = space.check_feasible(space.settled(best.found.v))
         multipliers, rest = active_set_at(space, best.found.v, best.found.slope, best.active)
         rest /= self._size(best.found.cost, best.found.v)
-        history = History(*(np.array(column) for column in zip(*best.cost.rows)))
+        history = History.of(best.cost.rows)
         return CoDesignResult(
             design=design, controller=best.cost.controller(design), method=self.name, history=history,
             status=self.status(best, rest, bool(multipliers)), objective=-best.found.cost,

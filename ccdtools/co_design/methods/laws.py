@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,52 +20,28 @@ from ccdtools.co_design.secant import fitted
 from ccdtools.controllers.controllers import Controller, Passive
 
 
-@dataclass(frozen=True)
-class PassiveLaw:
-    """Law u = 0 of the plant alone."""
+@dataclass(frozen=True, eq=False)
+class DesignLaw:
+    """Control law for every design.
 
-    words = "the passive plant"
-    differentiable = True
+    Attributes
+    ----------
+    words : str
+    controller : callable
+        Problem and design (np,) → controller.
+    exact : callable, optional
+        Problem and design tensor (np,) → the same law, differentiable by state and design; by default the controller is
+        made anew at every design and asked at every state.
+    """
 
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Law without input."""
-        return lambda x: x.new_zeros(len(x), problem.model.nu)
+    words: str
+    controller: Callable[[CoDesignProblem, Array], Controller]
+    exact: Callable[[CoDesignProblem, Tensor], Law] | None = None
 
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """Controller without input."""
-        return Passive(problem.model.nu)
-
-
-@dataclass(frozen=True)
-class LQRLaw:
-    """Law u = clip(−K(p) x), K(p) by each design's Riccati equation."""
-
-    words = "saturated LQR"
-    differentiable = True
-
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Saturated LQR with exact, differentiable gain."""
-        K: Tensor = _Gain.apply(p, problem)
-        low, high = problem.input_bounds_at(p)
-        low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in (low, high))
-        return lambda x: torch.clamp(-x @ K.T, low, high)
-
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """Saturated LQR."""
-        return saturated_lqr(problem, p)
-
-
-class _OnLineLaw(ABC):
-    """Controller made anew at every design and asked at every state."""
-
-    differentiable = False
-
-    @abstractmethod
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """Controller of a design."""
-
-    def law(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Law that gives a lost run no program to solve."""
+    def at(self, problem: CoDesignProblem, p: Tensor) -> Law:
+        """Law at a design (np,); a lost run is given no program to solve."""
+        if self.exact is not None:
+            return self.exact(problem, p)
         controller = self.controller(problem, p.detach().numpy())
 
         def law(x: Tensor) -> Tensor:
@@ -75,42 +51,6 @@ class _OnLineLaw(ABC):
             return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
 
         return law
-
-
-@dataclass(frozen=True, eq=False)
-class SecantLaw(_OnLineLaw):
-    """Saturated LQR of the linearisation over states that its loop visits.
-
-    They are visited on given scenarios.
-    """
-
-    scenarios: ScenarioTensors
-    words = "saturated LQR of the secant over the visited states"
-
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """Saturated LQR."""
-        return fitted(problem, p, self.scenarios).controller
-
-
-@dataclass(frozen=True)
-class MPCLaw(_OnLineLaw):
-    """MPC of every design, on line; nonlinear by one real-time iteration per sample and run."""
-
-    horizon: int = HORIZON
-    nonlinear: bool = False
-
-    @property
-    def words(self) -> str:
-        """Name of the MPC, with its horizon."""
-        return f"{'nonlinear' if self.nonlinear else 'linear'} MPC (N = {self.horizon})"
-
-    def controller(self, problem: CoDesignProblem, p: Array) -> Controller:
-        """MPC of a design."""
-        return (nonlinear_mpc if self.nonlinear else linear_mpc)(problem, p, horizon=self.horizon)
-
-
-DesignLaw = PassiveLaw | LQRLaw | SecantLaw | MPCLaw
-"""A controller for every design; `differentiable` says whether its inputs are, by state and design."""
 
 
 class _Gain(torch.autograd.Function):
@@ -130,3 +70,30 @@ class _Gain(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         """Gradient (np,) by the design, by the chain rule."""
         return torch.einsum("ux,uxp->p", gradient, ctx.slopes), None
+
+
+def _clipped(problem: CoDesignProblem, p: Tensor) -> Law:
+    """Law u = clip(−K(p) x), K(p) by each design's Riccati equation."""
+    K: Tensor = _Gain.apply(p, problem)
+    low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in problem.input_bounds_at(p))
+    return lambda x: torch.clamp(-x @ K.T, low, high)
+
+
+PASSIVE = DesignLaw(
+    "the passive plant", lambda problem, p: Passive(problem.model.nu),
+    lambda problem, p: lambda x: x.new_zeros(len(x), problem.model.nu),
+)  # fmt: skip
+LQR = DesignLaw("saturated LQR", saturated_lqr, _clipped)
+
+
+def secant_law(scenarios: ScenarioTensors) -> DesignLaw:
+    """Saturated LQR of the linearisation over the states that its loop visits in given scenarios."""
+    words = "saturated LQR of the secant over the visited states"
+    return DesignLaw(words, lambda problem, p: fitted(problem, p, scenarios).controller)
+
+
+def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:
+    """MPC of every design, on line; nonlinear by one real-time iteration per sample and run."""
+    made = nonlinear_mpc if nonlinear else linear_mpc
+    words = f"{'nonlinear' if nonlinear else 'linear'} MPC (N = {horizon})"
+    return DesignLaw(words, lambda problem, p: made(problem, p, horizon=horizon))

@@ -12,7 +12,7 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
 from ccdtools.co_design.agents import as_agent, check_agent
-from ccdtools.co_design.ascent import Ascent
+from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
@@ -24,9 +24,8 @@ from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.method_pairs import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import Valley
+from ccdtools.co_design.result import History, Valley
 from ccdtools.co_design.risk import check_followed, measure
-from ccdtools.co_design.task import LimitPenalty, Task
 from ccdtools.co_design.tolerances import CLIMBED_COMBINATIONS, SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -56,14 +55,14 @@ class Learned:
         What the iterates are scored on, if not the problem itself: for example replays of what was logged, where
         the problem holds a learned model whose errors an optimiser may exploit.
     limits : optional
-        What leaving X costs, see `LimitPenalty`; by default what `judge.limit_tolerance` asks for.
+        What leaving X costs, see `StateLimitPenalty`; by default what `judge.limit_tolerance` asks for.
     """
 
     by: str = "pathwise"
     agent: ActorCritic | None = None
     config: CoDesignConfig | None = None
     judge: CoDesignProblem | None = None
-    limits: LimitPenalty | None = None
+    limits: StateLimitPenalty | None = None
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
@@ -73,7 +72,7 @@ class Learned:
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
         if self.limits is not None:
-            has_method("limits", self.limits, "prices", "a LimitPenalty, such as a StateLimitPenalty, or None")
+            has_method("limits", self.limits, "prices", "a StateLimitPenalty or None")
 
     @property
     def name(self) -> str:
@@ -143,9 +142,9 @@ def _result(
         design=best, agent=winner.best.agent, method=task.method, status=winner.status,
         objective=winner.best.score, criterion=f"{measure(task.judge.risk)} return of the policy on fixed scenarios",
         active_bounds=space.active_bounds(best), active_constraints=space.active_constraints(best),
-        evaluations=sum(ascent.iterations for ascent in ascents), history=winner.history(), limits=winner.best.limits,
-        valleys=_with_ends(found, ascents, design), gradients=winner.check, gains=_gains(task, winner, agent, design),
-        convergence=winner.convergence(),
+        evaluations=sum(ascent.iterations for ascent in ascents), history=History.of(winner.rows),
+        limits=winner.best.limits, valleys=_with_ends(found, ascents, design), gradients=winner.check,
+        gains=_gains(task, winner, agent, design), convergence=winner.convergence(),
     )  # fmt: skip
 
 
@@ -251,7 +250,7 @@ def race(
             for ascent in climbing:
                 ascent.block(shown)
             first = leader(ascents)
-            climbing = [one for one in climbing if not one.ended and (one is first or _hopeful(one, first))]
+            climbing = [one for one in climbing if one.status is None and (one is first or _hopeful(one, first))]
     first = leader(ascents)
     return [first, *(one for one in ascents if one is not first)]
 

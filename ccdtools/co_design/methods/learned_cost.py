@@ -20,9 +20,10 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import episode_at
-from ccdtools.co_design.methods.design_search import DesignCost, HistoryRow
+from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.tolerances import POLICY_ITERATIONS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy

@@ -17,9 +17,10 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in
 from ccdtools.co_design.episodes import Episode, simulated
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import descend
-from ccdtools.co_design.methods.design_search import DesignCost, End, HistoryRow
-from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw
+from ccdtools.co_design.methods.design_search import DesignCost, End
+from ccdtools.co_design.methods.laws import LQR, DesignLaw
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk_intervals import of_kept_runs
 from ccdtools.co_design.tolerances import (
     COST_STEP,
@@ -67,21 +68,34 @@ class LoopCost(DesignCost):
 
     def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost at a point (np,), and its slope (np,): exact, or by differences of whole closed loops."""
-        exact = self.law.differentiable
+        exact = self.law.exact is not None
         point = torch.tensor(v, dtype=torch.float64, requires_grad=exact)
-        with torch.set_grad_enabled(exact):
-            cost = self._cost(point, v)
-        if cost is not None and not exact:
+        self.evaluations += 1
+        try:
+            with torch.set_grad_enabled(exact):
+                seen = self._episode(point, depths=self._priced)
+                cost = self._cost(seen, point)
+        except NotStabilisableError:  # any other error is a mistake in what was stated
+            return np.inf, lambda: np.zeros(len(v))
+        mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
+        count = len(self.rows) + 1
+        samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
+        self.rows.append((count, count * samples, self.problem.design.from_unit(v), mean, std, lost))
+        if not exact:
             return float(cost), lambda: np.asarray(self._differences(v, self._value_at, 1)[0])
-        if cost is None or not cost.requires_grad:
-            return np.inf if cost is None else float(cost), lambda: np.zeros(len(v))
+        if not cost.requires_grad:
+            return float(cost), lambda: np.zeros(len(v))
         return float(cost.detach()), lambda: torch.autograd.grad(cost, point)[0].numpy()
 
     @torch.no_grad()
     def _value_at(self, v: Array) -> Array:
         """Cost alone (1,), not in the history."""
-        cost = self._cost(torch.tensor(v, dtype=torch.float64), None)
-        return np.array([np.inf if cost is None else float(cost)])
+        point = torch.tensor(v, dtype=torch.float64)
+        self.evaluations += 1
+        try:
+            return np.array([float(self._cost(self._episode(point, depths=self._priced), point))])
+        except NotStabilisableError:
+            return np.array([np.inf])
 
     def _differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
         """Slopes (count, np) of values (count,), central or one-sided at a bound."""
@@ -96,21 +110,15 @@ class LoopCost(DesignCost):
             slopes[:, i] = (above - below) / (high - low)
         return slopes
 
-    def _cost(self, point: Tensor, v: Array | None) -> Tensor | None:
-        """Cost at a point, None without a gain; `v` adds a history row."""
-        self.evaluations += 1
-        priced = self.penalty is not None and self.penalty.active
-        try:
-            seen = self._episode(point, depths=priced)
-        except NotStabilisableError:  # any other error is a mistake in what was stated
-            return None
-        if v is not None:
-            mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
-            count = len(self.rows) + 1
-            samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
-            self.rows.append((count, count * samples, self.problem.design.from_unit(v), mean, std, lost))
+    @property
+    def _priced(self) -> bool:
+        """Whether leaving the limits costs anything now."""
+        return self.penalty is not None and self.penalty.active
+
+    def _cost(self, seen: Episode, point: Tensor) -> Tensor:
+        """Cost of episodes at a point, with that of leaving the limits."""
         cost: Tensor = -self.problem.risk.values(seen.total).mean()
-        if self.penalty is not None and priced and not bool(seen.diverged.any()):
+        if self.penalty is not None and self._priced and not bool(seen.diverged.any()):
             cost = cost + self.penalty.cost(seen, point)
         return cost
 
@@ -130,7 +138,7 @@ class LoopCost(DesignCost):
     def _episode(self, v: Tensor, *, depths: bool) -> Episode:
         """Episodes at a unit-box point."""
         p = to_design(self.problem, v)
-        return simulated(Stepper.at(self.problem, p), self.law.law(self.problem, p), self.scenarios, depths=depths)
+        return simulated(Stepper.at(self.problem, p), self.law.at(self.problem, p), self.scenarios, depths=depths)
 
     def plain(self, seen: Episode) -> float:
         """Cost of episodes, whatever they do to the limits."""
@@ -138,10 +146,10 @@ class LoopCost(DesignCost):
 
     def worth_a_start(self, v: Array) -> bool:
         """Whether saturated LQR, which is cheap, loses no run at a point."""
-        if self.law.differentiable:
+        if self.law.exact is not None:
             return True
         try:
-            return not bool(LoopCost(self.problem, LQRLaw(), self.scenarios).seen(v).diverged.any())
+            return not bool(LoopCost(self.problem, LQR, self.scenarios).seen(v).diverged.any())
         except NotStabilisableError:
             return False
 
@@ -151,10 +159,10 @@ class LoopCost(DesignCost):
 
     def least(self, v: Array, *, size: float, evaluations: int) -> End:
         """End of repeated searches, from where one ended without a price."""
-        end = super().least(v, size=size, evaluations=evaluations)
-        if self.problem.limit_tolerance == "off" or not np.isfinite(end.found.cost):
-            return end
-        found = end.found
+        found = descend(self, self.problem.design, v, size=size, evaluations=evaluations)
+        unpriced = End(self, found, size)
+        if self.problem.limit_tolerance == "off" or not np.isfinite(found.cost):
+            return unpriced
         penalty = StateLimitPenalty(self.problem)
         ends: list[End] = []
         for _ in range(30):  # rounds of the multipliers
@@ -163,15 +171,14 @@ class LoopCost(DesignCost):
                 break
             violation = penalty.violation(seen)
             ends.append(End(self, replace(found, cost=self.plain(seen)), size, violation, penalty))
-            unpriced = self.penalty is None
-            enough = violation <= 0 and (unpriced or found.spent)
+            enough = violation <= 0 and (self.penalty is None or found.spent)
             if not penalty.active or enough or _settled(ends):
                 break
-            self.penalty = penalty.dearer(PRICE_GROWTH) if violation > 0 and not unpriced else penalty
+            self.penalty = penalty.dearer(PRICE_GROWTH) if violation > 0 and self.penalty is not None else penalty
             penalty = self.penalty
             found = descend(self, self.problem.design, found.v, size=size, evaluations=evaluations)
         if not ends:
-            return end
+            return unpriced
         best = min(ends, key=lambda end: end.order)
         broken = [end for end in ends if end.violation > 0 and end.found.cost < best.found.cost]
         if best.violation > 0 or not broken:

@@ -21,7 +21,7 @@ from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch
-from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw, SecantLaw
+from ccdtools.co_design.methods.laws import LQR, mpc_law, secant_law
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem
@@ -117,14 +117,14 @@ class Nested:
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
-                tangent = search.best(lambda v: LoopCost(problem, LQRLaw(), scenarios), design, rng)
+                tangent = search.best(lambda v: LoopCost(problem, LQR, scenarios), design, rng)
         scenario = visited(problem, rng)
         if tangent is not None:
             here = fitted(problem, tangent.design, scenario)
             if not here.better:
                 return replace(tangent, notes=(*tangent.notes, str(here)))
         first = design if tangent is None else np.asarray(tangent.design)
-        law = SecantLaw(scenario)
+        law = secant_law(scenario)
         found = replace(search, starts=1).best(lambda v: LoopCost(problem, law, scenarios), first, rng)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
@@ -150,7 +150,5 @@ class Nested:
 
             agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
             return lambda v: LearnedCost(problem, agent, scenarios, rng, self.by)
-        laws: dict[str, DesignLaw] = {
-            "lqr": LQRLaw(), "mpc": MPCLaw(self.horizon), "nmpc": MPCLaw(self.horizon, nonlinear=True)
-        }  # fmt: skip
-        return lambda v: LoopCost(problem, laws[self.inner], scenarios)
+        law = LQR if self.inner == "lqr" else mpc_law(self.horizon, nonlinear=self.inner == "nmpc")
+        return lambda v: LoopCost(problem, law, scenarios)

@@ -63,10 +63,13 @@ def open_loop_problem(
     lower[space.whole] = upper[space.whole] = design[space.whole]
     first, names = design, list(space.names)
     if feedback is not None:
-        lower, upper = np.r_[lower, feedback.lower], np.r_[upper, feedback.upper]
-        first = np.r_[design, feedback.first]
-        names += [f"gain {i + 1}" for i in range(len(feedback.first))]
-    given: dict[str, Any] = {}
+        gain = feedback.K.ravel(order="F")
+        lower, upper = np.r_[lower, np.full(gain.size, -np.inf)], np.r_[upper, np.full(gain.size, np.inf)]
+        first = np.r_[design, gain]
+        names += [f"gain {i + 1}" for i in range(gain.size)]
+    given: dict[str, Any] = {"risk": "worst" if isinstance(problem.risk, WorstCase) else "sum"}
+    if isinstance(problem.risk, MeanSpread):
+        given |= {"risk": "spread", "spread": problem.risk.weight}
     cost = problem.objective.design_cost
     if cost is not None:
         function, share = cost.function(sizes[2]), problem.steps / (problem.objective.episode or problem.steps)
@@ -77,16 +80,14 @@ def open_loop_problem(
         given["p_constraint_names"] = space.constraint_names
     return OptimalControlProblem(
         phases, p_bounds=(lower, upper), p_guess=first, p_names=names, linked=False,
-        **_risk(problem), **given,
+        **given,
     )  # fmt: skip
 
 
 def at_the_mean(
     problem: CoDesignProblem, stated: Callable[[CoDesignProblem], OptimalControlProblem], **given: Any
 ) -> Solution | None:
-    """Optimum for the mean of costs, to start a spread's program.
-
-    None if it counts none.
+    """Optimum for the mean of costs, to start a spread's program; None if it counts none.
 
     From elsewhere a solver begins far from the limits, where costs are best all alike: at the kink of no spread.
     """
@@ -106,21 +107,6 @@ class Feedback:
     problem: CoDesignProblem
     K: Array
 
-    @property
-    def first(self) -> Array:
-        """Initial gain, by columns."""
-        return np.asarray(self.K.ravel(order="F"))
-
-    @property
-    def lower(self) -> Array:
-        """Infinite lower bounds of the gain."""
-        return np.full(self.K.size, -np.inf)
-
-    @property
-    def upper(self) -> Array:
-        """Infinite upper bounds of the gain."""
-        return np.full(self.K.size, np.inf)
-
     def inputs(self, x: Any, p: Any, size: int) -> Any:
         """Inputs (nu) at a state; the first `size` parameters are the design."""
         asked = -ca.reshape(p[size:], *self.K.shape) @ x
@@ -131,13 +117,6 @@ class Feedback:
             lower, upper = (ca.DM(bound) for bound in self.problem.input_bounds)
         soft = SATURATION * (upper - lower)
         return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
-
-
-def _risk(problem: CoDesignProblem) -> dict[str, Any]:
-    """Measure of risk of the scenarios' costs."""
-    if isinstance(problem.risk, MeanSpread):
-        return {"risk": "spread", "spread": problem.risk.weight}
-    return {"risk": "worst" if isinstance(problem.risk, WorstCase) else "sum"}
 
 
 def check_open_loop(problem: CoDesignProblem) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
-from ccdtools.limits import StateLimits
 from ccdtools.output_limits import OutputLimits
 
 ROW = re.compile(r"path (\d+)")
@@ -44,7 +43,7 @@ def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[PathLimit,
     if isinstance(problem.X, DesignLimits):
         found.append(_beyond(problem.X, size, lambda x, u: x, names))
     else:
-        limits = StateLimits(problem.X)
+        limits = problem.state_rows
         F, g = ca.DM(limits.rows), ca.DM(limits.bounds)
         texts = tuple(_kept(limits.row_text(row, names)) for row in range(len(limits.bounds)))
         found.append(PathLimit(lambda x, u, p: F @ x - g, texts))

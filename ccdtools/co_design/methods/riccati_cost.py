@@ -12,9 +12,10 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.design_sensitivity import regulator_of
-from ccdtools.co_design.methods.design_search import DesignCost, HistoryRow
+from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk import Mean
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError

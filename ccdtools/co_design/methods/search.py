@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -22,8 +23,9 @@ from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.black_box import BlackBox, ClosedLoop, Evaluation
-from ccdtools.co_design.methods.laws import DesignLaw, LQRLaw, MPCLaw
+from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.methods.black_box import BlackBox, Evaluation, Value
+from ccdtools.co_design.methods.laws import LQR, mpc_law
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
@@ -31,6 +33,7 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import CMA_SETTLED, SIZE_EVALUATIONS
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from mpc import NotStabilisableError
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
 BUDGET = {"cma": 300, "bayesian": 60}  # Evaluations, by library.
@@ -80,35 +83,44 @@ class Search:
         if find_spec(package) is None:
             raise InputError("method", f"a search by {package}, which is not installed", "the extra ccdtools[search]",
                              f"pip install {package}")  # fmt: skip
-        box = BlackBox(problem, self._value(problem, rng), problem.design.to_unit(design))
+        loop = self._loop(problem, rng)
+        box = BlackBox(problem, self._measured(problem) if loop is None else partial(_in_loop, loop),
+                       problem.design.to_unit(design))  # fmt: skip
         budget = self.evaluations or BUDGET[self.library]
         with bar(label=self.name, total=budget, progress=progress) as shown_bar:
             box.begin(budget, rng)
             shown_bar.update(len(box.rows))
             ask = _cma if self.library == "cma" else _bayesian
             settled = ask(box, budget, rng, shown_bar)
-        return self._result(problem, box, settled)
+        return self._result(problem, box, loop, settled)
 
-    def _value(self, problem: CoDesignProblem, rng: np.random.Generator) -> Any:
-        """Function of a unit-box point: cost and limit violation."""
-        if callable(self.of):
-            given = self.of
-
-            def measured(v: Array) -> tuple[float, float]:
-                """Cost by the user's function, without violation."""
-                value = given(problem.design.settled(v))
-                try:
-                    (number,) = map(float, np.ravel(value))
-                except (TypeError, ValueError):
-                    raise InputError("of", shown(value), "a function of a design that returns one number") from None
-                return -number, 0.0
-
-            return measured
+    def _loop(self, problem: CoDesignProblem, rng: np.random.Generator) -> LoopCost | None:
+        """Closed loop that is looked at, with a penalty where limits have a tolerance; None of a given function."""
+        if not isinstance(self.of, str):
+            return None
         runs = fewer_runs(self.runs or RUNS[self.of], problem.steps)
-        law: DesignLaw = LQRLaw() if self.of == "lqr" else MPCLaw()
-        return ClosedLoop(problem, LoopCost(problem, law, scenario_tensors(problem, runs, rng)))
+        law = LQR if self.of == "lqr" else mpc_law()
+        penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
+        return LoopCost(problem, law, scenario_tensors(problem, runs, rng), penalty)
 
-    def _result(self, problem: CoDesignProblem, box: BlackBox, settled: bool) -> CoDesignResult:
+    def _measured(self, problem: CoDesignProblem) -> Value:
+        """Cost by the user's function, without violation."""
+        of: Any = self.of
+
+        def measured(v: Array) -> tuple[float, float]:
+            """Cost and violation at a unit-box point."""
+            value = of(problem.design.settled(v))
+            try:
+                (number,) = map(float, np.ravel(value))
+            except (TypeError, ValueError):
+                raise InputError("of", shown(value), "a function of a design that returns one number") from None
+            return -number, 0.0
+
+        return measured
+
+    def _result(
+        self, problem: CoDesignProblem, box: BlackBox, loop: LoopCost | None, settled: bool
+    ) -> CoDesignResult:
         """Best evaluation."""
         space = problem.design
         if not np.isfinite(box.best[1]):
@@ -116,24 +128,34 @@ class Search:
             cure = "LQR and MPC here are those of the tangent at rest; nested LQR tries the secant, too."
             raise InputError("of", got, "a return at some design", cure)
         design = space.settled(box.best_v)
-        loop = box.value if isinstance(box.value, ClosedLoop) else None
-        law = LQRLaw() if loop is None else loop.cost.law
         bounds = space.active_bounds(design)
         held = bounds or space.active_constraints(design)
         status = CoDesignStatus.BUDGET_SPENT
         if settled:
             status = CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
         outcome = None
-        if loop is not None and loop.penalty is not None:
-            outcome = loop.outcome(box.best_v)
-        words = "the given function" if loop is None else loop.cost.words
-        controller = controller_of("lqr", problem, design) if loop is None else law.controller(problem, design)
+        if loop is not None and loop.penalty is not None:  # on the way the tolerance is extrapolated
+            seen, penalty = loop.updated(StateLimitPenalty(loop.problem), box.best_v)
+            outcome = penalty.outcome(seen)
+        words = "the given function" if loop is None else loop.words
+        controller = controller_of("lqr", problem, design) if loop is None else loop.law.controller(problem, design)
         return CoDesignResult(
             design=design, controller=controller, method=self.name, status=status, objective=-box.best[1],
             criterion=f"return of {words}", active_bounds=bounds,
             active_constraints=space.active_constraints(design), evaluations=len(box.rows), limits=outcome,
-            history=History(*(np.array(column) for column in zip(*box.rows))),
+            history=History.of(box.rows),
         )  # fmt: skip
+
+
+def _in_loop(loop: LoopCost, v: Array) -> tuple[float, float]:
+    """Cost and limit violation of a closed loop, whose tolerance follows."""
+    try:
+        if loop.penalty is None:
+            return loop.plain(loop.seen(v)), 0.0
+        seen, loop.penalty = loop.updated(loop.penalty, v)
+    except NotStabilisableError:
+        return np.inf, 0.0
+    return loop.plain(seen), loop.penalty.violation(seen)
 
 
 def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:

@@ -18,7 +18,7 @@ from ccdtools.co_design.design_controllers import CONTROL, controller_of
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.design_search import DesignSearch
-from ccdtools.co_design.methods.laws import PassiveLaw
+from ccdtools.co_design.methods.laws import PASSIVE
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
@@ -74,7 +74,7 @@ class Sequential:
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
             search = DesignSearch(unlimited, self.name, self.starts, self.evaluations, progress)
-            plant = search.best(lambda v: LoopCost(unlimited, PassiveLaw(), scenarios), design, rng)
+            plant = search.best(lambda v: LoopCost(unlimited, PASSIVE, scenarios), design, rng)
         controller = controller_of(self.control, problem, plant.design)
         return replace(plant, method=self.name, controller=controller)
 
@@ -84,5 +84,5 @@ def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTe
     A, _, _ = problem.model.matrices(design)
     if np.abs(np.linalg.eigvals(A)).max() > 1 - STABLE:
         return False
-    lost = LoopCost(problem, PassiveLaw(), scenarios).seen(problem.design.to_unit(design)).diverged
+    lost = LoopCost(problem, PASSIVE, scenarios).seen(problem.design.to_unit(design)).diverged
     return not bool(lost.any())

@@ -90,7 +90,7 @@ class Simultaneous:
             for v in points:
                 ends.append(self._from(problem, scenarios, problem.design.settled(v)))
                 shown.update()
-        best = min(ends, key=lambda end: (not end.feasible, end.cost))
+        best = min(ends, key=lambda end: (not end.feasible, end.solution.cost))
         return self._result(problem, best, sum(end.iterations for end in ends), found)
 
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
@@ -114,14 +114,19 @@ class Simultaneous:
         design = space.project(best.solution.p[: space.dim])
         bounds, constraints = space.active_bounds(design), space.active_constraints(design)
         others = (OTHERS,) if space.integer and self.starts == 1 else ()
+        gain = self.unknowns == "gain"
+        runs = len(best.solution.phases)
+        words = (f"one saturated gain in {runs} scenarios" if gain else
+                 f"the best inputs in {runs} scenarios whose disturbances are known ahead")  # fmt: skip
+        value = -float(best.solution.cost)
         return CoDesignResult(
             design=design, controller=self._controller(problem, best, design), method=self.name,
-            status=_status(best, bool(bounds or constraints), bool(others)), objective=best.objective,
-            criterion=f"return of {self._words(best)}", active_bounds=bounds, active_constraints=constraints,
+            status=_status(best, bool(bounds or constraints), bool(others)), criterion=f"return of {words}",
+            objective=value if best.feasible else np.nan, active_bounds=bounds, active_constraints=constraints,
             multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints} if best.feasible},
             slope=float(best.solution.residuals.worst), evaluations=iterations,
-            history=_history(best, design), valleys=found,
-            notes=(*best.notes(problem, fed_back=self.unknowns == "gain"), *others),
+            history=History.of([(best.iterations, best.iterations, design, value, 0.0, 0.0)]), valleys=found,
+            notes=(*told(problem, best.solution, fed_back=gain), *others),
         )  # fmt: skip
 
     def _controller(self, problem: CoDesignProblem, best: _End, design: Array) -> Controller:
@@ -130,13 +135,6 @@ class Simultaneous:
             return controller_of(self.control, problem, design)
         K = best.solution.p[problem.design.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
         return LinearFeedback(K, *problem.input_bounds_at(design))
-
-    def _words(self, best: _End) -> str:
-        """Description of what was optimised."""
-        runs = len(best.solution.phases)
-        if self.unknowns == "gain":
-            return f"one saturated gain in {runs} scenarios"
-        return f"the best inputs in {runs} scenarios whose disturbances are known ahead"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,23 +145,14 @@ class _End:
     iterations: int
 
     @property
+    def impossible(self) -> bool:
+        """Whether no inputs keep the limits."""
+        return self.solution.status is OptimalControlStatus.INFEASIBLE
+
+    @property
     def feasible(self) -> bool:
         """Whether all limits are kept."""
         return not (self.impossible or self.solution.conflicts)
-
-    @property
-    def objective(self) -> float:
-        """Objective as a return; NaN if limits are broken."""
-        return -self.cost if self.feasible else float("nan")
-
-    @property
-    def impossible(self) -> bool:
-        """Whether no inputs keep them."""
-        return self.solution.status is OptimalControlStatus.INFEASIBLE
-
-    def notes(self, problem: CoDesignProblem, *, fed_back: bool) -> tuple[str, ...]:
-        """Notes on an end that is no optimum."""
-        return told(problem, self.solution, fed_back=fed_back)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
         """Rise of the return per unit of each design constraint or bound."""
@@ -175,11 +164,6 @@ class _End:
         prices |= dict(zip(space.names, np.abs(self.solution.p_gradient[: space.dim] * space.free).tolist()))
         return prices
 
-    @property
-    def cost(self) -> float:
-        """Cost of the program."""
-        return float(self.solution.cost)
-
 
 def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
     """Gain of the LQR, or zeros without one."""
@@ -190,10 +174,7 @@ def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
 
 
 def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
-    """Status of the program.
-
-    With whole numbers that one start kept, others were never tried.
-    """
+    """Status of the program; whole numbers that one start kept leave others untried."""
     if best.impossible:
         return CoDesignStatus.INFEASIBLE
     if not best.solution.solved or numbers:
@@ -201,8 +182,3 @@ def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
     return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
 
-def _history(best: _End, design: Array) -> History:
-    """History of a program: its end alone."""
-    value = np.array([-best.cost])
-    none = np.zeros(1)
-    return History(np.array([best.iterations]), np.array([best.iterations]), design[None], value, none, none)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools.co_design.sample_average import Climb, SampleAverage
+from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.tolerances import COMPRESS_ABOVE, PER_UNIT
 
 
@@ -12,7 +12,7 @@ def climbed(cost, weights, v=None, *, scale=1.0, length=60):
     """Relative cost before and after a climb."""
     average = SampleAverage(lambda: cost(weights, v), weights=[weights], v=v, scale=scale)
     before = average(average.first)[0] / PER_UNIT
-    Climb(average, length, counted=lambda: False, look=lambda: False).run()
+    climb(average, length, counted=lambda: False, look=lambda: False)
     with torch.no_grad():
         return before, float(cost(weights, v)) / scale
 

@@ -8,7 +8,7 @@ from small_plants import mass
 
 import ccdtools as cc
 from ccdtools.co_design.methods.descent import descend
-from ccdtools.co_design.methods.laws import MPCLaw
+from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 
 
@@ -58,13 +58,12 @@ def test_a_lost_run_costs_no_program():
     problem = mass()
     seen = []
 
-    class Watched(MPCLaw):
-        def controller(self, problem, p):
-            return lambda x: (seen.append(x.copy()), np.zeros((len(x), problem.model.nu)))[1]
+    def watched(problem, p):
+        return lambda x: (seen.append(x.copy()), np.zeros((len(x), problem.model.nu)))[1]
 
     x0 = torch.zeros(3, problem.model.nx, dtype=torch.float64)
     x0[1] = 10 * torch.as_tensor(problem.limit)
-    cost = LoopCost(problem, Watched(), (x0, torch.zeros(3, problem.steps, problem.model.nw)))
+    cost = LoopCost(problem, DesignLaw("watched", watched), (x0, torch.zeros(3, problem.steps, problem.model.nw)))
     cost(np.full(problem.design.dim, 0.5))
     assert all((np.abs(x) <= problem.limit).all() for x in seen)
     assert cost.rows[-1][-1] == pytest.approx(1 / 3)

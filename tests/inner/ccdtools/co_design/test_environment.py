@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.co_design.ppo_part import DesignEnv
+from ccdtools.co_design.environment import DesignEnv
 
 
 @pytest.fixture

@@ -10,11 +10,10 @@ import pytest
 
 import ccdtools as cc
 from ccdtools import progress
-from ccdtools.co_design import expert_dataset, feasible_sets, set_choice
-from ccdtools.co_design.candidates import starts
+from ccdtools.co_design import candidates, expert_dataset, feasible_sets
+from ccdtools.co_design.candidates import SetBudget, affordable_designs, found_sets, limited, starts
 from ccdtools.co_design.expert_loops import ExpertLoops
 from ccdtools.co_design.lqr_regions import LQRRegions
-from ccdtools.co_design.set_choice import SetBudget, affordable_designs, found_sets, limited
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_positively_invariant_set
 
 
@@ -204,8 +203,8 @@ def test_wrong_options_are_refused(illustrative, argument, value):
 def test_the_sets_do_not_depend_on_how_fast_the_processor_is(monkeypatch, slower):
     """A clock that runs fifty times as fast stands for a machine that is as much slower."""
     problem = rail()
-    clock = set_choice.time.thread_time
-    monkeypatch.setattr(set_choice.time, "thread_time", lambda: slower * clock())
+    clock = candidates.time.thread_time
+    monkeypatch.setattr(candidates.time, "thread_time", lambda: slower * clock())
     budget = SetBudget("auto", 20.0)
     family = limited(feasible_sets(problem), budget)
     assert affordable_designs(problem, family, 1000, budget) == (1000, "")
@@ -226,7 +225,7 @@ def test_candidates_share_as_many_designs_as_the_budget_allows_and_none_below_si
 def test_designs_that_an_abort_does_not_reach_get_no_set_and_the_reason_is_said(illustrative, monkeypatch):
     problem = illustrative.problem()
     designs = problem.design.latin_hypercube(10, np.random.default_rng(0))
-    monkeypatch.setattr(set_choice.time, "thread_time", Clock(1.0))
+    monkeypatch.setattr(candidates.time, "thread_time", Clock(1.0))
     sets, counts = found_sets(feasible_sets(problem), designs, SetBudget("auto", 1.0))
     assert [S is not None for S in sets] == 4 * [True] + 6 * [False]
     assert (counts.feasible, counts.lqr) == (4, 6)

@@ -12,9 +12,9 @@ from small_plants import clone_of, mass
 from ccdtools import CoDesignConfig, InputError, QuadraticObjective
 from ccdtools.co_design.design_gradients import Differences, check_gradients, pathwise_by_run
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
+from ccdtools.co_design.environment import DesignEnv, loss_gradient, network_input_gradient
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.learned_result import GradientCheck
-from ccdtools.co_design.ppo_part import DesignEnv, loss_gradient, network_input_gradient
 from ccdtools.twin.discrepancy import Discrepancy
 from learning import PPOConfig, collect
 from learning.ppo import ppo_loss, prepare

@@ -22,8 +22,8 @@ from ccdtools import (
 )
 from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
+from ccdtools.co_design.environment import DesignEnv, loss_gradient
 from ccdtools.co_design.episodes import simulated
-from ccdtools.co_design.ppo_part import DesignEnv, loss_gradient
 from learning import PPOConfig, collect, fit_actor_critic
 from learning.ppo import prepare
 

@@ -13,7 +13,7 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.descent import Descent
 from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, End, confirmed
-from ccdtools.co_design.methods.laws import LQRLaw
+from ccdtools.co_design.methods.laws import LQR
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.status import CoDesignStatus
@@ -69,7 +69,7 @@ def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
                 return super().seen(v)
             raise mpc.NotStabilisableError("no regulator", 1.0)
 
-    cost = Gap(problem, LQRLaw(), scenario_tensors(problem, 4, np.random.default_rng(0)))
+    cost = Gap(problem, LQR, scenario_tensors(problem, 4, np.random.default_rng(0)))
     first, cheaper = np.array([0.85]), np.array([1.0])
     plain = cost(first)[0]
     kept = End(cost, Descent(first, plain, np.zeros(1)), 1.0, penalty=StateLimitPenalty(problem))

@@ -8,7 +8,7 @@ from constrained_plants import CASES
 
 import ccdtools as cc
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.laws import LQRLaw
+from ccdtools.co_design.methods.laws import LQR
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 
@@ -44,7 +44,7 @@ def spring_problem(unit=1.0, **changes):
 @pytest.mark.parametrize("unit", [1.0, 1000.0])
 def test_slope_of_a_closed_loop_is_that_of_central_differences(unit, risk):
     problem = spring_problem(unit, risk=risk)
-    cost = LoopCost(problem, LQRLaw(), scenario_tensors(problem, 20, np.random.default_rng(0)))
+    cost = LoopCost(problem, LQR, scenario_tensors(problem, 20, np.random.default_rng(0)))
     for v in ([0.3, 0.6], [0.8, 0.2]):
         shown = slope_by_differences(cost, np.array(v))
         assert cost(np.array(v))[1]() == pytest.approx(shown, rel=2e-4, abs=1e-6 * abs(shown).max())

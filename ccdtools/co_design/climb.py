@@ -47,7 +47,6 @@ class SampleAverage:
         slope: Callable[[], Tensor] | None = None, region: DesignRegion | None = None,
     ) -> None:  # fmt: skip
         self._cost = cost
-        self._weights = weights
         self._moving = v is not None
         self._scale = scale
         self._slope = slope
@@ -55,14 +54,14 @@ class SampleAverage:
         self._place: Array = np.zeros(0)  # of the design, where there is a region
         self._parts = weights if v is None else [*weights, v]
         self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy() / UNIT_OF_Z
-        designs = 0 if v is None else len(v)
-        free: list[tuple[float | None, float | None]] = [(None, None)] * (len(self.first) - designs)
-        self.bounds = free + [(0.0, 1.0 / UNIT_OF_Z)] * designs
+        self._at = slice(len(self.first) - (0 if v is None else len(v)), None)  # of the design in z
+        self.bounds: list[tuple[float | None, float | None]] = [(None, None)] * len(self.first)
+        self.bounds[self._at] = [(0.0, 1.0 / UNIT_OF_Z)] * len(self.first[self._at])
 
     def put(self, z: Array) -> bool:
         """Set policy and nearest feasible design to `z`; return whether one was found."""
         values = torch.tensor(UNIT_OF_Z * z, dtype=torch.float32).split([part.numel() for part in self._parts])
-        found = None if self._region is None else self._region.nearest(self._raw(z))
+        found = None if self._region is None else self._region.nearest(UNIT_OF_Z * z[self._at])
         with torch.no_grad():
             for part, value in zip(self._parts, values):
                 part.copy_(value.reshape(part.shape))
@@ -70,10 +69,6 @@ class SampleAverage:
                 self._place = self._region.last if found is None else found
                 self._parts[-1].copy_(torch.tensor(self._place))
         return self._region is None or found is not None
-
-    def _raw(self, z: Array) -> Array:
-        """Unit-box point in `z`, (np,)."""
-        return np.asarray(UNIT_OF_Z * z[-len(self._parts[-1]) :])
 
     def __call__(self, z: Array) -> tuple[float, Array]:
         """Cost, logarithmic beyond `COMPRESS_ABOVE`, and the clipped gradient (m,).
@@ -92,8 +87,8 @@ class SampleAverage:
             gradient /= value / COMPRESS_ABOVE
             value = COMPRESS_ABOVE * (1.0 + np.log(value / COMPRESS_ABOVE))
         if self._region is not None:
-            at = slice(-len(self._place), None)
-            added, gradient[at] = self._region.extended(self._raw(z), self._place, gradient[at])
+            at = self._at
+            added, gradient[at] = self._region.extended(UNIT_OF_Z * z[at], self._place, gradient[at])
             value += added
         length = float(np.linalg.norm(gradient))
         if not (np.isfinite(value) and np.isfinite(length)):
@@ -106,8 +101,8 @@ class _StoppedError(Exception):
     """Raised when the climb is to end."""
 
 
-class Climb:
-    """Climb by at most `length` evaluations of cost and gradient.
+def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], look: Callable[[], bool]) -> None:
+    """Climb until level or spent, and set policy and design to the lowest point.
 
     Parameters
     ----------
@@ -119,41 +114,30 @@ class Climb:
     look : callable
         Called with policy and design at the lowest point; whether the climb is to end there.
     """
+    lowest, least = average.first, np.inf
+    new = False  # whether the lowest point has not been looked at
+    left = length
 
-    def __init__(
-        self, average: SampleAverage, length: int, *, counted: Callable[[], bool], look: Callable[[], bool]
-    ) -> None:
-        self._average = average
-        self._left = length
-        self._counted = counted
-        self._look = look
-        self._lowest = average.first
-        self._value = float("inf")
-        self._new = False  # whether the lowest point has not been looked at
-
-    def run(self) -> None:
-        """Climb until level or spent, and set policy and design to the lowest point."""
-        options = CLIMB_OPTIONS | {"maxfun": 10 * self._left, "maxiter": self._left}
-        bounds = self._average.bounds
-        with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
-            minimize(self, self._average.first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        self._average.put(self._lowest)
-        if self._new:
-            self._look()
-
-    def __call__(self, z: Array) -> tuple[float, Array]:
+    def value(z: Array) -> tuple[float, Array]:
         """Relative cost and gradient (m,)."""
-        if self._left == 0:
+        nonlocal lowest, least, new, left
+        if left == 0:
             raise _StoppedError
-        self._left -= 1
-        value, gradient = self._average(z)
-        if value < self._value:
-            self._new = self._new or np.isfinite(self._value)
-            self._value = value
-            self._lowest = z.copy()
-        if self._counted() or self._left == 0:
-            self._average.put(self._lowest)
-            self._new = False
-            if self._look():
+        left -= 1
+        value, gradient = average(z)
+        if value < least:
+            new = new or bool(np.isfinite(least))
+            lowest, least = z.copy(), value
+        if counted() or left == 0:
+            average.put(lowest)
+            new = False
+            if look():
                 raise _StoppedError
         return value, gradient
+
+    options = CLIMB_OPTIONS | {"maxfun": 10 * length, "maxiter": length}
+    with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
+        minimize(value, average.first, jac=True, method="L-BFGS-B", bounds=average.bounds, options=options)
+    average.put(lowest)
+    if new:
+        look()

@@ -1,4 +1,4 @@
-"""PPO in a co-design: episodes, updates and design gradient."""
+"""Environment of PPO in a co-design, and its design gradient."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
-from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.problem import CoDesignProblem
 from learning.networks import ActorCritic
-from learning.ppo import PPO, Batch, PPOConfig, ppo_loss, prepare
-from learning.rollout import Rollout, collect
+from learning.ppo import Batch, PPOConfig, ppo_loss, prepare
+from learning.rollout import collect
 
 
 class DesignEnv:
@@ -68,55 +66,8 @@ class DesignEnv:
         return observe(self._x, self._step.p), successor, reward, terminated, truncated
 
 
-class PPOPart:
-    """Agent with episodes and optimisers for the whole training.
-
-    Attributes
-    ----------
-    env_steps : int
-        Steps of the sampled policy so far.
-    """
-
-    def __init__(
-        self, problem: CoDesignProblem, agent: ActorCritic, p: Tensor, rng: np.random.Generator, config: CoDesignConfig
-    ) -> None:
-        self.problem = problem
-        self.agent = agent
-        self.config = config.ppo
-        self.optimisers = PPO(agent, config.ppo)
-        self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
-        self.env = DesignEnv(problem, p, runs=fewer_runs(config.runs, problem.steps), rng=rng)
-        self.env_steps = 0
-
-    def collect(self, p: Tensor) -> Rollout:
-        """Whole episodes of the sampled policy at design `p`."""
-        self.env.move(p)
-        self.env_steps += self.env.runs * self.problem.steps
-        return collect(self.env, self.agent, steps=self.problem.steps, generator=self.generator)
-
-    def network_input_gradient(self, rollout: Rollout, v: Tensor) -> Tensor:
-        """Design gradient (np,) of the paper, before the update."""
-        return loss_gradient(self.problem, self.agent, v, prepare(self.agent, rollout, self.config), self.config)
-
-    def update(self, rollout: Rollout, *, factor: float, actor: bool) -> None:
-        """Update the critic, and the actor if asked, at `factor` times their rates."""
-        for optimiser, rate in (
-            (self.optimisers.actor_optimiser, self.config.learning_rate),
-            (self.optimisers.critic_optimiser, self.config.value_rate),
-        ):
-            for group in optimiser.param_groups:
-                group["lr"] = rate * factor
-        self.optimisers.update(rollout, generator=self.generator, actor=actor)
-
-
 def network_input_gradient(
-    problem: CoDesignProblem,
-    agent: ActorCritic,
-    v: Tensor,
-    *,
-    rng: np.random.Generator,
-    runs: int,
-    config: PPOConfig,
+    problem: CoDesignProblem, agent: ActorCritic, v: Tensor, *, rng: np.random.Generator, runs: int, config: PPOConfig
 ) -> Tensor:
     """−∂/∂v (np,) of the PPO loss through design inputs, with constant states."""
     env = DesignEnv(problem, to_design(problem, v), runs=runs, rng=rng)
