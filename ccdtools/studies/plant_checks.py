@@ -1,13 +1,21 @@
-"""Checks of model and real plant over the whole design box."""
+"""Checks of model and real plant over the whole design box, and of the steps of the real one."""
 
 from __future__ import annotations
+
+import warnings
 
 import casadi as ca
 import numpy as np
 
-from ccdtools.exceptions import InputError
+from ccdtools.arrays import Array
+from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.exceptions import InputError, SamplingWarning
+from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.studies.real_plant import RealPlant
+from ccdtools.studies.tolerances import NEAR_MIDDLE, THROWN_OUT, UNSTABLE_SAMPLE, WRONG_SAMPLE
+from invariant_sets import Polytope
 
 
 def check_finite(plant: Plant) -> None:
@@ -38,3 +46,72 @@ def check_same_plant(model: Plant, real: RealPlant) -> None:
         if not np.isfinite(np.asarray(plant.step(real.x0, u, w, design), dtype=float)).all():
             got = f"a first step that is not finite at {plant.design.describe(design)}"
             raise InputError("real.plant", got, "finite dynamics over the whole design box")
+
+
+def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Array], *, guard: str) -> None:
+    """Warn if a real plant's sample may be wrong by 0.1 of X.
+
+    A sample in `plant.substeps` parts is compared with one of twice as many, within X, U and W and at all designs. A
+    disturbance that no plant bears is left to the check of the disturbance.
+
+    Raises
+    ------
+    InputError
+        If the difference exceeds half of X even within a tenth of it.
+    """
+    if not plant.continuous:
+        return
+    region = Region.of(X.bounding_box(), U.bounding_box(), W, (plant.design.lower, plant.design.upper))
+    found = _error(plant, region, plant.substeps)
+    if found.relative <= WRONG_SAMPLE:
+        return
+    calm = Region.of(*region.boxes[:2], (0 * W[0], 0 * W[1]), region.boxes[3])
+    if not found.relative < THROWN_OUT and _error(plant, calm, plant.substeps).relative <= WRONG_SAMPLE:
+        return
+    where = f"x = {found.x.round(6).tolist()}, {plant.design.describe(found.p)}"
+    got = f"{plant.substeps} Runge–Kutta steps a sample, too long for it: the worst at {where}"
+    advice = _advice(plant, region)
+    low, high = (calm.centre + NEAR_MIDDLE * (end - calm.centre) for end in calm.boxes[0])
+    near = Region.of((low, high), *calm.boxes[1:])
+    if not NEAR_MIDDLE * _error(plant, near, plant.substeps).relative <= UNSTABLE_SAMPLE:
+        raise InputError("real.plant", got, "steps that follow the plant", advice)
+    if guard == "warn":
+        wrong = f"a sample may be wrong by {found.relative:.2g} of half the range in X"
+        warnings.warn(f"real.plant: {got}, where {wrong}. {advice}", SamplingWarning, stacklevel=5)
+
+
+def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array]:
+    """Bounds (nw,) of draws of a disturbance.
+
+    They are symmetric but for what does not change in a run: an uncertain mass may be far heavier, and is not negative.
+    """
+    several = disturbance.sample(200, 2, np.random.default_rng(0))  # what differs from run to run
+    while True:
+        try:
+            single = disturbance.sample(1, steps, np.random.default_rng(0))
+            break
+        except InputError:
+            if steps <= 2:
+                raise
+            steps //= 2
+    constant = (several[:, :1] == several).all(axis=(0, 1)) & (single[:, :1] == single).all(axis=(0, 1))
+    drawn = np.concatenate([single[0], several.reshape(-1, several.shape[2])])
+    largest = np.abs(drawn).max(axis=0)
+    lower, upper = drawn.min(axis=0, initial=0.0), drawn.max(axis=0, initial=0.0)
+    return np.where(constant, lower, -largest), np.where(constant, upper, largest)
+
+
+def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
+    """Error of a sample in `substeps` parts."""
+    coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
+    return measured_error(coarse, fine, region)
+
+
+def _advice(plant: Plant, region: Region) -> str:
+    """Advice about steps that are too long."""
+    substeps = 2 * plant.substeps
+    while substeps <= 1000:  # no more are recommended
+        if _error(plant, region, substeps).relative <= WRONG_SAMPLE:
+            return f"Give the plant substeps={substeps}."
+        substeps *= 2
+    return "Shorten dt, or give discretise(plant, X=…, U=…, W=…, method='collocation') as the real plant."

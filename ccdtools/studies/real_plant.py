@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ccdtools.arrays import ArrayField, Immutable
-from ccdtools.checks import as_count, as_flag, as_instance, as_vector
+from ccdtools.checks import as_count, as_flag, as_instance, as_mapping, as_vector, has_method, shown
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.studies.disturbance_checks import check_disturbance, checked_held_out
 
 MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
 
@@ -71,7 +72,12 @@ class RealPlant(Immutable):
         if as_flag("real.road", self.road) and self.plant.nw != 1:
             raise InputError("real.road", f"True of {self.plant.nw} disturbances", "one, the road under one wheel")
         if self.held_out is not None:
-            object.__setattr__(self, "held_out", checked_held_out(self.held_out, self.plant))
+            named = as_mapping("real.held_out", self.held_out, "a mapping of names to disturbances")
+            for name, disturbance in named.items():
+                if not isinstance(name, str) or not name.strip() or len(name.splitlines()) > 1:
+                    raise InputError("real.held_out", shown(name), "names of one line")
+                check_disturbance(f"real.held_out[{name!r}]", disturbance, self.plant)
+            object.__setattr__(self, "held_out", named)
 
     @property
     def fresh(self) -> dict[str, Disturbance]:
@@ -82,3 +88,22 @@ class RealPlant(Immutable):
 
     def __repr__(self) -> str:
         return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
+
+
+def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel) -> None:
+    """Raise unless samples of the disturbance have the plant's channels."""
+    has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
+    try:
+        drawn = np.asarray(disturbance.sample(1, 2, np.random.default_rng(0)))
+    except InputError:
+        raise
+    except Exception as error:
+        reason = f"a {type(disturbance).__name__} whose sample(1, 2, rng) stops with {type(error).__name__}: {error}"
+        raise InputError(argument, " ".join(reason.split()), f"samples of shape (1, 2, {plant.nw})") from error
+    if drawn.shape != (1, 2, plant.nw):
+        got = f"samples of shape {drawn.shape}"
+        if drawn.ndim == 3:
+            got = f"{drawn.shape[2]} channel{'' if drawn.shape[2] == 1 else 's'}"
+        raise InputError(argument, got, f"{plant.nw}, one per disturbance of the plant")
+    if drawn.dtype.kind not in "iuf" or not np.isfinite(drawn).all():
+        raise InputError(argument, "a sample that is not a finite number", "finite samples")

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ccdtools.plants.library import full_car
-from ccdtools.studies.cases._cars import BODY, CAR, GOOD, PLACE, WHEEL, by_kind, study_on_roads
+from ccdtools.studies.cases._cars import BODY, CAR, GOOD, PLACE, SPREAD, WHEEL, WHEELBASE, by_kind, study_on_roads
 from ccdtools.trajectory import Trajectory
 from ccdtools.vehicles.car import WHEELS, heights_of_corners
 from ccdtools.vehicles.ride import Ride
@@ -38,5 +38,5 @@ def metrics(run: Trajectory) -> Mapping[str, float]:
 study = study_on_roads(
     "full_car_heights", "Full car on heights", plant, full_car(road="height", real=True),
     Polytope(np.vstack([judged, -judged]), np.tile(limits, 2)), judged.T @ np.diag(good**-2) @ judged, metrics,
-    track=2 * CAR.half_track, heights=True,
+    p0=SPREAD, wheelbase=WHEELBASE, track=2 * CAR.half_track, heights=True,
 )  # fmt: skip

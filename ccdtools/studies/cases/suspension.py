@@ -9,7 +9,7 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.plants import library
 from ccdtools.plants.plant import Plant
-from ccdtools.studies.cases._quarter_cars import quarter_car_ride
+from ccdtools.studies.cases._cars import quarter_car_ride
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.quarter_car import PAPER_DT

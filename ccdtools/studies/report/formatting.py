@@ -68,12 +68,7 @@ def holding_text(row: Mapping[str, Any]) -> str:
 def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
     """Text of a design with its units."""
     units = dict(zip(results["design_space"]["names"], results["design_space"]["units"]))
-    return ", ".join(f"{name} = {value:.6g}{unit_text(units[name])}" for name, value in design.items())
-
-
-def unit_text(unit: str) -> str:
-    """Unit after a number; empty if dimensionless."""
-    return "" if unit == "-" else f" {unit}"
+    return ", ".join(f"{name} = {value:.6g} {units[name]}".removesuffix(" -") for name, value in design.items())
 
 
 def axis_label(name: str, unit: str) -> str:

@@ -55,7 +55,12 @@ def gain_rows(results: Values) -> list[list[str]]:
 
 def gain_headings(results: Values) -> list[str]:
     """Headings of the places: name, runs, steps, part left out."""
-    return [_heading(place) for place in results["gains"]]
+    headings = []
+    for place in results["gains"]:
+        runs = "one run" if place["runs"] == 1 else f"{place['runs']} runs"
+        lost = f", {signed_percent(100 * place['left_out'])[1:]} left out" if place["left_out"] else ""
+        headings.append(f"{place['place']} ({runs} of {place['steps']} steps{lost})")
+    return headings
 
 
 def held_out_rows(results: Values, steps: int) -> list[dict[str, Any]]:
@@ -95,13 +100,6 @@ def console_lines(results: Values) -> list[str]:
         parts = [f"{source} {gain_text(place, source)}" for source in (*SOURCES[1:], "total")]
         lines.append(f"  {heading}: {'; '.join(parts)}")
     return lines
-
-
-def _heading(place: Values) -> str:
-    """Heading of one place."""
-    runs = "one run" if place["runs"] == 1 else f"{place['runs']} runs"
-    lost = f", {signed_percent(100 * place['left_out'])[1:]} left out" if place["left_out"] else ""
-    return f"{place['place']} ({runs} of {place['steps']} steps{lost})"
 
 
 def _cell(rows: Sequence[Values], generation: int, controller: str, scale: float) -> dict[str, str] | None:

@@ -165,7 +165,8 @@ def _where_deployed(results: Results, last: int) -> str:
 
 def _limits(results: Results, last: int) -> str:
     """Sentence that the deployed co-design violates its limits."""
-    found = _limits_as_deployed(results)
+    generation = deployed_codesign(results)
+    found = None if generation is None else generation.get("limits")
     if found is None or found["kept"]:
         return ""
     achieved, most = ((of["fraction"], of["depth"]) for of in (found["achieved"], found["tolerance"]))
@@ -175,12 +176,6 @@ def _limits(results: Results, last: int) -> str:
     exceeded = _row(results, last, "learned")["exceeded"]
     which = f"; on the real plant most {exceeded}" if exceeded else ""
     return f"the co-design breaks the limits ({left}, {asked}{which})"
-
-
-def _limits_as_deployed(results: Results) -> Mapping[str, Any] | None:
-    """Record of the deployed co-design's limits; None if unstated."""
-    found = deployed_codesign(results)
-    return None if found is None else found.get("limits")
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:

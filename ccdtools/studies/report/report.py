@@ -31,9 +31,8 @@ from ccdtools.studies.report.formatting import (
     place,
 )
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
-from ccdtools.studies.report.metric_tables import held_out_metrics, metric_table
 from ccdtools.studies.report.summary import decided, in_first_place, next_steps
-from ccdtools.studies.report.tables import fewer_runs_notes, write_tables
+from ccdtools.studies.report.tables import fewer_runs_notes, held_out_metrics, metric_table, write_tables
 from ccdtools.studies.report.verdicts import (
     difference_text,
     limit_notes,
@@ -85,8 +84,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
     results = run.results
     return environment.from_string(page).render(
         r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
-        figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run) + _design_rows(run),
-        kept=_kept_by_designs(run) + _limits_note(run),
+        figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run), kept=_kept_by_designs(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
         gains={"headings": gain_headings(results), "rows": gain_rows(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results),
@@ -94,7 +92,8 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         glance=in_first_place(results), next_steps=next_steps(results), decided=list(decided(results)),
         sampling=sampling_note(run.study.plant), no_sets=_no_sets(run),
         limits=limits_of(results), single=run.study.real.runs == 1, real_is_model=run.study.real_is_model,
-        risk=_risk_text(run), measure=measure(run.study.judged_in),
+        risk="" if isinstance(run.problem.risk, Mean) else measure(run.problem.risk),
+        measure=measure(run.study.judged_in),
         updates=[sum(u["accepted"] for u in g["online_updates"]) for g in results["generations"]],
     )  # fmt: skip
 
@@ -140,27 +139,18 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
         check = generation["gradient_check"]
         if check is None:
             continue
-        gradients = {label: np.array(check[name], dtype=float) for name, label in labels.items()}
-        reference = gradients["finite differences"]
-        rows = [
-            {"label": label, "values": values.tolist(), "errors": _errors(check, label, labels),
-             "cosine": _cosine(values, reference),
-             "length": _ratio(np.linalg.norm(values), np.linalg.norm(reference))}
-            for label, values in gradients.items() if np.isfinite(values).all()
-        ]  # fmt: skip
+        reference = np.array(check["finite_difference"], dtype=float)
+        rows = []
+        for name, label in labels.items():
+            values = np.array(check[name], dtype=float)
+            if np.isfinite(values).all():
+                size, whole = np.linalg.norm(values), np.linalg.norm(reference)
+                errors = check.get(f"{name}_error") or [None] * len(check["names"])
+                rows.append({"label": label, "values": values.tolist(), "errors": errors,
+                             "cosine": _ratio(values @ reference, size * whole),
+                             "length": _ratio(size, whole)})  # fmt: skip
         tables.append({"generation": generation["generation"], "names": check["names"], "rows": rows})
     return tables
-
-
-def _errors(check: dict[str, Any], label: str, labels: dict[str, str]) -> list[float | None]:
-    """Standard errors of the gradient with that label; None if not estimated."""
-    name = next(name for name, own in labels.items() if own == label)
-    return check.get(f"{name}_error") or [None] * len(check["names"])
-
-
-def _cosine(values: Array, reference: Array) -> float | None:
-    """Cosine of the angle between two vectors; None if one is zero."""
-    return _ratio(values @ reference, np.linalg.norm(values) * np.linalg.norm(reference))
 
 
 def _ratio(value: Any, size: Any) -> float | None:
@@ -189,18 +179,19 @@ def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """Limits of states, inputs and outputs at the final design; NaN if none."""
+    """Limits of states, inputs, outputs and parameters at the final design; NaN if none."""
     plant = run.study.plant
-    rows = []
-    for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U)):
-        lower, upper = limits_at(limits, run.designs[-1]).bounding_box()
-        rows += [(name, float(low), float(high)) for name, low, high in zip(names, lower, upper)]
+    space = run.problem.design
+    boxes = [(names, *limits_at(limits, run.designs[-1]).bounding_box())
+             for names, limits in ((plant.state_names, run.study.X), (plant.input_names, run.study.U))]  # fmt: skip
     limited = run.problem.output_limits
     if limited is not None:
-        given = (np.where(np.isfinite(bound), bound, np.nan) for bound in (limited.lower, limited.upper))
-        rows += [(name, float(low), float(high)) for name, low, high in zip(limited.names, *given)
-                 if np.isfinite([low, high]).any()]  # fmt: skip
-    return rows
+        lower, upper = (np.where(np.isfinite(bound), bound, np.nan) for bound in (limited.lower, limited.upper))
+        boxes.append((limited.names, lower, upper))
+    named = [f"design {axis_label(name, unit)}" for name, unit in zip(space.names, space.units)]
+    rows = [(name, float(low), float(high)) for box in (*boxes, (named, space.lower, space.upper))
+            for name, low, high in zip(*box)]  # fmt: skip
+    return [row for row in rows if np.isfinite(row[1:]).any()]
 
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
@@ -229,29 +220,11 @@ def _matrix_text(matrix: Array) -> str:
 
 
 def _kept_by_designs(run: FinishedRun) -> list[str]:
-    """Phrases for what a design keeps besides its bounds."""
+    """Phrases for what a design keeps besides its bounds, and for limits that depend on it."""
     space = run.problem.design
     kept = {"Constraints of the design, each to be ≤ 0": space.constraint_names, "Whole numbers": space.integer}
-    return [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
-
-
-def _risk_text(run: FinishedRun) -> str:
-    """Name of the optimised measure; empty for the mean."""
-    risk = run.problem.risk
-    return "" if isinstance(risk, Mean) else measure(risk)
-
-
-def _limits_note(run: FinishedRun) -> list[str]:
-    """Note on which limits depend on the design."""
+    said = [f"{what}: {', '.join(names)}" for what, names in kept.items() if names]
     named = [f"{limits.argument}(p) = {limits}" for limits in (run.study.X, run.study.U)
              if isinstance(limits, DesignLimits)]  # fmt: skip
-    return [f"Limits that depend on the design, those of the final one above: {'; '.join(named)}"] if named else []
-
-
-def _design_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
-    """Rows of design parameters with their bounds."""
-    space = run.problem.design
-    return [
-        (f"design {axis_label(name, unit)}", float(low), float(high))
-        for name, unit, low, high in zip(space.names, space.units, space.lower, space.upper)
-    ]
+    moving = f"Limits that depend on the design, those of the final one above: {'; '.join(named)}"
+    return [*said, moving] if named else said

@@ -18,7 +18,6 @@ from ccdtools.studies.report.formatting import (
     place,
 )
 from ccdtools.studies.report.gains import console_lines
-from ccdtools.studies.report.metric_tables import metrics_in
 from ccdtools.studies.report.verdicts import difference_text, limit_notes, on_same_runs, reference_of, saw_fewer_runs
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.table import Table, csv_text
@@ -76,7 +75,7 @@ def comparison_rows(results: Mapping[str, Any], table: str = "comparison") -> li
         | dict(zip(("paired_low95", "paired_high95"), row["paired_to_lqr"]["ci95"]))
         | {name: row[name] for name in ("diverged", *LIMIT_COLUMNS)}
         | {"further_outside_than": ", ".join(row["further_outside_than"]), "step_time_us": row["step_time_us"]}
-        | dict(metrics_in(row))
+        | dict(row.get("metrics", {}))
         for row in (on_same_runs(row, reference_of(rows, row)) for row in rows)
     ]
 
@@ -169,6 +168,32 @@ def fewer_runs_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"* {name}, {generation_name(g)}: {'; '.join(texts)}" for (name, g), texts in notes.items()] + [*remarks]
 
 
+def metric_table(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Metric names and values per controller of a block; None without metrics."""
+    names = list(dict.fromkeys(name for row in rows for name in row.get("metrics", {})))
+    if not names:
+        return None
+    reference = reference_of(rows, rows[0])
+    lines = [
+        {"controller": row["controller"], "star": saw_fewer_runs(row, reference),
+         "values": [on_same_runs(row, reference).get("metrics", {}).get(name) for name in names]}
+        for row in rows
+    ]  # fmt: skip
+    return {"names": names, "lines": lines}
+
+
+def held_out_metrics(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Metric tables of every held-out disturbance and design, with titles."""
+    blocks = dict.fromkeys((row["model"], row["generation"]) for row in results["held_out"])
+    tables = []
+    for model, generation in blocks:
+        rows = [row for row in results["held_out"] if (row["model"], row["generation"]) == (model, generation)]
+        table = metric_table(rows)
+        if table is not None:
+            tables.append({"title": f"{model}, {generation_name(generation)}", **table})
+    return tables
+
+
 def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
     """Title of a block of rows: its design."""
     bounds = holding_text(row)
@@ -179,8 +204,9 @@ def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> tuple[s
     """Cells of one row; a star marks fewer runs than LQR's."""
     mean, interval = difference_text(row)
     apart = row["controller"] == "LQR" or bool(row.get("remark"))
-    star = " *" if saw_fewer_runs(row, reference_of(rows, row)) else ""
-    shown = on_same_runs(row, reference_of(rows, row))
+    reference = reference_of(rows, row)
+    star = " *" if saw_fewer_runs(row, reference) else ""
+    shown = on_same_runs(row, reference)
     return (
         place(row), str(row["generation"]), row["controller"] + star, number(shown["mean"]), number(shown["std"], 3),
         str(row["n"]), "-" if apart else mean, "-" if apart else interval, share(row["diverged"]),

@@ -25,7 +25,7 @@ from ccdtools import (
 from ccdtools.co_design import expert_dataset, feasible_sets
 from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.disturbances import Constant, Mixture, Stacked, Uniform
-from ccdtools.studies.real_step import extent_of
+from ccdtools.studies.plant_checks import extent_of
 from ccdtools.studies.trust_region import attribute_errors
 from ccdtools.twin import replay_problem, updated_problem
 from ccdtools.twin.transport import check_disturbance_enters

@@ -7,8 +7,8 @@ from ccdtools.evidence.percent import percent_interval, share, signed_percent
 from ccdtools.studies.report.formatting import number
 from ccdtools.studies.report.gains import held_out_rows
 from ccdtools.studies.report.headline import headline
-from ccdtools.studies.report.metric_tables import metric_table
 from ccdtools.studies.report.summary import next_steps
+from ccdtools.studies.report.tables import metric_table
 from ccdtools.studies.report.verdicts import limit_notes, verdict
 
 
