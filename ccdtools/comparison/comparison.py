@@ -21,7 +21,7 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
-from ccdtools.controllers.signals import Surroundings, needs_of, one_call
+from ccdtools.controllers.signals import Driver, Surroundings, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, StateLimits, as_limits
@@ -320,11 +320,11 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))
-    call = one_call(controller, x, around, scenario.plant.nu)
+    driver = Driver(controller, around, 1, scenario.plant.nu)
     times = []
     for _ in range(50):
         start = time.perf_counter()
-        call()
+        driver(0, x[None])
         times.append(time.perf_counter() - start)
     return float(np.median(times))
 
