@@ -20,7 +20,7 @@ from invariant_sets.engine.recursion import Limits
 from invariant_sets.exceptions import InputError
 from invariant_sets.maximal_sets import NO_INPUT, as_limits
 from invariant_sets.polytope import Polytope
-from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
+from invariant_sets.results import SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
 from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, MOST_SUM_TERMS, SUM_END
@@ -97,7 +97,7 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
             return no_set(len(A), found.steps, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
         found = replace(found, set=found.set.affine_map(size[:, None] * Q, rest))
     check = control_violation(LinearSystem(A, np.zeros((len(A), 1)), noise), found.set, NO_INPUT)
-    certificate = Certificate(check.violation, found.gap, check.points)
+    certificate = replace(check, gap=found.gap)
     if not certificate.holds:
         return no_set(len(A), found.steps, found.set, Status.NOT_CERTIFIED)
     return SetResult(found.set, found.set, found.status, found.steps, certificate)

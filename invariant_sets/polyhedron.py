@@ -60,7 +60,6 @@ class Polyhedron:
     _terms: Array  # (m,) and (k,): sizes of the terms that b and b_eq were computed from
     _terms_eq: Array
     _vertices: Array | None  # where the set was made of its vertices
-    _enumerated: Array | None  # once they have been asked for: they only make supports quicker
 
     def __init__(self, A: Any = None, b: Any = None, A_eq: Any = None, b_eq: Any = None) -> None:
         for matrix, vector, one, other in ((A, b, "A", "b"), (A_eq, b_eq, "A_eq", "b_eq")):
@@ -81,8 +80,8 @@ class Polyhedron:
 
     def _fill(self, rows: Stated, V: Array | None) -> None:
         """Set the fields, once."""
-        names = ("A", "b", "A_eq", "b_eq", "_terms", "_terms_eq", "_vertices", "_enumerated")
-        for name, array in zip(names, (*rows, V, V)):
+        names = ("A", "b", "A_eq", "b_eq", "_terms", "_terms_eq", "_vertices")
+        for name, array in zip(names, (*rows, V)):
             object.__setattr__(self, name, None if array is None else frozen(array))
 
     @classmethod
@@ -221,9 +220,7 @@ class Polyhedron:
             NO_DEADLINE.check_hull(len(body.g), body.basis.shape[1])
         except LimitReached as limit:
             raise TimeLimitError("vertices", None, str(limit)) from None
-        V: Array = frozen(body.centre + self._offsets[1])
-        object.__setattr__(self, "_enumerated", V)
-        return V
+        return frozen(body.centre + self._offsets[1])
 
     @cached_property
     def _offsets(self) -> tuple[Array, Array]:
@@ -237,9 +234,14 @@ class Polyhedron:
         return body.centre, counter_clockwise(Y[corners]) @ body.basis.T
 
     @property
+    def _has_vertices(self) -> bool:
+        """Whether the vertices are known, which makes supports quicker."""
+        return self._vertices is not None or "vertices" in self.__dict__
+
+    @property
     def _about_centre(self) -> Array | None:
         """Vertices less the body's centre (k, n), if already known."""
-        if self._vertices is None and self._enumerated is None:
+        if not self._has_vertices:
             return None
         anchor, Y = self._offsets
         return np.asarray(Y + (anchor - self._require_point("vertices").centre))
@@ -411,6 +413,6 @@ class Polyhedron:
         """Support in the directions D (k, n), unchecked."""
         if self._body is None:
             return np.full(len(D), -np.inf)
-        if self._enumerated is not None or (self._body.bounded and self.dim <= 4):
+        if self._has_vertices or (self._body.bounded and self.dim <= 4):
             return np.asarray((D @ self.vertices.T).max(axis=1))
         return support(self._body, D)

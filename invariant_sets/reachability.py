@@ -9,7 +9,8 @@ Control for Linear and Hybrid Systems, section 10.1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -113,12 +114,9 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
         """One step backwards from S, checked."""
         return backward_step(system, S, within, inputs, deadline)
 
-    progress = _repeat(step_back, goal, steps, deadline.part(EXACT_SHARE))
-    if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, within, within, goal, inputs, steps)
-        inner = None if W is not None else inner_hull(states, 0, _last_part(deadline))
-        progress = _interrupted(inner, within, progress)
-    return _in_given_units(progress, size)
+    states = Trajectories(system.A, system.B, within, within, goal, inputs, steps)
+    last = None if W is not None else partial(inner_hull, states, 0)
+    return _in_given_units(_repeat(step_back, goal, steps, deadline, within, last), size)
 
 
 def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: Set | None = None,
@@ -179,13 +177,12 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
         moves = inputs.affine_map(system.B)
         if system.disturbances is not None:
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
-        return _within(forward_step(system, R, moves, deadline), within)
+        step = forward_step(system, R, moves, deadline)
+        return replace(step, set=step.set.intersection(within).minimal()) if len(within.b) + len(within.b_eq) else step
 
-    progress = _repeat(step_ahead, first, steps, deadline.part(EXACT_SHARE))
-    if isinstance(progress, _Progress):
-        states = Trajectories(system.A, system.B, first, within, within, inputs, steps)
-        progress = _interrupted(inner_hull(states, steps, _last_part(deadline)), within, progress)
-    return _in_given_units(progress, size)
+    states = Trajectories(system.A, system.B, first, within, within, inputs, steps)
+    last = partial(inner_hull, states, steps)
+    return _in_given_units(_repeat(step_ahead, first, steps, deadline, within, last), size)
 
 
 def _units(A: Array, *sets: Polytope) -> Array:
@@ -229,41 +226,33 @@ def _in_given_units(result: SetResult, size: Array) -> SetResult:
     return replace(result, set=_scaled(result.set, 1 / size), outer=_scaled(result.outer, 1 / size))
 
 
-@dataclass(frozen=True)
-class _Progress:
-    """Progress of a recursion that a limit stopped."""
-
-    steps: int
-    status: Status
-
-
-def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
-            deadline: Deadline) -> SetResult | _Progress:
-    """Result of `steps` steps from S, or progress at a limit."""
+def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int, deadline: Deadline, outer: Polytope,
+            last: Callable[[Deadline], Polytope | None] | None) -> SetResult:
+    """Result of `steps` steps from S; at a limit `outer` and the inner hull of states that `last` finds, if any."""
+    exact = deadline.part(EXACT_SHARE)
     violation = -np.inf
     missing = 0.0
     points = 0
     for k in range(1, steps + 1):
         try:
-            deadline.check()
-            done = step(S, deadline)
+            exact.check()
+            done = step(S, exact)
             S = done.set
             if S.is_empty:
                 return no_set(S.dim, k)
         except NumericalError:
             return no_set(S.dim, k, _whole_space(S), Status.NOT_CERTIFIED)
         except LimitReached as limit:
-            return _Progress(k - 1, status_of(limit))
+            # the inner set has 0.3 s extra, or 1 s without a limit
+            late = Deadline.after(0.3 + max(deadline.left, 0.0) if np.isfinite(deadline.end) else 1.0)
+            inner = None if last is None else last(late)
+            if inner is None:
+                return no_set(outer.dim, k - 1, outer, status_of(limit))
+            return SetResult(inner, outer, status_of(limit), k - 1, Certificate(0.0, np.inf, len(inner.vertices)))
         violation = max(violation, done.violation)
         missing = max(missing, done.missing)
         points += done.points
     return _exact(S, steps, Certificate(violation, max(missing, 0.0), points, missing=missing))
-
-
-def _within(step: Step, X: Polytope) -> Step:
-    """Step with its set cut by X."""
-    cut = step.set.intersection(X).minimal() if len(X.b) + len(X.b_eq) else step.set
-    return Step(cut, step.violation, step.missing, step.points)
 
 
 def _exact(S: Polytope, steps: int, certificate: Certificate) -> SetResult:
@@ -274,18 +263,6 @@ def _exact(S: Polytope, steps: int, certificate: Certificate) -> SetResult:
         return no_set(S.dim, steps, S, Status.NOT_CERTIFIED)
     maximal = certificate.gap <= certificate.tolerance
     return SetResult(S, S, Status.CONVERGED if maximal else Status.NOT_MAXIMAL, steps, certificate)
-
-
-def _last_part(deadline: Deadline) -> Deadline:
-    """Deadline of the inner set: 0.3 s extra, or 1 s without limit."""
-    return Deadline.after(0.3 + max(deadline.left, 0.0)) if np.isfinite(deadline.end) else Deadline.after(1.0)
-
-
-def _interrupted(inner: Polytope | None, outer: Polytope, progress: _Progress) -> SetResult:
-    """Result at a limit: an inner hull of states, or no set."""
-    if inner is None:
-        return no_set(outer.dim, progress.steps, outer, progress.status)
-    return SetResult(inner, outer, progress.status, progress.steps, Certificate(0.0, np.inf, len(inner.vertices)))
 
 
 def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:

@@ -27,10 +27,10 @@ from learning.checks import (
     as_sizes,
     check_instance,
     check_number,
+    spread,
 )  # fmt: skip
 from learning.exceptions import InputError
-from learning.networks import FeedForward
-from learning.tolerances import ROUNDING
+from learning.networks import FeedForward, descend
 
 Array = NDArray[np.float64]
 
@@ -213,22 +213,15 @@ def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:
     return np.concatenate(parts)
 
 
-def _spread(samples: Array) -> Array:
-    """Return the standard deviation of each column, 1 if constant."""
-    deviation = samples.std(axis=0)
-    constant = deviation <= ROUNDING * np.abs(samples).max(axis=0)
-    return np.where(constant, 1.0, deviation)
-
-
 def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
     """Write location, spread and range of the data into the network."""
     for name, value in (
         ("input_offset", x.mean(axis=0)),
-        ("input_scale", _spread(x)),
+        ("input_scale", spread(x)),
         ("input_lower", x.min(axis=0)),
         ("input_upper", x.max(axis=0)),
         ("output_offset", y.mean(axis=0)),
-        ("output_scale", _spread(y)),
+        ("output_scale", spread(y)),
     ):
         getattr(network, name).copy_(torch.tensor(value, dtype=torch.float32))
 
@@ -244,10 +237,7 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
     for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
         i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
         loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
+        descend(optimiser, loss, 1.0)
         schedule.step()
         if len(Xv) and (step % 50 == 0 or step == config.steps):
             with torch.no_grad():

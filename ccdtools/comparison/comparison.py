@@ -21,7 +21,7 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
-from ccdtools.controllers.signals import Surroundings, needs_of, one_call
+from ccdtools.controllers.signals import Driver, Surroundings, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, RunViolations, StateLimits, limits_in_words
@@ -170,26 +170,20 @@ class Comparison:
         return plot_scores(self, ax=ax)
 
     def __repr__(self) -> str:
-        minus = f"minus {self.baseline}"
-        outside = f"outside {self.limits}"
-        head = ("controller".ljust(20), f"{'return':>11}", f"{'std':>10}", f"{'n':>7}", minus,
-                f"  {'95 % interval':<24}", f"{'diverged':>9}", outside, f"{'depth':>9}")  # fmt: skip
-        wide = {4: max(12, len(minus) + 2), 7: max(11, len(outside) + 2)}
-        lines = ["".join(cell.rjust(wide.get(i, 0)) for i, cell in enumerate(row)) for row in (head, *self._cells())]
-        return "\n".join([*lines, *self.notes])
+        return "\n".join([*self._table.aligned(), *self.notes])
 
-    def _cells(self) -> Iterator[tuple[str, ...]]:
-        """Cells of every printed row, without a mean over fewer runs."""
+    @property
+    def _table(self) -> Table:
+        """Printed table, without a mean over fewer runs."""
         most = max(score.runs for score in self.scores)
-        return (_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores)
+        head = ("controller", "return", "std", "n", f"minus {self.baseline}", "95 % interval", "diverged",
+                f"outside {self.limits}", "depth")  # fmt: skip
+        lines = [_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores]
+        return Table(head, lines, right=frozenset({1, 2, 3, 4, 6, 7, 8}))
 
     def _repr_html_(self) -> str:
         """Table for a notebook."""
-        head = ("controller", "return", "std", "n", f"minus {self.baseline}", "95 % interval", "diverged",
-                f"outside {self.limits}", "depth")  # fmt: skip
-        table = Table(head, [tuple(cell.strip() for cell in cells) for cells in self._cells()])
-        below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
-        return table.html + below
+        return self._table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
 
 
 def compare(
@@ -320,17 +314,17 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))
-    call = one_call(controller, x, around, scenario.plant.nu)
+    driver = Driver(controller, around, 1, scenario.plant.nu)
     times = []
     for _ in range(50):
         start = time.perf_counter()
-        call()
+        driver(0, x[None])
         times.append(time.perf_counter() - start)
     return float(np.median(times))
 
 
 def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
-    """Padded cells of a printed row; `whole` if it is of all runs."""
+    """Cells of a printed row; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
     compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
@@ -338,11 +332,8 @@ def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
     interval = f"[{', '.join(_shown(end, '.4g', floor) for end in paired.ci95)}]" if compared else "-"
     mean = _shown(score.summary.mean, ".5g") if whole else "*"
     std = _shown(score.summary.std, ".3g") if whole else "*"
-    return (
-        f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
-        f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
-        f"{_percent(score.violations):>11}", f"{_shown(score.depth_peak, '.2g'):>9}",
-    )  # fmt: skip
+    return (score.controller, mean, std, str(score.summary.n), difference, interval, f"{score.diverged:.1%}",
+            _shown(score.violations, ".1%"), _shown(score.depth_peak, ".2g"))  # fmt: skip
 
 
 def _shown(value: float, form: str, floor: float = 0.0) -> str:
@@ -350,8 +341,3 @@ def _shown(value: float, form: str, floor: float = 0.0) -> str:
     if not np.isfinite(value):
         return "-"
     return "0" if abs(value) <= floor else format(value, form)
-
-
-def _percent(fraction: float) -> str:
-    """Fraction in per cent, a dash if not finite."""
-    return f"{fraction:.1%}" if np.isfinite(fraction) else "-"

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable
+from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
 from ccdtools.controllers.controllers import Controller, as_states
-from ccdtools.controllers.signals import as_controller, needs_of
+from ccdtools.controllers.signals import Around, as_controller, needs_of
 from ccdtools.controllers.tolerances import CHANGED_INPUT
 from ccdtools.exceptions import InputError
 from invariant_sets import AdmissibleInputs
-
-PASSED_ON = ("needs", "horizon", "design", "reset", "agent")
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class _Counter:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Filtered(Immutable):
+class Filtered(Around):
     """Admissible input nearest to another controller's, with counts of the changes.
 
     It asks for what the other asks for (reference, preview, last input, output) and has its memory and its design, so
@@ -91,6 +89,7 @@ class Filtered(Immutable):
     >>> print(safe.counts)
     """
 
+    passed_on: ClassVar[tuple[str, ...]] = ("needs", "horizon", "design", "reset", "agent", "loop")
     controller: Controller
     admissible: AdmissibleInputs
     _counter: _Counter = field(default_factory=_Counter, kw_only=True)
@@ -103,14 +102,6 @@ class Filtered(Immutable):
 
     def __repr__(self) -> str:
         return f"Filtered({self.controller!r}, {self.admissible!r})"
-
-    def __getattr__(self, name: str) -> Any:
-        """Attribute of the filtered controller for the closed loop."""
-        if name == "loop" and callable(getattr(self.controller, "loop", None)):
-            return lambda n: Filtered(self.controller.loop(n), self.admissible, _counter=self._counter)  # type: ignore[attr-defined]
-        if name in PASSED_ON and "controller" in self.__dict__:
-            return getattr(self.controller, name)
-        raise AttributeError(f"'Filtered' object has no attribute {name!r}")
 
     @property
     def counts(self) -> FilterCounts:

@@ -46,7 +46,10 @@ class LearnedPolicy(Immutable):
     agent: ActorCritic
     design: ArrayField
     rng: np.random.Generator | None = None
-    _forward: _Forward = field(init=False)
+    # mean, exploration if it is a network, and middle and half width of the inputs at the design, in float64
+    _mean: Layers = field(init=False)
+    _std: Layers | None = field(init=False)
+    _range: tuple[Array, Array] = field(init=False)
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -56,7 +59,11 @@ class LearnedPolicy(Immutable):
         set_(self, "design", as_vector("design", self.design))
         set_(self, "agent", copy.deepcopy(self.agent))
         self._check_design()
-        set_(self, "_forward", _Forward.from_agent(self.agent, self.design))
+        std = self.agent.std_network
+        at = (torch.tensor(self.design), self.agent.observation_offset, self.agent.observation_scale)
+        set_(self, "_mean", self.agent.mean_network.at(*at).of(_array))
+        set_(self, "_std", None if std is None else std.at(*at).of(_array))
+        set_(self, "_range", tuple(map(_array, self.agent.action_range(at[0]))))
 
     def _check_design(self) -> None:
         """Raise an `InputError` unless the agent was made for the design."""
@@ -85,7 +92,13 @@ class LearnedPolicy(Immutable):
         if x.shape[-1:] != (self.nx,):
             raise InputError("x", f"shape {x.shape}", f"({self.nx},) or (n, {self.nx})")
         finite("x", x)
-        return self._forward.action(x, self.rng)
+        latent = self._mean(x, np.tanh)
+        if self.rng is not None:
+            log_std = _array(self.agent.log_std) if self._std is None else np.clip(self._std(x, np.tanh), *LOG_STD)
+            latent = latent + np.exp(log_std) * self.rng.standard_normal(latent.shape)
+        middle, half = self._range
+        u: Array = middle + half * np.clip(latent, -1.0, 1.0)
+        return u
 
     def sampled(self, rng: np.random.Generator) -> LearnedPolicy:
         """Stochastic policy, drawing from `rng`."""
@@ -99,9 +112,9 @@ class LearnedPolicy(Immutable):
         single precision, which `torch.export` takes.
         """
         x = ca.MX.sym("x", self.nx)
-        forward = self._forward
-        latent = forward.mean.of(_as_rows)(x.T, ca.tanh).T
-        u = ca.DM(forward.middle) + ca.DM(forward.half) * ca.fmin(ca.fmax(latent, -1), 1)
+        latent = self._mean.of(lambda array: ca.DM(np.atleast_2d(array)))(x.T, ca.tanh).T  # a vector is a row
+        middle, half = map(ca.DM, self._range)
+        u = middle + half * ca.fmin(ca.fmax(latent, -1), 1)
         return ca.Function("policy", [x], [u], ["x"], ["u"])
 
     def save(self, path: str | Path, **notes: str) -> None:
@@ -144,39 +157,6 @@ def load_policy(path: str | Path) -> LearnedPolicy:
     return LearnedPolicy(agent, extra["design"])
 
 
-@dataclass(frozen=True, eq=False)
-class _Forward:
-    """Actor at a design as float64 arrays: mean, exploration and action range."""
-
-    mean: Layers
-    std: Layers | None
-    log_std: Array
-    middle: Array
-    half: Array
-
-    @classmethod
-    def from_agent(cls, agent: ActorCritic, design: Array) -> _Forward:
-        """Forward pass of the actor of an agent, copied."""
-        at = (torch.tensor(design), agent.observation_offset, agent.observation_scale)
-        std = None if agent.std_network is None else agent.std_network.at(*at).of(_array)
-        middle, half = agent.action_range(at[0])
-        return cls(agent.mean_network.at(*at).of(_array), std, _array(agent.log_std), _array(middle), _array(half))
-
-    def action(self, x: Array, rng: np.random.Generator | None) -> Array:
-        """Actions (..., nu) in plant units: the mean, or samples from `rng`."""
-        latent = self.mean(x, np.tanh)
-        if rng is not None:
-            log_std = self.log_std if self.std is None else np.clip(self.std(x, np.tanh), *LOG_STD)
-            latent = latent + np.exp(log_std) * rng.standard_normal(latent.shape)
-        u: Array = self.middle + self.half * np.clip(latent, -1.0, 1.0)
-        return u
-
-
 def _array(tensor: torch.Tensor) -> Array:
     """Copy of a tensor in float64."""
     return tensor.detach().double().numpy().copy()
-
-
-def _as_rows(array: Array) -> ca.DM:
-    """CasADi matrix of an array, a vector as a row."""
-    return ca.DM(np.atleast_2d(array))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable
+from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_floats, has_method
 from ccdtools.controllers.controllers import Controller
-from ccdtools.controllers.signals import needs_in_loop, needs_of, opened
+from ccdtools.controllers.signals import Around, needs_in_loop, needs_of, opened
 from ccdtools.estimation.belief import Belief, Estimator
 from ccdtools.exceptions import InputError
 
-PASSED_ON = ("horizon", "design", "agent")
 SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
 EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"
 
@@ -31,7 +30,7 @@ class _Memory:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Observed(Immutable):
+class Observed(Around):
     """Controller u = κ(x̂_{k|k}) on an estimate from outputs and applied inputs.
 
     It needs "output" and "last_input", and asks for what the controller asks for besides (reference, preview, time);
@@ -61,6 +60,7 @@ class Observed(Immutable):
     >>> run = simulate(plant, lqg, x0=x0, steps=100, output=Measurement(C, noise=[0.01]), rng=rng)
     """
 
+    passed_on: ClassVar[tuple[str, ...]] = ("horizon", "design", "agent")
     controller: Controller
     estimator: Estimator
     _memory: _Memory = field(init=False, repr=False)
@@ -77,12 +77,6 @@ class Observed(Immutable):
 
     def __repr__(self) -> str:
         return f"Observed({self.controller!r}, {self.estimator!r})"
-
-    def __getattr__(self, name: str) -> Any:
-        """Attribute of the inner controller for the closed loop."""
-        if name in PASSED_ON and "controller" in self.__dict__:
-            return getattr(self.controller, name)
-        raise AttributeError(f"'Observed' object has no attribute {name!r}")
 
     @property
     def needs(self) -> frozenset[str]:

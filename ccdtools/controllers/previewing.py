@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable
+from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
-from ccdtools.controllers.signals import as_controller, needs_of
+from ccdtools.controllers.signals import Around, as_controller, needs_of
 from ccdtools.exceptions import InputError
 from ccdtools.plants.preview import as_channels, previewed_state
 
-PASSED_ON = ("design", "reset", "agent")
 TAKEN = ("preview", "reference")  # signals of a horizon, of which a loop knows one
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Previewing(Immutable):
+class Previewing(Around):
     """Law of (x, w_k, …, w_{k+N−1}) on the plant without the register of `with_preview(model, N)`.
 
     It asks the loop for N samples of preview, and runs in `simulate`, `compare` and `deploy`. Beyond the end of a
@@ -46,6 +45,7 @@ class Previewing(Immutable):
     >>> run = simulate(plant, Previewing(result.policy, 10), x0=x0, steps=100, disturbance=w, design=result.design)
     """
 
+    passed_on: ClassVar[tuple[str, ...]] = ("design", "reset", "agent", "loop")
     controller: Controller
     steps: int
     channels: Sequence[int] | None = None
@@ -62,14 +62,6 @@ class Previewing(Immutable):
 
     def __repr__(self) -> str:
         return f"Previewing({self.controller!r}, {self.steps} samples ahead)"
-
-    def __getattr__(self, name: str) -> Any:
-        """Attribute of the inner controller for the closed loop."""
-        if name == "loop" and callable(getattr(self.controller, "loop", None)):
-            return lambda n: Previewing(self.controller.loop(n), self.steps, self.channels)  # type: ignore[attr-defined]
-        if name in PASSED_ON and "controller" in self.__dict__:
-            return getattr(self.controller, name)
-        raise AttributeError(f"'Previewing' object has no attribute {name!r}")
 
     @property
     def needs(self) -> frozenset[str]:

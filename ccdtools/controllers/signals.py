@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -126,6 +126,20 @@ class Driver:
         return signals
 
 
+class Around(Immutable):
+    """Base of the dataclasses around a `controller`, of which a closed loop may ask for what is `passed_on`."""
+
+    passed_on: ClassVar[tuple[str, ...]]
+
+    def __getattr__(self, name: str) -> Any:
+        """Attribute of the inner controller; its loop, with this one around."""
+        inner = self.__dict__.get("controller")
+        if inner is None or name not in self.passed_on:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        found = getattr(inner, name)
+        return found if name != "loop" else lambda n: replace(self, controller=found(n))  # type: ignore[type-var]
+
+
 @dataclass(frozen=True, eq=False)
 class Predicted:
     """Controller from ``predict(x)`` → u or ``predict(x, deterministic=True)`` → (u, memory)."""
@@ -192,12 +206,6 @@ def _check_takes_state(controller: Any) -> None:
     except TypeError:
         got = f"a {type(controller).__name__} with the arguments {signature}"
         raise InputError("controller", got, "a callable u = controller(x)") from None
-
-
-def one_call(controller: Controller, x: Array, surroundings: Surroundings, nu: int) -> Any:
-    """Argument-free call of the controller at one state (nx,), for timing."""
-    driver = Driver(controller, surroundings, 1, nu)
-    return lambda: driver(0, x[None])
 
 
 def needs_in_loop(controller: Any) -> frozenset[str]:

@@ -22,21 +22,34 @@ class Combination(Immutable):
 
     terms: tuple[Disturbance, ...]
 
-
-@dataclass(frozen=True, eq=False)
-class Sum(Combination):
-    """Sum of independent disturbances with the same channels."""
-
-    terms: tuple[Disturbance, ...]
-
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", _checked("terms", self.terms))
-        _check_alike([width for width in _widths(self.terms) if width is not None])
+
+    @property
+    def _known(self) -> list[int]:
+        """Numbers of channels of the terms that know them."""
+        widths = (getattr(term, "nw", None) for term in self.terms)
+        return [width for width in widths if width is not None]
+
+
+class Alike(Combination):
+    """Disturbance made of others with the same channels."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_alike(self._known)
 
     @property
     def nw(self) -> int | None:
         """Number of channels, if a term knows it."""
-        return next((width for width in _widths(self.terms) if width is not None), None)
+        return next(iter(self._known), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Sum(Alike):
+    """Sum of independent disturbances with the same channels."""
+
+    terms: tuple[Disturbance, ...]
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -62,14 +75,10 @@ class Stacked(Combination):
 
     terms: tuple[Disturbance, ...]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", _checked("terms", self.terms))
-
     @property
     def nw(self) -> int | None:
         """Number of channels, if all terms know theirs."""
-        widths = [width for width in _widths(self.terms) if width is not None]
-        return sum(widths) if len(widths) == len(self.terms) else None
+        return sum(self._known) if len(self._known) == len(self.terms) else None
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -100,7 +109,7 @@ class Constant(Combination):
     @property
     def nw(self) -> int | None:
         """Number of channels, if the distribution knows it."""
-        return _widths(self.terms)[0]
+        return next(iter(self._known), None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw), each of equal samples."""
@@ -109,7 +118,7 @@ class Constant(Combination):
 
 
 @dataclass(frozen=True, eq=False)
-class Mixture(Combination):
+class Mixture(Alike):
     """One of several disturbances with the same channels, drawn for each run.
 
     Parameters
@@ -123,14 +132,8 @@ class Mixture(Combination):
     weights: ArrayField = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", _checked("terms", self.terms))
-        _check_alike([width for width in _widths(self.terms) if width is not None])
+        super().__post_init__()
         object.__setattr__(self, "weights", as_chances("weights", self.weights, len(self.terms), of="one per term"))
-
-    @property
-    def nw(self) -> int | None:
-        """Number of channels, if a term knows it."""
-        return next((width for width in _widths(self.terms) if width is not None), None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -139,7 +142,7 @@ class Mixture(Combination):
 
 
 @dataclass(frozen=True, eq=False)
-class Cases(Combination):
+class Cases(Alike):
     """Disturbances with the same channels in turn: run i has term i mod m.
 
     Every case is met by as many runs, and which run met which is known: what `WorstCase` asks for. Cases in several
@@ -158,10 +161,6 @@ class Cases(Combination):
 
     terms: tuple[Disturbance, ...]
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", _checked("terms", self.terms))
-        _check_alike([width for width in _widths(self.terms) if width is not None])
-
     @classmethod
     def of(cls, values: ArrayLike) -> Cases:
         """Cases of an uncertain parameter with constant values (m,) or (m, nw)."""
@@ -170,11 +169,6 @@ class Cases(Combination):
         if rows.ndim != 2 or rows.size == 0:
             raise InputError("values", f"shape {given.shape}", "(m,) numbers, or (m, nw)")
         return cls(tuple(Uniform(row, row) for row in rows))
-
-    @property
-    def nw(self) -> int | None:
-        """Number of channels, if a term knows it."""
-        return next((width for width in _widths(self.terms) if width is not None), None)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -230,11 +224,6 @@ def _checked(argument: str, value: Any) -> tuple[Disturbance, ...]:
     for term in terms:
         has_method(argument, term, "sample", A_DISTURBANCE)
     return terms
-
-
-def _widths(terms: tuple[Disturbance, ...]) -> list[int | None]:
-    """Numbers of channels, None where a term does not know it."""
-    return [getattr(term, "nw", None) for term in terms]
 
 
 def _check_alike(widths: list[int]) -> None:

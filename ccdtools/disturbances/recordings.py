@@ -18,8 +18,6 @@ from ccdtools.checks import as_positive, shown
 from ccdtools.disturbances.tolerances import SAMPLING
 from ccdtools.exceptions import InputError
 
-__all__ = ["read_disturbance", "read_road", "read_speed"]
-
 Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 

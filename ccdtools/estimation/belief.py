@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, frozen
+from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_array, as_floats, as_vector, finite
 from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
@@ -117,27 +117,37 @@ def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
     return symmetric(rest @ P @ transposed(rest) + K @ V @ transposed(K))
 
 
-def along(estimator: Any, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-    """Estimates along y ([n,] T, ny) and u ([n,] T, nu), u_k held until k + 1."""
-    y = _runs("outputs", outputs, estimator.ny)
-    n, steps = y.shape[:2]
-    u = _runs("inputs", inputs, estimator.nu)
-    if u.shape[:2] != (n, steps):
-        raise InputError("inputs", f"shape {u.shape}", f"({n}, {steps}, {estimator.nu}), as many as outputs")
-    belief = estimator.start(n)
-    last = np.zeros((n, estimator.nu))
-    rows: list[tuple[Array, Array, Array, Array]] = []
-    for k in range(steps):
-        belief = estimator.predict(belief, last) if k else belief
-        innovation, S = estimator.innovation(belief, y[:, k], last)
-        belief = estimator.update(belief, y[:, k], last)
-        rows.append((belief.mean, belief.covariance, innovation, S))
-        last = u[:, k]
-    means, covariances, innovations, expected = (list(column) for column in zip(*rows))
-    return Estimates(
-        np.stack(means, axis=1), np.stack(covariances, axis=-3), np.stack(innovations, axis=1),
-        np.stack(expected, axis=-3),
-    )  # fmt: skip
+class Filter(Immutable):
+    """Base of the filters, which have no memory: constant and costly to build, so copies are the same object."""
+
+    def __deepcopy__(self, memory: Any) -> Self:
+        return self
+
+    def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
+        """Estimates along outputs ([n,] T, ny) and inputs ([n,] T, nu).
+
+        ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
+        """
+        own: Any = self
+        y = _runs("outputs", outputs, own.ny)
+        n, steps = y.shape[:2]
+        u = _runs("inputs", inputs, own.nu)
+        if u.shape[:2] != (n, steps):
+            raise InputError("inputs", f"shape {u.shape}", f"({n}, {steps}, {own.nu}), as many as outputs")
+        belief = own.start(n)
+        last = np.zeros((n, own.nu))
+        rows: list[tuple[Array, Array, Array, Array]] = []
+        for k in range(steps):
+            belief = own.predict(belief, last) if k else belief
+            innovation, S = own.innovation(belief, y[:, k], last)
+            belief = own.update(belief, y[:, k], last)
+            rows.append((belief.mean, belief.covariance, innovation, S))
+            last = u[:, k]
+        means, covariances, innovations, expected = (list(column) for column in zip(*rows))
+        return Estimates(
+            np.stack(means, axis=1), np.stack(covariances, axis=-3), np.stack(innovations, axis=1),
+            np.stack(expected, axis=-3),
+        )  # fmt: skip
 
 
 def _runs(argument: str, value: ArrayLike, size: int) -> Array:

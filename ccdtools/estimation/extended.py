@@ -10,14 +10,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, frozen
 from ccdtools.checks import as_count, as_instance
 from ccdtools.estimation.belief import (
     Belief,
-    Estimates,
-    along,
+    Filter,
     as_noise_covariances,
     as_start,
     gain_of,
@@ -37,7 +35,7 @@ Transition = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExtendedKalmanFilter(Immutable):
+class ExtendedKalmanFilter(Filter):
     """Kalman filter of x⁺ = f(x, u, p) + w, y_k = h(x_k, u_{k-1}, p) + v_k, linearised about its estimate.
 
     In current form: x̂_{k|k} has y_k in it. f is differentiated exactly; so are the outputs of a plant, while those of
@@ -126,10 +124,6 @@ class ExtendedKalmanFilter(Immutable):
             raise InputError("design", "nothing", f"values for {', '.join(space.names)}")
         return np.asarray(space.check_one(self.design))
 
-    def __deepcopy__(self, memory: Any) -> ExtendedKalmanFilter:
-        """This object itself, as it is constant and costly to build."""
-        return self
-
     def __repr__(self) -> str:
         said = "" if self.detectability is Detectability.SEEN else f", {self.detectability.value}"
         return f"ExtendedKalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {self.model!r}{said})"
@@ -147,7 +141,7 @@ class ExtendedKalmanFilter(Immutable):
     @cached_property
     def ny(self) -> int:
         """Number of outputs."""
-        return int(self._h(self.x0[None], np.zeros((1, self.nu))).shape[1])
+        return int(self._h.of(self.x0[None], np.zeros((1, self.nu))).shape[1])
 
     @cached_property
     def _h(self) -> Output:
@@ -175,22 +169,15 @@ class ExtendedKalmanFilter(Immutable):
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
         """Innovation of y (n, ny) after u (n, nu), and first-order covariance (n, ny, ny)."""
-        return y - self._h(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
+        return y - self._h.of(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
         """Belief after outputs (n, ny) measured after inputs (n, nu)."""
         H = self._slope(belief, u)
         K = gain_of(belief.covariance, H, self.V)
-        innovation = y - self._h(belief.mean, u)
+        innovation = y - self._h.of(belief.mean, u)
         mean = belief.mean + (K @ innovation[:, :, None])[:, :, 0]
         return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
-
-    def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along outputs ([n,] T, ny) and inputs ([n,] T, nu).
-
-        ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
-        """
-        return along(self, outputs, inputs)
 
     def _slope(self, belief: Belief, u: Array) -> Array:
         """Slope ∂h/∂x at the estimates."""

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, frozen
 from ccdtools.checks import as_array, as_count, as_flag, as_floats, as_instance, as_vector, finite
 from ccdtools.estimation.belief import (
     Belief,
-    Estimates,
-    along,
+    Filter,
     as_noise_covariances,
     as_start,
     gain_of,
@@ -32,7 +30,7 @@ from ccdtools.plants.plant import Plant
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class KalmanFilter(Immutable):
+class KalmanFilter(Filter):
     """Least-variance estimates of the state of a linear model.
 
     In current form: x̂_{k|k} has y_k in it. The filter has no memory itself; `Observed` gives it one in a closed loop,
@@ -115,10 +113,6 @@ class KalmanFilter(Immutable):
         x0, P0 = as_start(self.x0, self.predicted if self.steady else self.P0, nx)
         set_(self, "x0", x0)
         set_(self, "P0", None if self.steady else P0)
-
-    def __deepcopy__(self, memory: Any) -> KalmanFilter:
-        """This object itself, as it is constant and costly to build."""
-        return self
 
     @classmethod
     def of(
@@ -209,10 +203,3 @@ class KalmanFilter(Immutable):
     def _surprise(self, belief: Belief, y: Array, u: Array) -> Array:
         """Innovation: y (n, ny) less what is expected."""
         return np.asarray(y - belief.mean @ self.C.T - u @ self.D.T - self.y0)
-
-    def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
-        """Estimates along outputs ([n,] T, ny) and inputs ([n,] T, nu).
-
-        ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
-        """
-        return along(self, outputs, inputs)

@@ -117,7 +117,7 @@ class Sensor:
     def __call__(self, k: int, x: Array, u: Array) -> Array:
         """Outputs (n, ny) of states (n, nx) after inputs (n, nu)."""
         with np.errstate(all="ignore"):  # of a run that is lost
-            y = self._h(x, u)
+            y = self._h.of(x, u)
         if self.noise is None:
             return y
         _check_channels(self.noise, y.shape[1])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -22,82 +23,62 @@ LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use an E
 EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which may also ask for u and p"
 
 
-class Output(Protocol):
-    """Output y = h(x, u) at one design."""
+@dataclass(frozen=True, eq=False)
+class Output:
+    """Output y = h(x, u) at one design, with its slope.
 
-    def __call__(self, x: Array, u: Array) -> Array:
-        """Outputs (n, ny) of states (n, nx) and inputs (n, nu)."""
-        ...
+    Attributes
+    ----------
+    of : callable
+        Outputs (n, ny) of states (n, nx) and inputs (n, nu).
+    slope : callable
+        Slope ∂h/∂x (ny, nx) or (n, ny, nx) there, with standard deviations (n, nx) of x.
+    """
 
-    def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope ∂h/∂x (ny, nx) or (n, ny, nx), with standard deviations `spread` (n, nx) of x."""
-        ...
+    of: Callable[[Array, Array], Array]
+    slope: Callable[[Array, Array, Array], Array]
 
 
-class MatrixOutput:
-    """Output y = C x."""
+def _of_plant(plant: Plant, p: Array) -> Output:
+    """Outputs of a plant at one design, differentiated."""
+    given = [plant.x, plant.u, plant.p]
+    value = Vectorised(ca.Function("y", given, [ca.densify(plant.outputs)]))
+    slopes = ca.vec(ca.jacobian(plant.outputs, plant.x))
+    columns = Vectorised(ca.Function("H", given, [ca.densify(slopes)]))
 
-    def __init__(self, C: Array) -> None:
-        self.C = C
+    def slope(x: Array, u: Array, spread: Array) -> Array:
+        """Slope (n, ny, nx)."""
+        return np.asarray(columns(x, u, p).reshape(len(x), plant.nx, plant.ny).swapaxes(1, 2))
 
-    def __call__(self, x: Array, u: Array) -> Array:
+    return Output(lambda x, u: np.asarray(value(x, u, p)), slope)
+
+
+def _of_function(function: Callable[..., Any], p: Array) -> Output:
+    """Output as a function of arrays, with slopes by central differences, 0 along exactly known states."""
+    asks = asked_of(function)
+
+    def value(x: Array, u: Array) -> Array:
         """Outputs (n, ny)."""
-        return x @ self.C.T
-
-    def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope C."""
-        return self.C
-
-
-class PlantOutput:
-    """Outputs of a plant at one design."""
-
-    def __init__(self, plant: Plant, p: Array) -> None:
-        given = [plant.x, plant.u, plant.p]
-        slope = ca.vec(ca.jacobian(plant.outputs, plant.x))
-        self._shape = (plant.nx, plant.ny)
-        self._p = p
-        self._value = Vectorised(ca.Function("y", given, [ca.densify(plant.outputs)]))
-        self._slope = Vectorised(ca.Function("H", given, [ca.densify(slope)]))
-
-    def __call__(self, x: Array, u: Array) -> Array:
-        """Outputs (n, ny)."""
-        return np.asarray(self._value(x, u, self._p))
-
-    def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope (n, ny, nx), by differentiation."""
-        columns = self._slope(x, u, self._p).reshape(len(x), *self._shape)
-        return np.asarray(columns.swapaxes(1, 2))
-
-
-class FunctionOutput:
-    """Output as a function of arrays."""
-
-    def __init__(self, function: Callable[..., Any], asks: tuple[str, ...], p: Array) -> None:
-        self._function = function
-        self._asks = asks
-        self._p = p
-
-    def __call__(self, x: Array, u: Array) -> Array:
-        """Outputs (n, ny)."""
-        given = {"u": u, "p": self._p}
-        y = as_floats("output", self._function(x, **{name: given[name] for name in self._asks}))
+        given = {"u": u, "p": p}
+        y = as_floats("output", function(x, **{name: given[name] for name in asks}))
         if y.ndim != 2 or len(y) != len(x) or y.shape[1] == 0:
             cure = "It is called with all states at once: x[:, 0] is the first of each run."
             raise InputError("output", f"outputs of shape {y.shape} for states {x.shape}", f"({len(x)}, ny)", cure)
         return y
 
-    def slope(self, x: Array, u: Array, spread: Array) -> Array:
-        """Slope (n, ny, nx) by central differences, 0 along exactly known states."""
+    def slope(x: Array, u: Array, spread: Array) -> Array:
+        """Slope (n, ny, nx)."""
         n, nx = x.shape
         steps = np.where(spread > 0, np.maximum(DIFFERENCE_STEP * spread, LEAST_DIFFERENCE_STEP * np.abs(x)), 0.0)
         moved = steps[:, None, :] * np.eye(nx)
         up, down = x[:, None, :] + moved, x[:, None, :] - moved
         inputs = np.repeat(u, nx, axis=0)
-        rise = self(up.reshape(-1, nx), inputs) - self(down.reshape(-1, nx), inputs)
+        rise = value(up.reshape(-1, nx), inputs) - value(down.reshape(-1, nx), inputs)
         run = np.einsum("nii->ni", up - down)
         columns = rise.reshape(n, nx, -1) / np.where(run > 0, run, 1.0)[:, :, None]
         return np.asarray(columns.swapaxes(1, 2))
+
+    return Output(value, slope)
 
 
 def as_stated_output(value: Any) -> Any:
@@ -147,8 +128,10 @@ def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
     """
     check_sizes(stated, nx, nu)
     if isinstance(stated, Plant):
-        return PlantOutput(stated, stated.design.check_one(p))
-    return FunctionOutput(stated, asked_of(stated), p) if callable(stated) else MatrixOutput(stated)
+        return _of_plant(stated, stated.design.check_one(p))
+    if callable(stated):
+        return _of_function(stated, p)
+    return Output(lambda x, u: x @ stated.T, lambda x, u, spread: stated)
 
 
 def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:

@@ -12,8 +12,6 @@ from ccdtools.checks import as_floats, as_number, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.ride_comfort import as_signal, comfort, root_mean_square
 
-__all__ = ["SuspensionMetrics", "actuator_energy", "suspension_metrics", "suspension_travel", "tyre_load"]
-
 NAMES = {
     "comfort": "comfort {} m/s²",
     "travel_rms": "travel {} m rms",

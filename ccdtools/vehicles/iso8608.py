@@ -14,8 +14,6 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_choice, as_floats, as_generator, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 
-__all__ = ["RoadClass", "generate_profile", "road_roughness", "road_spectrum", "track_coherency"]
-
 RoadClass: TypeAlias = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 
 SMOOTHEST = 16e-6  # geometric mean of class A at n₀ [m³]; each class is four times as rough as the one before

@@ -8,15 +8,13 @@ from typing import get_args
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_flag, as_generator, as_positive
+from ccdtools.checks import as_choice, as_flag, as_positive
 from ccdtools.vehicles.iso8608 import BAND, SPACING, RoadClass, as_band, as_spacing, generate_profile, road_roughness
-from ccdtools.vehicles.roads import Driver, generate_obstacles, generate_speed, road_disturbance
-
-__all__ = ["ISORoad"]
+from ccdtools.vehicles.roads import Driver, Drives, generate_obstacles, generate_speed, road_disturbance
 
 
 @dataclass(frozen=True)
-class ISORoad:
+class ISORoad(Drives):
     """Disturbance ż₀ [m/s] or z₀ [m] under every wheel, on fresh ISO 8608 roads.
 
     `ISORoad("C", speed=20.0, dt=0.01).sample(runs, steps, rng)` is ż₀ (runs, steps, nw). Each value is the mean of
@@ -83,13 +81,6 @@ class ISORoad:
     def nw(self) -> int:
         """Number of channels: 1, 2 or 4."""
         return len(self.wheels)
-
-    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """Sequences (runs, steps, nw)."""
-        as_count("runs", runs)
-        as_count("steps", steps)
-        as_generator("rng", rng)
-        return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])
 
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:
         """One drive on a fresh road, (steps, nw)."""

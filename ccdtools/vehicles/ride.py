@@ -13,8 +13,6 @@ from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
 from ccdtools.vehicles.car_metrics import suspension_metrics
 
-__all__ = ["Ride"]
-
 
 @dataclass(frozen=True, eq=False)
 class Ride(Immutable):

@@ -14,8 +14,6 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_floats, as_positive, finite
 from ccdtools.exceptions import InputError
 
-__all__ = ["Weighting", "comfort", "frequency_weighting", "weighted_acceleration"]
-
 Weighting: TypeAlias = Literal["Wk", "Wd"]
 
 LOWEST, HIGHEST = 0.4, 100.0  # f₁, f₂: limits of the band [Hz]

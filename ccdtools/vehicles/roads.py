@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
@@ -13,10 +14,9 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
+from ccdtools.disturbances.disturbance import check_draw
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY
-
-__all__ = ["GeneratedRoad", "generate_obstacles", "generate_road", "generate_speed", "road_disturbance"]
 
 Array: TypeAlias = NDArray[np.float64]
 Driver: TypeAlias = Literal["mild", "aggressive"]
@@ -66,7 +66,9 @@ def road_disturbance(
         got = f"{speed[row]:g} m/s at index {row}"
         raise InputError("speed", got, "speeds ≥ 0", "Driving backwards is not supported.")
     instants = _instants(time, as_positive("dt", dt, unit="s"), steps)
-    travelled = distance[0] + _travelled(time, speed, instants)
+    knots = np.union1d(time, instants)
+    covered = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)  # exact for linear speed
+    travelled = distance[0] + covered[np.searchsorted(knots, instants)]
     if travelled[-1] > distance[-1] + 1e-9 * abs(travelled[-1]):
         driven = f"at least the {travelled[-1] - distance[0]:.6g} m of the drive of {len(instants) - 1} steps"
         cure = "Take a longer road, or fewer steps."
@@ -104,13 +106,6 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
         most = f"at most {available}, as many as the {duration:.6g} s of speed cover"
         raise InputError("steps", f"{steps} of {dt:g} s", most, "Take a longer speed record, or fewer steps.")
     return np.asarray(np.minimum(time[0] + dt * np.arange(steps + 1), time[-1]))
-
-
-def _travelled(time: Array, speed: Array, instants: Array) -> Array:
-    """Distance covered at the instants [m], exact for linear speed."""
-    knots = np.union1d(time, instants)
-    covered: Array = cumulative_trapezoid(np.interp(knots, time, speed), knots, initial=0.0)
-    return covered[np.searchsorted(knots, instants)]
 
 
 # ── a road ──
@@ -278,8 +273,21 @@ def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Arra
     return np.array(knots), np.array(aims)
 
 
+class Drives(ABC):
+    """Disturbance of a drive of its own for every run."""
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw)."""
+        check_draw(runs, steps, rng)
+        return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])
+
+    @abstractmethod
+    def _drive(self, steps: int, rng: np.random.Generator) -> Array:
+        """One drive, (steps, nw)."""
+
+
 @dataclass(frozen=True)
-class GeneratedRoad:
+class GeneratedRoad(Drives):
     """Disturbance ż₀ [m/s] of a fresh road and drive per run.
 
     Attributes
@@ -301,15 +309,8 @@ class GeneratedRoad:
         """Number of channels."""
         return 1
 
-    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """Sequences (runs, steps, 1)."""
-        as_count("runs", runs)
-        as_count("steps", steps)
-        as_generator("rng", rng)
-        return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])[:, :, None]
-
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:
-        """One drive on a fresh road, (steps,)."""
+        """One drive on a fresh road, (steps, 1)."""
         time, speed = generate_speed(steps * self.dt, rng=rng, driver=self.driver, dt=self.dt)
         distance, elevation = generate_road(float(np.trapezoid(speed, time)) + 1.0, rng=rng)
-        return road_disturbance(distance, elevation, time, speed, dt=self.dt, steps=steps)
+        return road_disturbance(distance, elevation, time, speed, dt=self.dt, steps=steps)[:, None]

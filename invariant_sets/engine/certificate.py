@@ -6,8 +6,6 @@ gets, in the units of the user.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import daqp
 import numpy as np
 
@@ -17,6 +15,7 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
+from invariant_sets.results import Certificate
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import (
     DOUBTFUL,
@@ -36,16 +35,8 @@ Array = np.ndarray
 Rows = tuple[Array, Array]
 
 
-@dataclass(frozen=True)
-class Check:
-    """Largest relative violation [-] and number of points checked."""
-
-    violation: float
-    points: int
-
-
 def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
-                      deadline: Deadline = NO_DEADLINE) -> Check:
+                      deadline: Deadline = NO_DEADLINE) -> Certificate:
     """Violation of `target` by C's worst vertex under its best input.
 
     Parameters
@@ -61,7 +52,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
 
     Returns
     -------
-    Check
+    Certificate
         The violation is max over vertices x of min over u in U of max over facets i and disturbances w of
         (fᵢᵀ(A x + B u + w) − gᵢ) / (range of fᵢ over the bounding box of the target). By convexity it bounds the
         violation on all of C. Unbounded sets are checked at the facets of their predecessor set instead.
@@ -74,7 +65,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
     target = C if target is None else target
     F, g = tightened_rows(target, system.disturbances)
     if not len(g):
-        return Check(0.0, 0)
+        return Certificate(0.0, np.inf, 0)
     if not C.is_bounded:
         return _violation_at_facets(system, C, U, (F, g), deadline)
     body = U._body
@@ -84,8 +75,8 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
     terms = np.abs(C.vertices) @ (np.abs(F) @ np.abs(system.A)).T + np.abs(F) @ np.abs(system.B) @ body.terms
     room = room + np.where(PLACE * terms > DOUBTFUL, PLACE * terms, 0.0)  # a thin target far from what was added
     if slope.shape[1] == 0:
-        return Check(float((-room).max()), len(room))
-    return Check(_least_violation(slope, room, (body.F, body.g), deadline), len(room))
+        return Certificate(float((-room).max()), np.inf, len(room))
+    return Certificate(_least_violation(slope, room, (body.F, body.g), deadline), np.inf, len(room))
 
 
 def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline) -> float:
@@ -165,7 +156,7 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
 
 
 def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Array, offset: Array,
-                       deadline: Deadline = NO_DEADLINE) -> Check:
+                       deadline: Deadline = NO_DEADLINE) -> Certificate:
     """Violation of C or U by C under the feedback u = gain x + offset."""
     closed = system.A + system.B @ gain
     shift = system.B @ offset
@@ -177,7 +168,7 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Arr
     for i in range(0, len(rows), PROGRAMS_PER_CHECK):
         deadline.check()
         worst = max(worst, float((C.support(rows[i:i + PROGRAMS_PER_CHECK]) - right[i:i + PROGRAMS_PER_CHECK]).max()))
-    return Check(worst, len(rows))
+    return Certificate(worst, np.inf, len(rows))
 
 
 def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
@@ -262,7 +253,8 @@ def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
     return F, g if disturbances is None or not len(g) else g - (F @ disturbances.T).max(axis=1)
 
 
-def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows, deadline: Deadline) -> Check:
+def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows,
+                         deadline: Deadline) -> Certificate:
     """Violation of the target's predecessor rows by C."""
     body = U._body
     assert body is not None
@@ -274,6 +266,6 @@ def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target:
     right = np.append(g - F @ (system.A @ centre + system.B @ body.centre), body.g)
     R, r = project_rows(rows, right, N.shape[1], deadline=deadline)
     if not len(r):
-        return Check(0.0, 0)
+        return Certificate(0.0, np.inf, 0)
     values = np.array([-minimise(-row, C._body.F, C._body.g)[0] for row in R])  # type: ignore[union-attr]
-    return Check(float(((values - r) / 2.0).max()), len(r))
+    return Certificate(float(((values - r) / 2.0).max()), np.inf, len(r))

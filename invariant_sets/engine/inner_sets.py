@@ -41,8 +41,8 @@ def predecessor_of(problem: LocalProblem, factor: float = 1.0, deadline: Deadlin
         """Predecessor rows of the target, or of its fresh rows."""
         F, g = target
         g = factor * g
-        if dynamics.drift.any():
-            g = g - F @ dynamics.drift
+        if problem.drift.any():
+            g = g - F @ problem.drift
         if dynamics.disturbances is not None:
             g = g - (F @ dynamics.disturbances.T).max(axis=1, initial=-np.inf)
         return predecessor_rows((F, g), dynamics.A, dynamics.B, problem.joint, fresh=fresh, deadline=deadline)

@@ -2,7 +2,7 @@
 
 1. `local_problem`: coordinates are shifted to an equilibrium inside X and U and scaled by the extents of X. A bounded X
    without an equilibrium holds no invariant set. Flat sets are solved on their affine hull.
-2. `unstable_modes`: unstable modes are bounded first; without that the recursion creeps and stops outside.
+2. `loose_bounds`: unstable modes are bounded first; without that the recursion creeps and stops outside.
 3. `recursion`: Ω ← Pre(Ω) ∩ Ω until no row cuts any more. This is `outer`. A set that has become small or flat
    starts again at 1.
 4. `inner_sets`: (1 − tol/10) Ω is invariant with room to spare, because inputs scale with the state. Disturbances
@@ -27,10 +27,9 @@ import numpy as np
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
-from invariant_sets.engine.loose_bounds import without_loose_bounds
+from invariant_sets.engine.loose_bounds import unstable_bounds, without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
-from invariant_sets.engine.unstable_modes import unstable_bounds
 from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
@@ -214,7 +213,8 @@ def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Sta
     C = inner.C
     reach = outer.support(C.A)
     room = C.b - C.A @ inner.centre
-    return _with_status(task, replace(inner, gap=float(((reach - C.b) / room).max())), outer, status, steps)
+    check = replace(inner.check, gap=float(((reach - C.b) / room).max()))
+    return _with_status(task, replace(inner, check=check), outer, status, steps)
 
 
 def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reserve | None) -> SetResult:
@@ -240,12 +240,10 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reser
 
 @dataclass(frozen=True)
 class _Inner:
-    """Certified inner set, its gap and equilibrium."""
+    """Certified inner set and its equilibrium."""
 
     C: Polytope
-    check: certificate.Check
-    gap: float
-    outside: float
+    check: Certificate
     centre: Array
 
 
@@ -267,13 +265,14 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
         beyond = certificate.outside(C, task.X, by_vertices=found.V is not None)
     except LimitReached:
         return None
-    return _Inner(C, check, gap(region, found), beyond, problem.frame.centre) if beyond <= INVARIANT else None
+    check = replace(check, gap=gap(region, found), outside=beyond)
+    return _Inner(C, check, problem.frame.centre) if beyond <= INVARIANT else None
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Result with the status that its gap and missing states deserve."""
-    small = inner.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
-    absent = np.inf
+    small = inner.check.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
+    absent = inner.check.missing
     if small:
         try:
             absent = certificate.missing(task.system, inner.C, task.X, task.U, task.limits.deadline)
@@ -283,8 +282,7 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
             status = Status.CONVERGED if absent <= 2 * task.limits.tol + MISSING else Status.NOT_MAXIMAL
     elif status is Status.CONVERGED:
         status = Status.ITERATION_LIMIT
-    proof = Certificate(inner.check.violation, inner.gap, inner.check.points, outside=inner.outside, missing=absent)
-    return SetResult(inner.C, outer, status, steps, proof)
+    return SetResult(inner.C, outer, status, steps, replace(inner.check, missing=absent))
 
 
 def _nothing(task: Task, iterations: int) -> SetResult:
@@ -309,4 +307,4 @@ def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> S
     check = certificate.control_violation(task.system, point, task.U)
     if check.violation > INVARIANT:
         return no_set(task.X.dim, iterations, X, Status.NOT_CERTIFIED)
-    return SetResult(point, X, Status.CONVERGED, iterations, Certificate(check.violation, 0.0, check.points))
+    return SetResult(point, X, Status.CONVERGED, iterations, replace(check, gap=0.0))

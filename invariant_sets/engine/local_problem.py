@@ -1,7 +1,11 @@
 """Local problem in well-scaled coordinates about an equilibrium.
 
-A flat state set is kept only by inputs that keep the state on its affine hull (`flat_hull`), so that the recursion
-sees a full-dimensional problem with constraints on state and input together.
+A flat state set is kept only by inputs that keep the state on its affine hull, so that the recursion sees a
+full-dimensional problem with constraints on state and input together.
+
+References
+----------
+Basile, Marro (1969), Controlled and conditioned invariant subspaces in linear system theory, JOTA 3(5).
 """
 
 from __future__ import annotations
@@ -11,14 +15,22 @@ from functools import cached_property
 
 import numpy as np
 
-from invariant_sets.engine.flat_hull import InputMap, Motion, stay_on_hull
 from invariant_sets.equalities import Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.tolerances import AT_REST, DEPENDENT_COLUMNS, NEEDLE, NEGLIGIBLE, SILENT, THINNEST, WELL_INSIDE
+from invariant_sets.tolerances import (
+    AT_REST,
+    DEPENDENT_COLUMNS,
+    NEEDLE,
+    NEGLIGIBLE,
+    SILENT,
+    THINNEST,
+    TINY,
+    WELL_INSIDE,
+)
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -74,13 +86,31 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Dynamics:
-    """Motion y⁺ = A y + B v + drift + w; drift 0 at equilibria."""
+class InputMap:
+    """Input map u = offset + states y + inputs v."""
 
-    A: Array
-    B: Array
-    drift: Array
-    disturbances: Array | None
+    offset: Array
+    states: Array
+    inputs: Array
+
+    def about(self, y: Array, v: Array) -> InputMap:
+        """Map with y and v counted from this point."""
+        return InputMap(self.offset + self.states @ y + self.inputs @ v, self.states, self.inputs)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion x⁺ − centre = states y + inputs v + drift, with joint rows."""
+
+    # where the state goes, in the units of x
+    states: Array  # (n, k)
+    inputs: Array  # (n, q)
+    drift: Array  # (n,)
+    # constraints on both together
+    state_rows: Array  # (m, k)
+    input_rows: Array  # (m, q)
+    right: Array  # (m,)
+    input_map: InputMap  # the input that belongs to y and v
 
 
 @dataclass(frozen=True)
@@ -88,7 +118,8 @@ class LocalProblem:
     """Dynamics and constraints in local coordinates y and v."""
 
     frame: Frame  # back to x
-    dynamics: Dynamics  # the motion of y
+    dynamics: LinearSystem  # the motion of y, but for the drift
+    drift: Array  # (k,): y⁺ = A y + B v + w + drift; 0 at equilibria
     states: Rows  # (F, g): state set F y <= g, rows of unit norm
     joint: Rows  # (H, h): rows H [y; v] <= h
     input_moves: Array | None  # (m, k): vertices of B V where V does not depend on y and is bounded
@@ -115,7 +146,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
     if flat:
         size = np.maximum(np.abs(system.A) @ np.abs(frame.basis).sum(axis=1), units)
         size = np.maximum(size, np.abs(system.B) @ np.abs(inputs.basis).sum(axis=1))
-        answer = stay_on_hull(motion, frame.basis, spread, size)
+        answer = _stay_on_hull(motion, frame.basis, spread, size)
         if isinstance(answer, tuple):
             held = answer[0] @ frame.back
             nothing = np.zeros((0, X.dim))
@@ -124,15 +155,56 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
             return None
         motion = answer
     back = frame.back
-    dynamics = Dynamics(back @ motion.states, back @ motion.inputs, back @ motion.drift,
-                        None if spread is None else spread @ back.T)
+    noise = None if spread is None else spread @ back.T
+    dynamics = LinearSystem(back @ motion.states, back @ motion.inputs, noise)
     joint = np.hstack([motion.state_rows, motion.input_rows]), motion.right
-    problem = LocalProblem(frame, dynamics, states, joint, None, motion.input_map, state.bounded, at_equilibrium=False)
+    problem = LocalProblem(frame, dynamics, back @ motion.drift, states, joint, None, motion.input_map, state.bounded,
+                           at_equilibrium=False)
     if flat:
         vertices = _joint_input_corners(problem)
     else:
         vertices = (U.vertices - inputs.centre) @ left_inverse(inputs.basis).T if inputs.bounded else None
     return _at_equilibrium(problem, vertices, system)
+
+
+def _stay_on_hull(motion: Motion, basis: Array, spread: Array | None,
+                  size: Array) -> Motion | tuple[Array, Array] | None:
+    """Motion under the inputs that keep the state on the hull of `basis`, or why there are none.
+
+    Equalities rows y = values come where y has to meet them before any input can, None where no y can. `spread` (k, n)
+    are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each coordinate of x. A
+    disturbance that leaves the hull leaves nothing.
+    """
+    normal = normals(basis)
+    P = normal @ motion.states
+    Q = normal @ motion.inputs
+    s = -normal @ motion.drift
+    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), TINY)
+    if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
+            size, np.abs(spread).max() + TINY)).any():
+        return None
+    P = P / size[:, None]
+    Q = Q / size[:, None]
+    s = s / size
+    left, values, vt = np.linalg.svd(Q, full_matrices=True)
+    rank = int((values > NEGLIGIBLE).sum())
+    rest_P = left[:, rank:].T @ P
+    rest_s = left[:, rank:].T @ s
+    bound = np.abs(rest_P).max(axis=1, initial=0.0) > NEGLIGIBLE
+    if (np.abs(rest_s[~bound]) > NEGLIGIBLE).any():
+        return None
+    if bound.any():
+        return rest_P[bound], rest_s[bound]
+    pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])  # v = pseudo (s − P y) + free v'
+    fixed = pseudo @ s
+    follow = -pseudo @ P
+    free = vt[rank:].T
+    law = motion.input_map
+    return Motion(
+        states=motion.states + motion.inputs @ follow, inputs=motion.inputs @ free,
+        drift=motion.drift + motion.inputs @ fixed, state_rows=motion.state_rows + motion.input_rows @ follow,
+        input_rows=motion.input_rows @ free, right=motion.right - motion.input_rows @ fixed,
+        input_map=InputMap(law.offset + law.inputs @ fixed, law.states + law.inputs @ follow, law.inputs @ free))
 
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
@@ -194,7 +266,7 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
     v = point[k:]
     return replace(
         problem, frame=Frame(problem.frame.centre + problem.frame.basis @ y, problem.frame.basis),
-        dynamics=replace(problem.dynamics, drift=np.zeros(k)),
+        drift=np.zeros(k),
         states=(problem.states[0], problem.states[1] - problem.states[0] @ y),
         joint=(problem.joint[0], problem.joint[1] - problem.joint[0] @ point),
         input_moves=None if vertices is None else (vertices - v) @ problem.dynamics.B.T,
@@ -207,7 +279,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
         return None
     y = -np.linalg.solve(problem.frame.basis, problem.frame.centre)
     dynamics = problem.dynamics
-    residual = y - dynamics.A @ y - dynamics.drift
+    residual = y - dynamics.A @ y - problem.drift
     q = dynamics.B.shape[1]
     v = np.linalg.lstsq(dynamics.B, residual, rcond=None)[0] if q else np.zeros(0)
     # any v with B v = residual will do as u = 0 does not change the state
@@ -228,9 +300,9 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     rows, right = _lifted(problem)
     matrix = matrix * scale
     rows = rows * scale
-    z, *_ = np.linalg.lstsq(matrix, dynamics.drift, rcond=DEPENDENT_COLUMNS)
-    worst = np.abs(matrix @ z - dynamics.drift).max(initial=0.0)
-    if worst > NEGLIGIBLE * max(1.0, np.abs(dynamics.drift).max(initial=0.0)):
+    z, *_ = np.linalg.lstsq(matrix, problem.drift, rcond=DEPENDENT_COLUMNS)
+    worst = np.abs(matrix @ z - problem.drift).max(initial=0.0)
+    if worst > NEGLIGIBLE * max(1.0, np.abs(problem.drift).max(initial=0.0)):
         return None
     null = null_space(matrix)
     room = right - rows @ z
