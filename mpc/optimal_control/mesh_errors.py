@@ -86,10 +86,8 @@ def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Arr
     times = phase.times[0] + phase.duration * times_of(layout.signals, part.mesh)
     w = signal_at(part.phase, times.ravel()).reshape(N, -1).T
     none = np.zeros((0, N))
-    found = interval.map(N)(
-        phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none,
-        np.tile(p[:, None], (1, N)), phase.times[None, :-1], np.diff(phase.times)[None], w,
-    )  # fmt: skip
+    nodes = phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none
+    found = interval(*nodes, p, phase.times[None, :-1], np.diff(phase.times)[None], w)
     defects, cost = (np.asarray(value, dtype=float).T for value in found[:2])
     return defects, cost
 
