@@ -13,7 +13,7 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import signal_at
+from mpc.optimal_control.phase import signal_along
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.tolerances import SHORTEST_DURATION
 
@@ -49,7 +49,7 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
         phase, f, nx, of = part.phase, part.functions, part.layout.nx, of_phase(program, k)
         nodes, _, states, inputs = part.unknowns(v)
         at = times_of(part.layout.points, part.mesh).T.ravel()
-        w = signal_at(phase, phase.start_time + phase.duration[0] * at).T
+        w = signal_along(phase, at[:, None]).T
         along = {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (start + length * at)[None], "p": p}
         ends = {"x0": nodes[:nx, :1], "x": nodes[:nx, -1:], "t0": np.array([[start]]),
                 "t": np.array([[start + length]]), "p": p}  # fmt: skip

@@ -223,6 +223,12 @@ def signal_at(phase: Phase, times: Array) -> Array:
     return np.stack([np.interp(times, grid, column) for column in table.T], axis=1)
 
 
+def signal_along(phase: Phase, fractions: Array) -> Array:
+    """Values (N, points · nw) of a phase's given signal at fractions (N, points) of it."""
+    times = phase.start_time + phase.duration[0] * fractions
+    return signal_at(phase, times.ravel()).reshape(len(fractions), -1)
+
+
 def evaluated(function: ca.Function, phase: Phase, x: Array, u: Array, t: Array, p: Array) -> Array:
     """Values (n, m) of a function of x, u, w, p, t at states (n, nx), inputs (n, nu) and times (n,)."""
     return np.asarray(function(x.T, u.T, signal_at(phase, t).T, p, t[None]), dtype=float).T

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import evaluated, signal_at
+from mpc.optimal_control.phase import evaluated, signal_along
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
@@ -126,8 +126,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     mesh_times = start + (np.arange(N + 1.0) if discrete else length * part.mesh)
     times = mesh_times[:-1, None] if discrete else start + length * times_of(layout.points, part.mesh)
     h = np.ones(N) if discrete else length * np.diff(part.mesh)
-    at_signals = part.phase.start_time + part.phase.duration[0] * times_of(layout.signals, part.mesh)
-    w = signal_at(part.phase, at_signals.ravel()).reshape(N, -1)
+    w = signal_along(part.phase, times_of(layout.signals, part.mesh))
     stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
     rates = _rates(part, stage_states, stage_inputs, p, times, (mesh_times, x.T))

@@ -14,7 +14,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
 from mpc.optimal_control.notes import check_at_guess
-from mpc.optimal_control.phase import Phase, signal_at
+from mpc.optimal_control.phase import Phase, signal_along
 from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
@@ -129,7 +129,7 @@ class _Assembly:
         at = np.ravel(fractions)
         each = np.broadcast_arrays(low, high, scale, np.zeros(len(entries)))[:3]
         sides = tuple(np.tile(side.astype(float), len(at)) for side in each)
-        first = sum(len(low) for low, *_ in self.bounds)
+        first = self.kinds[-1].last if self.kinds else 0
         own = slice(first, first + len(sides[0]))
         self.bounds.append(sides)
         if own.stop > first:
@@ -187,8 +187,7 @@ class _Assembly:
     def _intervals(self, part: PhasePart, target: int, weight: float) -> Array:
         """Append costs and equations of a phase's intervals; return the signal (nw · points, N)."""
         phase, layout, N = part.phase, part.layout, part.intervals
-        times = phase.start_time + phase.duration[0] * times_of(layout.signals, part.mesh)
-        signals = signal_at(phase, times.ravel()).reshape(N, -1).T
+        signals = signal_along(phase, times_of(layout.signals, part.mesh)).T
 
         def values(p: Any, free: Any, data: Any, **own: Any) -> list[Any]:
             start, length = part.clock(free)
