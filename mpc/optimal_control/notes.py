@@ -36,9 +36,10 @@ def check_at_guess(program: NonlinearProgram) -> None:
         return
     got = next(functions_not_finite(program, program.guess), "")
     if not got:  # within an integrator's step
-        wrong = np.flatnonzero(~np.isfinite(g))
-        what = describe_row(program, int(wrong[0]), program.guess) if len(wrong) else "the cost"
-        got = f"{g[wrong[0]] if len(wrong) else f[0]:g} in {what}, between the points of the mesh"
+        values = np.concatenate([g, f])
+        i = int(np.flatnonzero(~np.isfinite(values))[0])
+        what = describe_row(program, i, program.guess) if i < len(g) else "the cost"
+        got = f"{values[i]:g} in {what}, between the points of the mesh"
     raise InputError("guess", got, expected, AWAY)
 
 
