@@ -47,13 +47,14 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
     """Functions that are not finite at unknowns (n,), and where first."""
     p = v[program.parameters, None]
     for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
-        phase, f, nx, of = part.phase, part.functions, part.layout.nx, of_phase(program, k)
+        phase, f, of = part.phase, part.functions, of_phase(program, k)
         nodes, _, states, inputs = part.unknowns(v)
+        x = nodes[: part.layout.nx]
         at = times_of(part.layout.points, part.mesh).T.ravel()
         w = signal_along(phase, at[:, None]).T
         along = {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (start + length * at)[None], "p": p}
-        ends = {"x0": nodes[:nx, :1], "x": nodes[:nx, -1:], "t0": np.array([[start]]),
-                "t": np.array([[start + length]]), "p": p}  # fmt: skip
+        clock = np.array([[start]]), np.array([[start + length]])
+        ends = {"x0": x[:, :1], "x": x[:, -1:], "t0": clock[0], "t": clock[1], "p": p}
         yield from _first(f.dynamics, [f"dynamics of {name}" for name in phase.state_names], along, of)
         yield from _first(f.stage_cost, ["stage_cost"], along, of)
         yield from _first(f.path, f.path_names, along, of)

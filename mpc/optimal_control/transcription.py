@@ -70,7 +70,7 @@ class _Assembly:
     def program(self) -> NonlinearProgram:
         """Whole program, its rows not yet sized."""
         problem = self.problem
-        count, p_guess = len(problem.phases), np.asarray(problem.p_guess)
+        p_guess = np.asarray(problem.p_guess)
         layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
         firsts = [
             self._unknown(*phase_unknowns(phase, functions, p_guess, layout, mesh))
@@ -83,14 +83,14 @@ class _Assembly:
         costs = self._costs_of_scenarios()
         alone = costs.stop > costs.start
         parts: list[PhasePart] = []
-        for k in range(count):
+        for k, phase in enumerate(problem.phases):
             before = range(k) if problem.linked else range(0)
             start = problem.phases[0 if problem.linked else k].start_time
             start += sum(problem.phases[i].duration[0] for i in before if durations[i] < 0)
             free = np.array([durations[i] for i in (*before, k) if durations[i] >= 0], dtype=int)
             defects, path, interval = self._rows_of_intervals(k, layouts[k])
-            part = PhasePart(problem.phases[k], problem.functions[k], layouts[k], self.scheme, self.meshes[k],
-                             firsts[k], start, free, defects, path, interval)  # fmt: skip
+            part = PhasePart(phase, problem.functions[k], layouts[k], self.scheme, self.meshes[k], firsts[k], start,
+                             free, defects, path, interval)  # fmt: skip
             parts.append(part)
             cost = (1 + k, 1.0) if alone else (0, float(problem.weights[k]))
             signals = self._intervals(part, *cost)
@@ -214,10 +214,14 @@ class _Assembly:
         low, high = part.functions.path_bounds
         kept = np.arange(len(low))
         if layout.points == (0.0,):  # with the input that is held last
-            fraction, node, signal = 1.0, part.last - layout.node, signals[len(signals) - nw :, -1:]
+            fraction = 1.0
+            signal = signals[len(signals) - nw :, -1:]
+            node = part.last - layout.node
             inputs = node - layout.nu + np.arange(layout.nu)
         else:
-            fraction, node, signal = 0.0, part.first, signals[:nw, :1]
+            fraction = 0.0
+            signal = signals[:nw, :1]
+            node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
             if not layout.node_inputs:
                 kept = np.setdiff1d(kept, path.jac_sparsity(0, 1).row())
