@@ -29,11 +29,15 @@ def as_share(name: str, value: Any) -> float:
     return as_number(name, value, "a number between 0 and 1", lambda number: 0 < number < 1)
 
 
-def as_bounds(name: str, value: Any, size: int) -> tuple[Array, Array]:
-    """Bounds (lower, upper), each (size,), infinite where None."""
+def as_bounds(name: str, value: Any, size: int | None) -> tuple[Array, Array]:
+    """Bounds (lower, upper), each (size,), infinite where None; without a size they tell it."""
     if value is None:
-        return np.full(size, -INF), np.full(size, INF)
-    value = _as_pair(name, value)
+        return np.full(size or 0, -INF), np.full(size or 0, INF)
+    value = tuple(value) if isinstance(value, np.ndarray) else value
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        cure = "Each is a number or has one for every entry: pairs of every entry are ([lower, …], [upper, …])."
+        raise InputError(name, brief(repr(value)), "bounds (lower, upper)", cure)
+    size = max(np.size(side) for side in value) if size is None else size
     sides = []
     for side, given, none in zip(("lower", "upper"), value, (-INF, INF)):
         entries = [none if entry is None else entry for entry in given] if isinstance(given, list | tuple) else given
@@ -51,22 +55,6 @@ def as_bounds(name: str, value: Any, size: int) -> tuple[Array, Array]:
             name, f"[{low[i]:g}, {high[i]:g}] for entry {i + 1}", "lower ≤ upper, with a number between them"
         )
     return low, high
-
-
-def as_parameter_bounds(value: Any) -> tuple[Array, Array]:
-    """Bounds of the parameters, which tell their number."""
-    value = _as_pair("p_bounds", value)
-    size = max(np.size(side) for side in value)
-    return as_bounds("p_bounds", value, size)
-
-
-def _as_pair(name: str, value: Any) -> Any:
-    """Two sides of bounds."""
-    given = tuple(value) if isinstance(value, np.ndarray) else value
-    if not isinstance(given, list | tuple) or len(given) != 2:
-        cure = "Each is a number or has one for every entry: pairs of every entry are ([lower, …], [upper, …])."
-        raise InputError(name, brief(repr(value)), "bounds (lower, upper)", cure)
-    return given
 
 
 def as_end(name: str, value: Any, within: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -41,9 +41,7 @@ def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> t
         slope = np.ascontiguousarray(S.T) + _product(Bt, VA)
         K = _divided(M, slope)
         V = Q + _product(np.ascontiguousarray(A[k].T), VA) - _product(np.ascontiguousarray(slope.T), K)
-        for i in range(nx):
-            for j in range(i):
-                V[i, j] = V[j, i] = 0.5 * (V[i, j] + V[j, i])
+        V = 0.5 * (V + V.T)
         gains[k] = K
         prices[k] = M
     return gains, prices
@@ -131,18 +129,15 @@ def _divided(M: Array, right: Array) -> Array:
                 left -= L[i, k] * L[j, k]
             L[i, j] = np.sqrt(max(left, GAIN_REGULARISATION)) if i == j else left / L[j, j]
     found = np.zeros(right.shape)
-    for c in range(right.shape[1]):
-        for i in range(n):
-            left = right[i, c] * scale[i]
-            for k in range(i):
-                left -= L[i, k] * found[k, c]
-            found[i, c] = left / L[i, i]
-        for i in range(n - 1, -1, -1):
-            left = found[i, c]
-            for k in range(i + 1, n):
-                left -= L[k, i] * found[k, c]
-            found[i, c] = left / L[i, i]
     for i in range(n):
-        for c in range(right.shape[1]):
-            found[i, c] *= scale[i]
+        found[i] = right[i] * scale[i]
+        for k in range(i):
+            found[i] -= L[i, k] * found[k]
+        found[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            found[i] -= L[k, i] * found[k]
+        found[i] /= L[i, i]
+    for i in range(n):
+        found[i] *= scale[i]
     return found

@@ -25,12 +25,9 @@ class Buffered:
         self.function = function
         self._workspace = threading.local()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Fields without buffers: a copy makes its own."""
-        return {"function": self.function}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(**state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Function without buffers: a copy makes its own."""
+        return Buffered, (self.function,)
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
         """Results of the function; a single row of an argument is repeated."""

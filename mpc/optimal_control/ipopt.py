@@ -114,8 +114,7 @@ class BestIterate(ca.Callback):
 
     def __init__(self, unknowns: int, rows: int) -> None:
         ca.Callback.__init__(self)
-        self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": 0}
-        self._sizes["lam_p"] = unknowns + 1 + rows
+        self._sizes = {"x": unknowns, "f": 1, "g": rows, "lam_x": unknowns, "lam_g": rows, "lam_p": unknowns + 1 + rows}
         self.begin({"lbg": np.zeros(rows), "ubg": np.zeros(rows)})
         self.construct("best", {})
 

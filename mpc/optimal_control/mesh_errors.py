@@ -9,7 +9,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.interval import layout_of, times_of
-from mpc.optimal_control.phase import evaluated, signal_at
+from mpc.optimal_control.phase import evaluated, signal_along
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
@@ -83,13 +83,10 @@ def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Arr
     part, N = phase.part, phase.part.intervals
     layout = layout_of(part.phase, part.layout.nw, scheme)
     interval = interval_function(part.phase, part.functions, scheme, layout, len(p))
-    times = phase.times[0] + phase.duration * times_of(layout.signals, part.mesh)
-    w = signal_at(part.phase, times.ravel()).reshape(N, -1).T
+    w = signal_along(part.phase, times_of(layout.signals, part.mesh)).T
     none = np.zeros((0, N))
-    found = interval.map(N)(
-        phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none,
-        np.tile(p[:, None], (1, N)), phase.times[None, :-1], np.diff(phase.times)[None], w,
-    )  # fmt: skip
+    nodes = phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none
+    found = interval(*nodes, p, phase.times[None, :-1], np.diff(phase.times)[None], w)
     defects, cost = (np.asarray(value, dtype=float).T for value in found[:2])
     return defects, cost
 

@@ -13,7 +13,7 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import signal_at
+from mpc.optimal_control.phase import signal_along
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.tolerances import SHORTEST_DURATION
 
@@ -36,9 +36,10 @@ def check_at_guess(program: NonlinearProgram) -> None:
         return
     got = next(functions_not_finite(program, program.guess), "")
     if not got:  # within an integrator's step
-        wrong = np.flatnonzero(~np.isfinite(g))
-        what = describe_row(program, int(wrong[0]), program.guess) if len(wrong) else "the cost"
-        got = f"{g[wrong[0]] if len(wrong) else f[0]:g} in {what}, between the points of the mesh"
+        values = np.concatenate([g, f])
+        i = int(np.flatnonzero(~np.isfinite(values))[0])
+        what = describe_row(program, i, program.guess) if i < len(g) else "the cost"
+        got = f"{values[i]:g} in {what}, between the points of the mesh"
     raise InputError("guess", got, expected, AWAY)
 
 
@@ -46,13 +47,14 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
     """Functions that are not finite at unknowns (n,), and where first."""
     p = v[program.parameters, None]
     for k, (part, (start, length)) in enumerate(zip(program.parts, program.times(v))):
-        phase, f, nx, of = part.phase, part.functions, part.layout.nx, of_phase(program, k)
+        phase, f, of = part.phase, part.functions, of_phase(program, k)
         nodes, _, states, inputs = part.unknowns(v)
+        x = nodes[: part.layout.nx]
         at = times_of(part.layout.points, part.mesh).T.ravel()
-        w = signal_at(phase, phase.start_time + phase.duration[0] * at).T
+        w = signal_along(phase, at[:, None]).T
         along = {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (start + length * at)[None], "p": p}
-        ends = {"x0": nodes[:nx, :1], "x": nodes[:nx, -1:], "t0": np.array([[start]]),
-                "t": np.array([[start + length]]), "p": p}  # fmt: skip
+        clock = np.array([[start]]), np.array([[start + length]])
+        ends = {"x0": x[:, :1], "x": x[:, -1:], "t0": clock[0], "t": clock[1], "p": p}
         yield from _first(f.dynamics, [f"dynamics of {name}" for name in phase.state_names], along, of)
         yield from _first(f.stage_cost, ["stage_cost"], along, of)
         yield from _first(f.path, f.path_names, along, of)

@@ -16,7 +16,6 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end, as_guess, as_names, as_number
 from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, wanted
 
-COSTED = ("dynamics", "stage_cost", "terminal_cost")
 LIMITED = ("path", "boundary")  # functions whose values have bounds and names
 
 
@@ -127,22 +126,12 @@ class Phase:
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
         for name, (sizes, rows) in _columns(self, width, 0).items():
             given = getattr(self, name)
-            if given is None:
-                self._check_nothing_limits(name)
+            asked = () if given is None else wanted(name, given, tuple(sizes))
+            if "p" in asked or ("w" in asked and callable(self.signal)):
                 continue
-            asked = wanted(name, given, tuple(sizes))
-            if "p" not in asked and not ("w" in asked and callable(self.signal)):
-                _with_limits(self, name, compiled(name, given, sizes, rows))
-
-    def _check_nothing_limits(self, name: str) -> None:
-        """Raise for bounds or names of a missing function's values."""
-        if name not in LIMITED:
-            return
-        usual = repr(type(self).__dataclass_fields__[f"{name}_bounds"].default)
-        for own, given in ((f"{name}_bounds", repr(getattr(self, f"{name}_bounds")) != usual),
-                           (f"{name}_names", len(getattr(self, f"{name}_names")) > 0)):  # fmt: skip
-            if given:
-                raise InputError(own, brief(repr(getattr(self, own))), f"a function `{name}`, whose values they are of")
+            function = None if given is None else compiled(name, given, sizes, rows)
+            if name in LIMITED:
+                _with_limits(self, name, function)
 
     @property
     def free_duration(self) -> bool:
@@ -164,13 +153,12 @@ class PhaseFunctions:
     """
 
     def __init__(self, phase: Phase, parameters: int) -> None:
-        self.nw = _width(phase)
+        self.nw = signal_at(phase, np.array([phase.start_time])).shape[1]
         made: dict[str, Any] = {
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
             for name, (sizes, rows) in _columns(phase, self.nw, parameters).items()
         }
-        self.dynamics, self.stage_cost, self.terminal_cost = (made[name] for name in COSTED)
-        self.path, self.boundary = (made[name] for name in LIMITED)
+        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary = made.values()
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
 
@@ -201,20 +189,17 @@ def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[
 
 def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple[tuple[Array, Array], tuple[str, ...]]:
     """Bounds and names of a function's values, empty without limits."""
-    size = 0 if function is None or name not in LIMITED else function.numel_out(0)
-    if not size:
+    if function is None:
+        usual = repr(Phase.__dataclass_fields__[f"{name}_bounds"].default)
+        for own, stated in ((f"{name}_bounds", repr(getattr(phase, f"{name}_bounds")) != usual),
+                            (f"{name}_names", len(getattr(phase, f"{name}_names")) > 0)):  # fmt: skip
+            if stated:
+                got = brief(repr(getattr(phase, own)))
+                raise InputError(own, got, f"a function `{name}`, whose values they are of")
         return (np.zeros(0), np.zeros(0)), ()
+    size = function.numel_out(0)
     bounds = as_bounds(f"{name}_bounds", getattr(phase, f"{name}_bounds"), size)
     return bounds, as_names(f"{name}_names", getattr(phase, f"{name}_names"), f"{name} ", size)
-
-
-def _width(phase: Phase) -> int:
-    """Width of the given signal."""
-    if phase.signal is None:
-        return 0
-    if not callable(phase.signal):
-        return int(np.shape(phase.signal)[1])
-    return int(signal_at(phase, np.array([phase.start_time])).shape[1])
 
 
 def signal_at(phase: Phase, times: Array) -> Array:
@@ -236,6 +221,12 @@ def signal_at(phase: Phase, times: Array) -> Array:
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))
     return np.stack([np.interp(times, grid, column) for column in table.T], axis=1)
+
+
+def signal_along(phase: Phase, fractions: Array) -> Array:
+    """Values (N, points · nw) of a phase's given signal at fractions (N, points) of it."""
+    times = phase.start_time + phase.duration[0] * fractions
+    return signal_at(phase, times.ravel()).reshape(len(fractions), -1)
 
 
 def evaluated(function: ca.Function, phase: Phase, x: Array, u: Array, t: Array, p: Array) -> Array:

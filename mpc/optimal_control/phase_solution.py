@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import evaluated, signal_at
+from mpc.optimal_control.phase import evaluated, signal_along
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
@@ -122,17 +122,11 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     start, length = clock
     nodes, own, states, inputs = part.unknowns(v)
     x = nodes[: layout.nx]
-    fractions = times_of(layout.points, part.mesh)
-    at_signals = times_of(layout.signals, part.mesh)
-    times = start + length * fractions
-    if part.phase.discrete:
-        mesh_times = start + np.arange(N + 1.0)
-        times = mesh_times[:-1, None]
-        h = np.ones(N)
-    else:
-        mesh_times = start + length * part.mesh
-        h = length * np.diff(part.mesh)
-    w = signal_at(part.phase, part.phase.start_time + part.phase.duration[0] * at_signals.ravel()).reshape(N, -1)
+    discrete = part.phase.discrete  # in whole steps
+    mesh_times = start + (np.arange(N + 1.0) if discrete else length * part.mesh)
+    times = mesh_times[:-1, None] if discrete else start + length * times_of(layout.points, part.mesh)
+    h = np.ones(N) if discrete else length * np.diff(part.mesh)
+    w = signal_along(part.phase, times_of(layout.signals, part.mesh))
     stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
     stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
     rates = _rates(part, stage_states, stage_inputs, p, times, (mesh_times, x.T))

@@ -28,7 +28,6 @@ def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, 
     elif not hasattr(figure, "subplots"):
         raise InputError("figure", type(figure).__name__, "a matplotlib Figure")
     axes = figure.subplots(len(rows), len(phases), sharex="col", sharey="row", squeeze=False, width_ratios=widths)
-    drawn = np.zeros(axes.shape, dtype=bool)
     for column, phase in enumerate(phases):
         for row, (kind, i) in enumerate(rows):
             ax = axes[row, column]
@@ -37,8 +36,7 @@ def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, 
                 ax.set_axis_off()
                 continue
             _entry(ax, phase, kind, i)
-            drawn[row, column] = True
-        last = axes[np.flatnonzero(drawn[:, column])[-1], column]
+        last = [ax for ax in axes[:, column] if ax.axison][-1]
         last.tick_params(labelbottom=True)
         last.set_xlabel("step" if phase.part.phase.discrete else "t [s]")
         if mesh:
@@ -47,7 +45,7 @@ def plot_phases(phases: Sequence[PhaseSolution], *, costates: bool, mesh: bool, 
         if len(phases) > 1:
             axes[0, column].set_title(f"phase {column + 1}", fontsize="medium")
     for row, (kind, i) in enumerate(rows):
-        column = int(np.flatnonzero(drawn[row])[0])
+        column = next(k for k, ax in enumerate(axes[row]) if ax.axison)
         of = phases[column].part.phase
         name = (of.input_names if kind == "u" else of.state_names)[i]
         axes[row, column].tick_params(labelleft=True)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_names, as_number, as_parameter_bounds, middle
+from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, as_number, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
@@ -75,8 +75,7 @@ class OptimalControlProblem:
         if not isinstance(given, list | tuple) or not given or not all(isinstance(phase, Phase) for phase in given):
             raise InputError("phases", brief(repr(self.phases)), "a Phase, or a list of them")
         set_(self, "phases", _on_one_clock(given) if self.linked else tuple(given))
-        none = np.zeros(0), np.zeros(0)
-        set_(self, "p_bounds", none if self.p_bounds is None else as_parameter_bounds(self.p_bounds))
+        set_(self, "p_bounds", as_bounds("p_bounds", self.p_bounds, None))
         set_(self, "p_guess", self._as_guess())
         count = len(self.phases)
         usual = np.ones(count) if self.linked else np.full(count, 1 / count)

@@ -173,12 +173,11 @@ def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
     One size for all points of an entry, that of the point where it changes most.
     """
     row_scale = program.row_scale.copy()
-    chosen = [rows for rows in program.rows if rows.name not in ("dynamics", "link")]
-    if not chosen:
-        return program
     slope = program.derivatives.jacobian[1](program.guess)[1].sparse()
     steepest = abs(slope.multiply(program.scale[None])).max(axis=1).toarray().ravel()
-    for rows in chosen:
+    for rows in program.rows:
+        if rows.name in ("dynamics", "link"):
+            continue
         own = steepest[rows.first : rows.last].reshape(-1, len(rows.entries))
         size = own.max(axis=0)
         size = np.where(np.isfinite(size) & (size > 0), size, 1.0)

@@ -85,7 +85,8 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         for seed in range(3):  # each guess on a mesh twice as fine
             if not _jumps_over(solution) or time.perf_counter() >= run.end:
                 break
-            program = build(program.problem, scheme, meshes=[_halved(part.mesh) for part in program.parts])
+            halved = [np.sort(np.r_[part.mesh, (part.mesh[:-1] + part.mesh[1:]) / 2]) for part in program.parts]
+            program = build(program.problem, scheme, meshes=halved)
             run.left = meshes - 1
             moved = replace(program, guess=shaken(program, seed))
             other, ended = run.refined(run.solved(moved, None))
@@ -196,11 +197,6 @@ def _reach_bounds(solution: Solution) -> bool:
 def _jumps_over(solution: Solution) -> bool:
     """Whether limits are passed between points at the end."""
     return solution.status in PASSING and solution.excess > LIMIT_PASSED
-
-
-def _halved(mesh: Array) -> Array:
-    """Mesh with every interval halved."""
-    return np.sort(np.concatenate([mesh, (mesh[:-1] + mesh[1:]) / 2]))
 
 
 def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solution:

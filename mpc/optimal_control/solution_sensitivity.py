@@ -174,11 +174,11 @@ def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: Sensitiv
     start[:, held[count:] - part.first] = moves[:, count:]
     by_start = np.full(part.layout.nx, np.nan)
     by_start[held[count:] - part.first] = gradient[count:]
-    phases = []
-    for own in program.parts:
-        states, inputs = _along(own, moves[:, :count])
-        from_start, inputs_from_start = _along(own, start)
-        phases.append(PhaseSensitivity(states, from_start, inputs, inputs_from_start))
+    moves = np.hstack([moves[:, :count], start])
+    phases = [
+        PhaseSensitivity(*(one for move in _along(own, moves) for one in np.split(move, [count], axis=2)))
+        for own in program.parts
+    ]
     return SolutionSensitivity(status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak)
 
 

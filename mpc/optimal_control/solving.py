@@ -25,10 +25,17 @@ from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import BOTTOMLESS, CHEAPER, FEASIBLE, LEAST_SECONDS, OPTIMAL, USUAL_ITERATIONS, WELL_SIZED
 
-LIMITS = ("Maximum_Iterations_Exceeded", "Maximum_WallTime_Exceeded", "Maximum_CpuTime_Exceeded", "User_Requested_Stop")
-IMPOSSIBLE = ("Infeasible_Problem_Detected", "Restoration_Failed")
-UNDEFINED = ("Invalid_Number_Detected",)
-ENDLESS = ("Diverging_Iterates",)
+SAID = {
+    "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,
+    "Maximum_WallTime_Exceeded": OptimalControlStatus.STOPPED,
+    "Maximum_CpuTime_Exceeded": OptimalControlStatus.STOPPED,
+    "User_Requested_Stop": OptimalControlStatus.STOPPED,
+    "Infeasible_Problem_Detected": OptimalControlStatus.INFEASIBLE,
+    "Restoration_Failed": OptimalControlStatus.INFEASIBLE,
+    "Invalid_Number_Detected": OptimalControlStatus.UNDEFINED,
+}
+ENDLESS = "Diverging_Iterates"
+
 
 
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
@@ -131,7 +138,7 @@ class _Run:
         # begun with a small barrier, which at full height would pull inputs back between their bounds
         other = self.solved(shaken(program), None, warm=True)
         f, then = (float(program.derivatives.values(one.v)[0]) for one in (found, other))
-        gone = other.ended or other.said in ENDLESS
+        gone = other.ended or other.said == ENDLESS
         if gone and then < f - CHEAPER * max(program.cost_scale, abs(f)):
             return other
         self.program = program
@@ -154,7 +161,7 @@ class _Run:
     def _falls(self, found: Found) -> bool:
         """Whether the cost fell without end."""
         first, last = (float(self.program.derivatives.values(v)[0]) for v in (self.program.guess, found.v))
-        return last < -BOTTOMLESS * max(1.0, abs(first)) or (found.said in ENDLESS and last < first)
+        return last < -BOTTOMLESS * max(1.0, abs(first)) or (found.said == ENDLESS and last < first)
 
     def _confirmed(self, found: Found) -> tuple[Found, OptimalControlStatus, tuple[str, ...]]:
         """Verdict of infeasibility checked from several starts.
@@ -181,7 +188,7 @@ class _Run:
                 return again, status, ()
             if least is None or tried.violations.sum() < least.violations.sum():
                 least = tried
-            if tried.said in LIMITS:
+            if SAID.get(tried.said) is OptimalControlStatus.STOPPED:
                 return found, OptimalControlStatus.STOPPED, ()
         if least is None or not least.ended:
             return found, OptimalControlStatus.INACCURATE, ()
@@ -222,16 +229,10 @@ def _held(program: NonlinearProgram, p: ArrayLike) -> NonlinearProgram:
 
 def _status(found: Found) -> OptimalControlStatus:
     """Status from the solver's word and the residuals."""
-    said, residuals = found.said, found.residuals
-    if residuals.worst <= OPTIMAL and residuals.primal <= FEASIBLE:
+    feasible = found.residuals.primal <= FEASIBLE
+    if feasible and found.residuals.worst <= OPTIMAL:
         return OptimalControlStatus.SOLVED
-    if said in LIMITS:
-        return OptimalControlStatus.STOPPED
-    if said in UNDEFINED:
-        return OptimalControlStatus.UNDEFINED
-    if said in IMPOSSIBLE or not residuals.primal <= FEASIBLE:
-        return OptimalControlStatus.INFEASIBLE
-    return OptimalControlStatus.INACCURATE
+    return SAID.get(found.said, OptimalControlStatus.INACCURATE if feasible else OptimalControlStatus.INFEASIBLE)
 
 
 def _from_solution(program: NonlinearProgram, start: Solution) -> tuple[Array, dict[str, Array] | None]:

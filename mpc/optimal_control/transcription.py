@@ -14,7 +14,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
 from mpc.optimal_control.notes import check_at_guess
-from mpc.optimal_control.phase import Phase, signal_at
+from mpc.optimal_control.phase import Phase, signal_along
 from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
@@ -70,7 +70,7 @@ class _Assembly:
     def program(self) -> NonlinearProgram:
         """Whole program, its rows not yet sized."""
         problem = self.problem
-        count, p_guess = len(problem.phases), np.asarray(problem.p_guess)
+        p_guess = np.asarray(problem.p_guess)
         layouts = [layout_of(phase, own.nw, self.scheme) for phase, own in zip(problem.phases, problem.functions)]
         firsts = [
             self._unknown(*phase_unknowns(phase, functions, p_guess, layout, mesh))
@@ -83,14 +83,14 @@ class _Assembly:
         costs = self._costs_of_scenarios()
         alone = costs.stop > costs.start
         parts: list[PhasePart] = []
-        for k in range(count):
+        for k, phase in enumerate(problem.phases):
             before = range(k) if problem.linked else range(0)
             start = problem.phases[0 if problem.linked else k].start_time
             start += sum(problem.phases[i].duration[0] for i in before if durations[i] < 0)
             free = np.array([durations[i] for i in (*before, k) if durations[i] >= 0], dtype=int)
             defects, path, interval = self._rows_of_intervals(k, layouts[k])
-            part = PhasePart(problem.phases[k], problem.functions[k], layouts[k], self.scheme, self.meshes[k],
-                             firsts[k], start, free, defects, path, interval)  # fmt: skip
+            part = PhasePart(phase, problem.functions[k], layouts[k], self.scheme, self.meshes[k], firsts[k], start,
+                             free, defects, path, interval)  # fmt: skip
             parts.append(part)
             cost = (1 + k, 1.0) if alone else (0, float(problem.weights[k]))
             signals = self._intervals(part, *cost)
@@ -129,7 +129,7 @@ class _Assembly:
         at = np.ravel(fractions)
         each = np.broadcast_arrays(low, high, scale, np.zeros(len(entries)))[:3]
         sides = tuple(np.tile(side.astype(float), len(at)) for side in each)
-        first = sum(len(low) for low, *_ in self.bounds)
+        first = self.kinds[-1].last if self.kinds else 0
         own = slice(first, first + len(sides[0]))
         self.bounds.append(sides)
         if own.stop > first:
@@ -187,8 +187,7 @@ class _Assembly:
     def _intervals(self, part: PhasePart, target: int, weight: float) -> Array:
         """Append costs and equations of a phase's intervals; return the signal (nw · points, N)."""
         phase, layout, N = part.phase, part.layout, part.intervals
-        times = phase.start_time + phase.duration[0] * times_of(layout.signals, part.mesh)
-        signals = signal_at(phase, times.ravel()).reshape(N, -1).T
+        signals = signal_along(phase, times_of(layout.signals, part.mesh)).T
 
         def values(p: Any, free: Any, data: Any, **own: Any) -> list[Any]:
             start, length = part.clock(free)
@@ -215,10 +214,14 @@ class _Assembly:
         low, high = part.functions.path_bounds
         kept = np.arange(len(low))
         if layout.points == (0.0,):  # with the input that is held last
-            fraction, node, signal = 1.0, part.last - layout.node, signals[len(signals) - nw :, -1:]
+            fraction = 1.0
+            signal = signals[len(signals) - nw :, -1:]
+            node = part.last - layout.node
             inputs = node - layout.nu + np.arange(layout.nu)
         else:
-            fraction, node, signal = 0.0, part.first, signals[:nw, :1]
+            fraction = 0.0
+            signal = signals[:nw, :1]
+            node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
             if not layout.node_inputs:
                 kept = np.setdiff1d(kept, path.jac_sparsity(0, 1).row())
