@@ -228,13 +228,15 @@ class LinearMPC(MPCProblem):
         >>> found = controller.sensitivity(x, dA=dA, dB=dB)
         >>> found.input_by_state, found.cost_by_parameters, found.status.advice
         """
-        from mpc.sensitivities.linear import linear_sensitivity
+        from mpc.sensitivities.along_plan import sensitivity_of
+        from mpc.sensitivities.changes import LinearModel, as_changes
 
         given = spread_signals(self, dict(signals))
         plan = self.solve(x, **signals)
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
-        return linear_sensitivity(self, plan, given, derivatives)
+        changes = as_changes(self, derivatives)
+        return sensitivity_of(self, LinearModel(self, given, changes.model), changes, plan, given)
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
