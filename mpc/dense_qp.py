@@ -12,7 +12,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.plan import Residuals
-from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL, UNREACHED
+from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class DenseQP:
         if not len(self._empty):
             return False
         unit = np.abs(b).max(initial=0.0) if self._units is None else self._units[self._empty]
-        return bool((b[self._empty] < -UNREACHED * unit).any())
+        return bool((b[self._empty] < -PRIMAL * unit).any())
 
     def _daqp(self, q: Array, b: Array) -> tuple[Array, Array, int]:
         """Minimiser, multipliers and exit flag of DAQP, warm-started in this thread."""

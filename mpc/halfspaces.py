@@ -8,7 +8,7 @@ import numpy as np
 
 from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
-from mpc.tolerances import EMPTY, FAR, ROUNDED_ZERO, SMALL_BOUND
+from mpc.tolerances import EMPTY, FAR, NEGLIGIBLE, ROUNDED_SUM
 
 
 def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
@@ -37,7 +37,7 @@ def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
     reach = np.asarray(crossing.max(axis=0, initial=0.0))
     if farthest:
         return reach
-    crossing[crossing <= ROUNDED_ZERO * reach] = np.inf
+    crossing[crossing <= ROUNDED_SUM * reach] = np.inf
     nearest = crossing.min(axis=0, initial=np.inf)
     return np.where(np.isfinite(nearest), nearest, 0.0)
 
@@ -114,7 +114,7 @@ class Limits:
     def own(self) -> dict[str, Flags]:
         """Whether each row is priced in units of its bound."""
         reaches = self.reaches()
-        return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self.sets.items()}
+        return {kind: np.asarray(np.abs(h) > NEGLIGIBLE * reaches[kind]) for kind, (_, h) in self.sets.items()}
 
 
 def first_positive(*sizes: Array) -> Array:

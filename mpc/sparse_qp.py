@@ -19,7 +19,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.solving import Candidate, CondensedSolver, inputs_conflict, regulated, saturated_regulator, stagewise_candidate
 from mpc.stages import StagewiseQP
-from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW, REMEMBERED
+from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, REMEMBERED
 
 
 class SparseSolver:
@@ -128,7 +128,7 @@ class SparseSolver:
         if model is None:
             model = osqp.OSQP()
             model.setup(
-                self._H, q, self._K, low, high, eps_abs=OSQP, eps_rel=OSQP, polishing=True, verbose=False,
+                self._H, q, self._K, low, high, eps_abs=KKT, eps_rel=KKT, polishing=True, verbose=False,
                 max_iter=20_000, check_dualgap=False,
             )  # fmt: skip
             self._workspace.model = model
