@@ -92,7 +92,9 @@ class MPCProblem:
         ):  # fmt: skip
             checked = as_set(name, getattr(self, name), n)
             H, h = as_halfspaces(name, checked, n)
-            _refuse_empty(name, H, h)
+            if len(h) and is_empty(H, h):
+                got = f"an empty set of {len(h)} rows"
+                raise InputError(name, got, "at least one point", "Is a lower bound too high?")
             self._set(**{name: checked, rows: (H, h)})
 
     def _check_options(self) -> None:
@@ -242,9 +244,3 @@ class MPCProblem:
             By default the one that was given to this problem; where none was, the Riccati solution of the new model.
         """
         return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
-
-
-def _refuse_empty(name: str, H: Array, h: Array) -> None:
-    """Raise where no point satisfies the rows."""
-    if len(h) and is_empty(H, h):
-        raise InputError(name, f"an empty set of {len(h)} rows", "at least one point", "Is a lower bound too high?")

@@ -28,15 +28,7 @@ class SparseSolver:
     The solver is OSQP, an operator-splitting method (Stellato et al., Math. Prog. Comp. 12, 2020), or Clarabel. OSQP's
     answer is checked against the optimality conditions, and Clarabel asked where they do not hold. What neither solves
     is solved condensed, or, where that has too many variables, goes to `solve_stagewise`, which prices violations.
-
-    Parameters
-    ----------
-    problem : MPCProblem
-        What to solve.
-    parameters : tuple of str
-        Signals that will be given.
-    solver : str
-        "osqp" or "clarabel".
+    `parameters` are the signals that will be given, `solver` is "osqp" or "clarabel".
     """
 
     def __init__(self, problem: MPCProblem, parameters: tuple[str, ...], solver: str):

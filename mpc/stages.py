@@ -41,19 +41,10 @@ class QPStage:
 
 
 class StagewiseQP:
-    """Stages of a problem, and conversion of units.
+    """Stages of a problem from the first state x (nx,) and signals over the horizon, and conversion of units.
 
-    Parameters
-    ----------
-    problem : MPCProblem
-    x : (nx,) array
-        First state.
-    given : dict
-        Signals over the horizon.
-    price : (linear, quadratic) or None
-        Price of the largest relative violation of each step; None makes the state constraints hard.
-    input_size : (nu,) array, optional
-        By default what the first state and the references ask for.
+    price : (linear, quadratic), of the largest relative violation of each step; None makes the state constraints hard;
+    input_size : (nu,), by default what the first state and the references ask for.
     """
 
     def __init__(

@@ -23,15 +23,8 @@ SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
 class Changes:
     """Derivatives of cost and limits by np parameters.
 
-    Attributes
-    ----------
-    Q, R, S, P : (·, ·, np) arrays
-    bounds : dict of str to (rows, np) array
-        Of h in {v : Hv <= h}, by kind of constraint.
-    units : dict of str to (rows, np) array
-        Of the units in which violations of soft limits have a price.
-    model : dict of str to (·, ·, np) array
-        dA, dB and dE of a linear model.
+    Q, R, S, P : (·, ·, np); bounds : by kind of constraint (rows, np), of h in {v : Hv <= h}; units : likewise, of the
+    units in which violations of soft limits have a price; model : dA, dB and dE (·, ·, np) of a linear model.
     """
 
     Q: Array
@@ -51,14 +44,8 @@ class Changes:
 def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count: int | None = None) -> Changes:
     """Derivatives dA, …, d_rate_limit, checked; 0 for None.
 
-    Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others.
-
-    Parameters
-    ----------
-    problem : MPCProblem
-    given : dict of str to array
-    count : int, optional
-        Number of parameters; by default what the arrays say.
+    Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others. The
+    number of parameters is `count`, by default what the arrays say.
     """
     nx, nu, nw = problem.nx, problem.nu, problem.nw
     if given.get("dE") is not None and not nw:
