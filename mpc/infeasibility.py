@@ -142,10 +142,11 @@ def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
 
 def _what_gave(problem: MPCProblem, labels: tuple[Constraint, ...], states: Array, units: Array) -> dict[int, float]:
     """Rows violated by the states, with their violations in `units`."""
+    sets = problem.limits.sets
     amounts = {}
     for i, (kind, step, row) in enumerate(labels):
         if kind in ("state", "terminal"):
-            H, h = problem.limits.sets[kind]
+            H, h = sets[kind]
             amounts[i] = float(H[row] @ states[step] - h[row]) / units[i]
     return {i: amount for i, amount in amounts.items() if amount > FEASIBLE}
 

@@ -9,7 +9,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.feedback import block_lengths
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, pushes
+from mpc.rollout import Given, no_faster, pushes
 from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
 
 
@@ -74,23 +74,16 @@ class StagewiseQP:
 
     def first_guess(self, inputs: Array) -> list[Array]:
         """Strictly admissible variables of every stage near inputs (N, nu)."""
-        scaled = self._towards(inputs) / self.input_size
+        # towards the middle, within less than the rate limit
+        scaled = FIRST_GUESS_SHARE * np.asarray(inputs)
+        if self.problem.rate_limit is not None:
+            last = self.start[self.problem.nx :] * self.input_size
+            scaled = no_faster(scaled, last, FIRST_GUESS_SHARE * self.problem.rate_limit, self.held)
+        scaled = scaled / self.input_size
         return [
             np.concatenate([scaled[k] if stage.nu else [], np.zeros(len(stage.gv) - stage.nu)])
             for k, stage in enumerate(self.stages)
         ]
-
-    def _towards(self, inputs: Array) -> Array:
-        """Inputs towards the middle, within less than the rate limit."""
-        followed = FIRST_GUESS_SHARE * np.asarray(inputs)
-        if self.problem.rate_limit is None:
-            return followed
-        last = self.start[self.problem.nx :] * self.input_size
-        for k, wanted in enumerate(followed):
-            move = 0.0 if self.held[k] else wanted - last
-            share = np.max(np.abs(move) / (FIRST_GUESS_SHARE * self.problem.rate_limit), initial=1.0)
-            last = followed[k] = last + move / share  # between two inputs of U, so in U
-        return followed
 
     def plan(self, states: list[Array], variables: list[Array], x: Array) -> tuple[Array, Array]:
         """Inputs (N, nu) and states (N + 1, nx) in plant units."""
