@@ -55,20 +55,18 @@ def is_empty(H: Array, h: Array) -> bool:
 
 
 def nearest_points(V: Array, H: Array, h: Array) -> Array:
-    """Points (n, nu) of {v : Hv <= h} nearest to rows of V."""
+    """Points (n, nu) of {v : Hv <= h} nearest to rows of V, in units of the set."""
     box = box_of(H, h)
     if box is not None:
         return np.asarray(np.clip(V, *box), dtype=np.float64)
-    return np.array([nearest_point(v, H, h) for v in V]).reshape(V.shape)
-
-
-def nearest_point(v: Array, H: Array, h: Array) -> Array:
-    """Point of {v : Hv <= h} nearest to v in set units."""
     extent = along_axes(H, h)
     metric = 1 / np.where(extent > 0, extent, 1.0)
-    distance = float(np.abs(v * metric).max())
-    shrunk = v * metric * min(1.0, FAR / max(distance, np.finfo(float).tiny))
-    return DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
+    near = np.empty(V.shape)
+    for k, v in enumerate(V):
+        distance = float(np.abs(v * metric).max())
+        shrunk = v * metric * min(1.0, FAR / max(distance, np.finfo(float).tiny))
+        near[k] = DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
+    return near
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,8 +95,14 @@ def build_tree(
         )
     if partition.status is not MPQPStatus.COMPLETE:
         return tree
+    from mpc.explicit.kernels.halfspace import interior_point
+
     border = _border(partition, tree, points)
-    return replace(tree, border=border, centre=_centre_of(border))
+    centre = np.zeros(n)  # becomes a point well within the border, if there is one
+    if len(border):
+        A, b = (np.ascontiguousarray(part) for part in (border[:, :-1], border[:, -1]))
+        interior_point(A, b, np.inf, centre)
+    return replace(tree, border=border, centre=centre)
 
 
 def search(
@@ -256,15 +262,3 @@ def _border(partition: Partition, tree: SearchTree, points: RegionPoints) -> Arr
     facet = np.minimum(facet, points.starts[region + 1] - 1)
     across = partition.centre + partition.half * (points.points[facet] + CROSSING * rows[candidates, :-1])
     return np.ascontiguousarray(rows[candidates[search(tree, partition, across)[1]]])
-
-
-def _centre_of(border: Array) -> Array:
-    """Point well within the border; the origin without one."""
-    n = border.shape[1] - 1
-    centre = np.zeros(n)
-    if len(border):
-        from mpc.explicit.kernels.halfspace import interior_point
-
-        A = np.ascontiguousarray(border[:, :-1])
-        interior_point(A, np.ascontiguousarray(border[:, -1]), np.inf, centre)
-    return centre

@@ -91,6 +91,7 @@ class Linearised:
 
     def __init__(self, conditions: Conditions, point: Point) -> None:
         self.conditions, self.point = conditions, point
+        self.free = conditions.free  # columns of z and the slacks
         problem, at, given = conditions.problem, conditions.columns, conditions.given
         nx, N = problem.nx, problem.horizon
         after, A, B, F = conditions.model.first(point.states[:-1], point.inputs)
@@ -114,6 +115,7 @@ class Linearised:
         for i, k, change in priced:
             self.rows[i, at["p"]] -= point.slacks[k] * change
         self.units = row_units(problem, self.labels)
+        self.on_bound = self.values >= -WEAKLY_ACTIVE * self.units  # rows that hold with equality
         held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         own = [label.kind != "input" or not held[label.step] for label in self.labels]
         self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
@@ -147,11 +149,6 @@ class Linearised:
         self.H = whole[:, conditions.free]
         self.F = whole[:, : conditions.nt]
         self.F_gap = whole[:, at["gap"]].ravel()
-
-    @property
-    def free(self) -> slice:
-        """Columns of z and the slacks."""
-        return self.conditions.free
 
     def _hessian(self, forms: Array, curvature: Array) -> Array:
         """Lagrangian Hessian (n, ·) by (z, slacks) and ξ."""
@@ -240,8 +237,3 @@ class Linearised:
         }
         idle = [label.kind == "slack" and label.step not in near for label in self.labels]
         return np.asarray(pushing | np.array(idle, dtype=bool))
-
-    @property
-    def on_bound(self) -> Flags:
-        """Whether each row (m,) holds with equality, up to tolerance."""
-        return np.asarray(self.values >= -WEAKLY_ACTIVE * self.units)
