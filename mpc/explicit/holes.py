@@ -90,9 +90,10 @@ class OnlineQP:
         """Whether a point holds every row without a tolerance."""
         room = TIE * (1.0 + np.abs(bounds))
         found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
-        if (self.qp.M @ found <= bounds).all():
-            return True
-        # where HiGHS does not end, nobody can tell, and the parameter counts
+        return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
+
+    def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
+        """Whether a linear program finds room, for v within reach, or does not end: then nobody can tell."""
         cost = np.append(self.free, -1.0)
         rows = np.hstack([self.qp.M, room[:, None] / TIE])
         limits = [(-self.qp.reach, self.qp.reach)] * len(self.free) + [(None, 1.0)]
