@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from mpc.checks import Array
 from mpc.exceptions import InputError, NotConvexError
@@ -33,7 +32,7 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
         The condensed Hessian is not positive definite.
     """
     sizes = _sizes(problem, parameters)
-    at = places({**sizes, "z": len(block_lengths(problem)) * problem.nu})
+    at = places({**sizes, "z": len(block_lengths(problem)) * problem.nu, "s": number_of_slacks(problem)})
     nt, nv = at["z"].start, at["z"].stop
     N = problem.horizon
     if N * problem.nx * nv + nv**2 > MOST_MATRIX_ENTRIES:
@@ -41,7 +40,7 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
             "horizon", N, f"matrices of at most {MOST_MATRIX_ENTRIES:.0e} numbers",
             'Shorten it, block moves, or keep the states with solver="osqp".',
         )  # fmt: skip
-    driven = np.broadcast_to(0.0, (N, problem.nx, nv))
+    driven = np.broadcast_to(0.0, (N, problem.nx, at["s"].stop))
     if "w" in at:
         driven = np.zeros(driven.shape)
         for k, push in enumerate(driven):
@@ -51,19 +50,16 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
     W = _cost(problem, U, X, at)
     rows, w, labels = constraints_of(problem, U, X, at)
     H = 2 * W[nt:, nt:]
-    f = np.zeros(nv - nt)
+    f = np.zeros(len(H))
     if problem.soft is not None:
-        rows, w, labels = soften(problem, rows, w, labels)
-        H = block_diag(H, 2 * problem.soft[1] * np.eye(N))
-        f = np.concatenate([f, np.full(N, problem.soft[0])])
+        linear, quadratic = problem.soft
+        f[nv - nt :] = linear
+        H[nv - nt :, nv - nt :] = 2 * quadratic * np.eye(N)
     _check_convex(H)
-    slack = len(H) - (nv - nt)
-    (Lt, Lz), (Xt, Xz) = (np.split(form.reshape(-1, nv), [nt], axis=1) for form in (U, X))
+    (Lt, Lz), (Xt, Xz) = (np.split(form.reshape(-1, len(W)), [nt], axis=1) for form in (U, X))
     return ParametricQP(
-        H=H, F=np.vstack([2 * W[nt:, :nt], np.zeros((slack, nt))]), f=f, Y=2 * W[:nt, :nt], y=np.zeros(nt), c=0.0,
-        G=rows[:, nt:], w=w, S=-rows[:, :nt],
-        Lz=np.hstack([Lz, np.zeros((len(Lz), slack))]), Lt=Lt, l=np.zeros(len(Lz)),
-        Xz=np.hstack([Xz, np.zeros((len(Xz), slack))]), Xt=Xt, x=np.zeros(len(Xz)),
+        H=H, F=2 * W[nt:, :nt], f=f, Y=2 * W[:nt, :nt], y=np.zeros(nt), c=0.0, G=rows[:, nt:], w=w, S=-rows[:, :nt],
+        Lz=Lz, Lt=Lt, l=np.zeros(len(Lz)), Xz=Xz, Xt=Xt, x=np.zeros(len(Xz)),
         nu=problem.nu, parameters=tuple(sizes.items()), labels=tuple(labels),
     )  # fmt: skip
 
@@ -126,7 +122,7 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]) -> Arra
 def constraints_of(
     problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]
 ) -> tuple[Array, Array, list[Constraint]]:
-    """Rows (m, nv) with rows ξ <= w, and their labels."""
+    """Rows (m, nv) with rows ξ <= w, and their labels; with soft limits one slack per step, relative to their units."""
     nv = U.shape[-1]
     rows = [np.zeros((0, nv))]
     bounds = [np.zeros(0)]
@@ -149,27 +145,25 @@ def constraints_of(
             impose("rate", k, (both, np.tile(problem.rate_limit, 2)), U[k] - before)
         impose("state", k + 1, problem.state_rows, X[k + 1])
     impose("terminal", problem.horizon, problem.terminal_rows, X[problem.horizon])
-    return np.vstack(rows), np.concatenate(bounds), labels
+    if problem.soft is not None:
+        for k in range(problem.horizon):
+            impose("slack", k + 1, (-np.eye(1), np.zeros(1)), np.eye(1, nv, at["s"].start + k))
+    matrix = np.vstack(rows)
+    for row, (kind, step, number) in zip(matrix, labels):
+        if problem.soft is not None and kind in ("state", "terminal"):
+            row[at["s"].start + step - 1] = -problem.price_units[kind][number]
+    return matrix, np.concatenate(bounds), labels
+
+
+def number_of_slacks(problem: MPCProblem) -> int:
+    """One for each step where limits are soft."""
+    return 0 if problem.soft is None else problem.horizon
 
 
 def row_units(problem: MPCProblem, labels: list[Constraint] | tuple[Constraint, ...]) -> Array:
     """Unit of each row for comparing violations; 1 for a slack."""
     units = problem.row_units
     return np.array([units[label.kind][label.row] if label.kind in units else 1.0 for label in labels])
-
-
-def soften(
-    problem: MPCProblem, rows: Array, w: Array, labels: list[Constraint]
-) -> tuple[Array, Array, list[Constraint]]:
-    """Rows, bounds and labels with a slack for each step, relative to the units of its rows."""
-    N = problem.horizon
-    columns = np.zeros((len(rows), N))
-    for i, label in enumerate(labels):
-        if label.kind in ("state", "terminal"):
-            columns[i, label.step - 1] = -problem.price_units[label.kind][label.row]
-    nonnegative = np.hstack([np.zeros((N, rows.shape[1])), -np.eye(N)])
-    rows = np.vstack([np.hstack([rows, columns]), nonnegative])
-    return rows, np.concatenate([w, np.zeros(N)]), labels + [Constraint("slack", k + 1, 0) for k in range(N)]
 
 
 def _check_convex(H: Array) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.plan import Residuals
-from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL, UNREACHED
+from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,10 @@ class DenseQP:
                 y = y2
         multipliers = np.zeros(self._m)
         multipliers[self._rows] = y * self._r * size
-        return QPResult(z * self._d * size, multipliers, residuals, infeasible or self._unreached(b), solver)
+        # a row that no variable reaches is violated or not
+        unit = np.abs(b).max(initial=0.0) if self._units is None else self._units[self._empty]
+        unreached = bool((b[self._empty] < -PRIMAL * unit).any())
+        return QPResult(z * self._d * size, multipliers, residuals, infeasible or unreached, solver)
 
     def _size_of(self, q: Array, bs: Array) -> float:
         """Unit of the variables, from bounds, cost and violated rows.
@@ -101,13 +104,6 @@ class DenseQP:
         violated = float(np.max(-bs, initial=0.0))
         asked = max(float(np.abs(q).max(initial=0.0)), violated)
         return max(min(size, asked) if asked > 0 else size, FAR_BOUND * violated)
-
-    def _unreached(self, b: Array) -> bool:
-        """Whether a row that no variable reaches is violated."""
-        if not len(self._empty):
-            return False
-        unit = np.abs(b).max(initial=0.0) if self._units is None else self._units[self._empty]
-        return bool((b[self._empty] < -UNREACHED * unit).any())
 
     def _daqp(self, q: Array, b: Array) -> tuple[Array, Array, int]:
         """Minimiser, multipliers and exit flag of DAQP, warm-started in this thread."""

@@ -92,19 +92,14 @@ def _riccati_gains(problem: MPCProblem, A: Array, B: Array, weights: Weights) ->
             M += stage
         Mxu = M[: problem.nx, problem.nx :]
         Muu = M[problem.nx :, problem.nx :]
-        K = _solve_scaled(Muu, Mxu.T)
+        d = np.sqrt(np.abs(np.diag(Muu)))
+        d[d == 0] = 1.0
+        K = np.linalg.lstsq(Muu / d / d[:, None], Mxu.T / d[:, None], rcond=None)[0] / d[:, None]
         gains[b] = K
         T = np.vstack([np.eye(problem.nx), -K])
         P = T.T @ M @ T
         P = (P + P.T) / 2
     return gains
-
-
-def _solve_scaled(M: Array, right: Array) -> Array:
-    """Product M⁻¹ right for M ⪰ 0, least squares where singular."""
-    d = np.sqrt(np.abs(np.diag(M)))
-    d[d == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(M / d / d[:, None], right / d[:, None], rcond=None)[0] / d[:, None])
 
 
 def _growth(problem: MPCProblem, A: Array, B: Array, gains: Array | None, sx: Array) -> float:

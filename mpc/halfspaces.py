@@ -8,7 +8,7 @@ import numpy as np
 
 from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
-from mpc.tolerances import EMPTY, FAR, ROUNDED_ZERO, SMALL_BOUND
+from mpc.tolerances import EMPTY, FAR, NEGLIGIBLE, ROUNDED_SUM
 
 
 def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
@@ -37,7 +37,7 @@ def along_axes(H: Array, h: Array, *, farthest: bool = False) -> Array:
     reach = np.asarray(crossing.max(axis=0, initial=0.0))
     if farthest:
         return reach
-    crossing[crossing <= ROUNDED_ZERO * reach] = np.inf
+    crossing[crossing <= ROUNDED_SUM * reach] = np.inf
     nearest = crossing.min(axis=0, initial=np.inf)
     return np.where(np.isfinite(nearest), nearest, 0.0)
 
@@ -55,20 +55,18 @@ def is_empty(H: Array, h: Array) -> bool:
 
 
 def nearest_points(V: Array, H: Array, h: Array) -> Array:
-    """Points (n, nu) of {v : Hv <= h} nearest to rows of V."""
+    """Points (n, nu) of {v : Hv <= h} nearest to rows of V, in units of the set."""
     box = box_of(H, h)
     if box is not None:
         return np.asarray(np.clip(V, *box), dtype=np.float64)
-    return np.array([nearest_point(v, H, h) for v in V]).reshape(V.shape)
-
-
-def nearest_point(v: Array, H: Array, h: Array) -> Array:
-    """Point of {v : Hv <= h} nearest to v in set units."""
     extent = along_axes(H, h)
     metric = 1 / np.where(extent > 0, extent, 1.0)
-    distance = float(np.abs(v * metric).max())
-    shrunk = v * metric * min(1.0, FAR / max(distance, np.finfo(float).tiny))
-    return DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
+    near = np.empty(V.shape)
+    for k, v in enumerate(V):
+        distance = float(np.abs(v * metric).max())
+        shrunk = v * metric * min(1.0, FAR / max(distance, np.finfo(float).tiny))
+        near[k] = DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
+    return near
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ class Limits:
     def own(self) -> dict[str, Flags]:
         """Whether each row is priced in units of its bound."""
         reaches = self.reaches()
-        return {kind: np.asarray(np.abs(h) > SMALL_BOUND * reaches[kind]) for kind, (_, h) in self.sets.items()}
+        return {kind: np.asarray(np.abs(h) > NEGLIGIBLE * reaches[kind]) for kind, (_, h) in self.sets.items()}
 
 
 def first_positive(*sizes: Array) -> Array:

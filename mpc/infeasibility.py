@@ -72,21 +72,9 @@ def explain_infeasibility(
     The least sum of relative violations (a linear program) says what has to give; it is thinned until every member is
     needed. A minimal contradiction is found by a deletion filter on the support of a Farkas certificate.
 
-    Parameters
-    ----------
-    problem : MPCProblem
-        Whose constraints are named.
-    qp : ParametricQP
-        Its QP.
-    theta : (nt,) array
-        Parameter.
-    runaway : (N + 1, nx) array, optional
-        States of the relaxed plan, where they run away. They then say what gives, and the contradiction is looked for
-        among as few first steps as have one: linear programs over the whole horizon would have no digits left.
-
-    References
-    ----------
-    Chinneck, *Feasibility and Infeasibility in Optimization*, Springer 2008, chapters 6 and 7.
+    Where the states (N + 1, nx) of the relaxed plan run away, they say what gives, and the contradiction is looked for
+    among as few first steps as have one: linear programs over the whole horizon would have no digits left (Chinneck,
+    *Feasibility and Infeasibility in Optimization*, Springer 2008, chapters 6 and 7).
     """
     units = row_units(problem, qp.labels)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -154,10 +142,11 @@ def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
 
 def _what_gave(problem: MPCProblem, labels: tuple[Constraint, ...], states: Array, units: Array) -> dict[int, float]:
     """Rows violated by the states, with their violations in `units`."""
+    sets = problem.limits.sets
     amounts = {}
     for i, (kind, step, row) in enumerate(labels):
         if kind in ("state", "terminal"):
-            H, h = problem.limits.sets[kind]
+            H, h = sets[kind]
             amounts[i] = float(H[row] @ states[step] - h[row]) / units[i]
     return {i: amount for i, amount in amounts.items() if amount > FEASIBLE}
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, field, fields
+from functools import cache, cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -97,7 +97,7 @@ class LinearMPC(MPCProblem):
         size = f"{self.nx} states, {self.nu} inputs, N={self.horizon}"
         if self.solver != "daqp":
             return f"LinearMPC({size}, {self.solver})"
-        qp = self._condensed[("u_prev",) if self.rate_limit is not None else ()].qp
+        qp = self._condensed(("u_prev",) if self.rate_limit is not None else ()).qp
         return f"LinearMPC({size}, {qp.nz} variables, {qp.m} constraints)"
 
     @property
@@ -194,7 +194,7 @@ class LinearMPC(MPCProblem):
 
         x = as_array("x", x, (self.nx,))
         given = spread_signals(self, dict(signals))
-        solver = self._condensed[tuple(sorted(given))]
+        solver = self._condensed(tuple(sorted(given)))
         return explain_infeasibility(self, solver.qp, solver.theta(x, given), solver.runaway(x, given))
 
     def sensitivity(
@@ -228,13 +228,15 @@ class LinearMPC(MPCProblem):
         >>> found = controller.sensitivity(x, dA=dA, dB=dB)
         >>> found.input_by_state, found.cost_by_parameters, found.status.advice
         """
-        from mpc.sensitivities.linear import linear_sensitivity
+        from mpc.sensitivities.along_plan import sensitivity_of
+        from mpc.sensitivities.changes import LinearModel, as_changes
 
         given = spread_signals(self, dict(signals))
         plan = self.solve(x, **signals)
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
-        return linear_sensitivity(self, plan, given, derivatives)
+        changes = as_changes(self, derivatives)
+        return sensitivity_of(self, LinearModel(self, given, changes.model), changes, plan, given)
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,
@@ -273,47 +275,26 @@ class LinearMPC(MPCProblem):
         return ExplicitMPC.from_partition(partition, self.input_rows, method=method, tree_time_limit=tree_time_limit)
 
     def _solver_for(self, parameters: tuple[str, ...]) -> CondensedSolver | SparseSolver:
-        """Solver for a combination of signals."""
-        return (self._condensed if self.solver == "daqp" else self._sparse)[parameters]
+        """Solver for a combination of signals, built on demand."""
+        return self._condensed(parameters) if self.solver == "daqp" else self._sparse(parameters)
 
     @cached_property
-    def _condensed(self) -> _Built[CondensedSolver]:
-        """Solvers of the condensed QP by signals."""
-        return _Built(partial(CondensedSolver, self))
+    def _condensed(self) -> Callable[[tuple[str, ...]], CondensedSolver]:
+        """Signals → solver of the condensed QP."""
+        return cache(partial(CondensedSolver, self))
 
     @cached_property
-    def _sparse(self) -> _Built[SparseSolver]:
-        """Solvers with the states kept, by signals."""
-        return _Built(partial(SparseSolver, self, solver=self.solver))
+    def _sparse(self) -> Callable[[tuple[str, ...]], SparseSolver]:
+        """Signals → solver with the states kept."""
+        return cache(partial(SparseSolver, self, solver=self.solver))
 
-
-Solver = TypeVar("Solver", CondensedSolver, SparseSolver)
-
-
-class _Built(dict[tuple[str, ...], Solver]):
-    """Solver for each combination of signals, built on demand."""
-
-    def __init__(self, build: Callable[[tuple[str, ...]], Solver]):
-        super().__init__()
-        self._build: Callable[[tuple[str, ...]], Solver] = build
-
-    def __missing__(self, parameters: tuple[str, ...]) -> Solver:
-        self[parameters] = self._build(parameters)
-        return self[parameters]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _Built, (self._build,)
+    def __getstate__(self) -> dict[str, Any]:
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}  # solvers are built anew
 
 
 def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:
     """Names in `uses`, checked."""
-    names = (
-        (value,)
-        if isinstance(value, str)
-        else tuple(value)
-        if isinstance(value, (tuple, list, set, frozenset))
-        else (value,)
-    )
+    names = tuple(value) if isinstance(value, (tuple, list, set, frozenset)) else (value,)
     known = ("reference", "preview") if nw else ("reference",)
     for name in names:
         if name not in known:

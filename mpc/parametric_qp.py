@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -152,15 +152,12 @@ class ParametricQP(ReadOnly):
         """Problem without some of its constraints."""
         if not isinstance(rows, Iterable):
             raise InputError("rows", repr(rows), "the numbers of constraints")
-        dropped = {self._row(i) for i in rows}
-        kept = [i for i in range(self.m) if i not in dropped]
+        dropped = list(rows)
+        for i in dropped:
+            if isinstance(i, (bool, np.bool_)) or not isinstance(i, (int, np.integer)) or not 0 <= i < self.m:
+                raise InputError("rows", repr(i), f"numbers of constraints in 0 … {self.m - 1}")
+        kept = sorted({*range(self.m)} - {*dropped})
         return replace(self, G=self.G[kept], w=self.w[kept], S=self.S[kept], labels=tuple(self.labels[i] for i in kept))
-
-    def _row(self, i: Any) -> int:
-        """Number of a constraint, checked."""
-        if isinstance(i, (bool, np.bool_)) or not isinstance(i, (int, np.integer)) or not 0 <= i < self.m:
-            raise InputError("rows", repr(i), f"numbers of constraints in 0 … {self.m - 1}")
-        return int(i)
 
 
 def places(sizes: dict[str, int]) -> dict[str, slice]:

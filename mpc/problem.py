@@ -69,8 +69,23 @@ class MPCProblem:
         self._set(A=A, B=B, Q=as_weight("Q", self.Q, len(A)), R=as_weight("R", self.R, B.shape[1]))
         self._set(S=as_cross_weight(self.S, self.Q, self.R))
         self._set(horizon=as_count("horizon", self.horizon))
-        self._check_sets()
-        self._check_options()
+        for name, rows, n in (
+            ("X", "state_rows", self.nx), ("U", "input_rows", self.nu), ("terminal_set", "terminal_rows", self.nx),
+        ):  # fmt: skip
+            checked = as_set(name, getattr(self, name), n)
+            H, h = as_halfspaces(name, checked, n)
+            if len(h) and is_empty(H, h):
+                got = f"an empty set of {len(h)} rows"
+                raise InputError(name, got, "at least one point", "Is a lower bound too high?")
+            self._set(**{name: checked, rows: (H, h)})
+        if self.E is not None:
+            self._set(E=as_array("E", self.E, (self.nx, None)))
+        if self.rate_limit is not None:
+            self._set(rate_limit=as_rate_limit(self.rate_limit, self.nu))
+        if self.soft is not None:
+            self._set(soft=as_soft(self.soft))
+        if self.blocks is not None:
+            self._set(blocks=as_blocks(self.blocks, self.horizon))
         if self.P is None:
             gain, P = lqr(A, B, Q=self.Q, R=self.R, S=self.S)
             self._set(P=P, given_P=None, riccati_gain=gain)
@@ -84,27 +99,6 @@ class MPCProblem:
             if isinstance(value, np.ndarray):
                 value.flags.writeable = False
             object.__setattr__(self, name, value)
-
-    def _check_sets(self) -> None:
-        """Store the three sets and their half-spaces, none empty."""
-        for name, rows, n in (
-            ("X", "state_rows", self.nx), ("U", "input_rows", self.nu), ("terminal_set", "terminal_rows", self.nx),
-        ):  # fmt: skip
-            checked = as_set(name, getattr(self, name), n)
-            H, h = as_halfspaces(name, checked, n)
-            _refuse_empty(name, H, h)
-            self._set(**{name: checked, rows: (H, h)})
-
-    def _check_options(self) -> None:
-        """Store E, rate limit, soft weights and blocks, checked."""
-        if self.E is not None:
-            self._set(E=as_array("E", self.E, (self.nx, None)))
-        if self.rate_limit is not None:
-            self._set(rate_limit=as_rate_limit(self.rate_limit, self.nu))
-        if self.soft is not None:
-            self._set(soft=as_soft(self.soft))
-        if self.blocks is not None:
-            self._set(blocks=as_blocks(self.blocks, self.horizon))
 
     @property
     def nx(self) -> int:
@@ -242,9 +236,3 @@ class MPCProblem:
             By default the one that was given to this problem; where none was, the Riccati solution of the new model.
         """
         return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
-
-
-def _refuse_empty(name: str, H: Array, h: Array) -> None:
-    """Raise where no point satisfies the rows."""
-    if len(h) and is_empty(H, h):
-        raise InputError(name, f"an empty set of {len(h)} rows", "at least one point", "Is a lower bound too high?")

@@ -22,7 +22,7 @@ from mpc.tolerances import (
     NEGATIVE_WEIGHT,
     REACH,
     RICCATI,
-    ROUNDED_COST,
+    ROUNDED_SUM,
     SETTLED_MARGIN,
     UNIT_CIRCLE,
     UNSEEN,
@@ -184,7 +184,7 @@ class _Regulation:
         slow = int(np.argmax(np.abs(values)))
         mode = vectors[:, slow]
         cost = 2 * (1 - abs(values[slow])) * float((mode.conj() @ P @ mode).real)
-        return bool(cost > ROUNDED_COST * float(np.abs(mode) @ np.abs(self.Q) @ np.abs(mode)))
+        return bool(cost > ROUNDED_SUM * float(np.abs(mode) @ np.abs(self.Q) @ np.abs(mode)))
 
     def _missed(self, K: Array, P: Array) -> Array:
         """Residual of P in the Riccati equation."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_array, as_floats
+from mpc.checks import Array, Flags, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.feedback import block_lengths
 from mpc.halfspaces import nearest_points
@@ -55,10 +55,16 @@ def admissible(problem: MPCProblem, inputs: Array, given: Given) -> Array:
     followed = nearest_points(np.nan_to_num(inputs), *problem.input_rows)
     if problem.rate_limit is None:
         return followed
-    last = given["u_prev"]
-    for k, wanted in enumerate(followed):
-        share = np.max(np.abs(wanted - last) / problem.rate_limit, initial=1.0)
-        last = followed[k] = last + (wanted - last) / share  # between two inputs of U, so in U
+    return no_faster(followed, given["u_prev"], problem.rate_limit, np.zeros(len(followed), dtype=bool))
+
+
+def no_faster(inputs: Array, last: Array, rate_limit: Array, held: Flags) -> Array:
+    """Inputs (N, nu) of U that follow these within the rate limit, the same where they are held."""
+    followed = np.empty_like(inputs)
+    for k, wanted in enumerate(inputs):
+        move = 0.0 if held[k] else wanted - last
+        share = np.max(np.abs(move) / rate_limit, initial=1.0)
+        last = followed[k] = last + move / share  # between two inputs of U, so in U
     return followed
 
 

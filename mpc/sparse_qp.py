@@ -19,7 +19,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.solving import Candidate, CondensedSolver, inputs_conflict, regulated, saturated_regulator, stagewise_candidate
 from mpc.stages import StagewiseQP
-from mpc.tolerances import INTERIOR_POINT, KKT_REPORTED, NEGLIGIBLE, OSQP, OVERFLOW, REMEMBERED
+from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, REMEMBERED
 
 
 class SparseSolver:
@@ -28,15 +28,7 @@ class SparseSolver:
     The solver is OSQP, an operator-splitting method (Stellato et al., Math. Prog. Comp. 12, 2020), or Clarabel. OSQP's
     answer is checked against the optimality conditions, and Clarabel asked where they do not hold. What neither solves
     is solved condensed, or, where that has too many variables, goes to `solve_stagewise`, which prices violations.
-
-    Parameters
-    ----------
-    problem : MPCProblem
-        What to solve.
-    parameters : tuple of str
-        Signals that will be given.
-    solver : str
-        "osqp" or "clarabel".
+    `parameters` are the signals that will be given, `solver` is "osqp" or "clarabel".
     """
 
     def __init__(self, problem: MPCProblem, parameters: tuple[str, ...], solver: str):
@@ -128,7 +120,7 @@ class SparseSolver:
         if model is None:
             model = osqp.OSQP()
             model.setup(
-                self._H, q, self._K, low, high, eps_abs=OSQP, eps_rel=OSQP, polishing=True, verbose=False,
+                self._H, q, self._K, low, high, eps_abs=KKT, eps_rel=KKT, polishing=True, verbose=False,
                 max_iter=20_000, check_dualgap=False,
             )  # fmt: skip
             self._workspace.model = model

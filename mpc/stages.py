@@ -9,7 +9,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.feedback import block_lengths
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, pushes
+from mpc.rollout import Given, no_faster, pushes
 from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
 
 
@@ -41,19 +41,10 @@ class QPStage:
 
 
 class StagewiseQP:
-    """Stages of a problem, and conversion of units.
+    """Stages of a problem from the first state x (nx,) and signals over the horizon, and conversion of units.
 
-    Parameters
-    ----------
-    problem : MPCProblem
-    x : (nx,) array
-        First state.
-    given : dict
-        Signals over the horizon.
-    price : (linear, quadratic) or None
-        Price of the largest relative violation of each step; None makes the state constraints hard.
-    input_size : (nu,) array, optional
-        By default what the first state and the references ask for.
+    price : (linear, quadratic), of the largest relative violation of each step; None makes the state constraints hard;
+    input_size : (nu,), by default what the first state and the references ask for.
     """
 
     def __init__(
@@ -83,23 +74,16 @@ class StagewiseQP:
 
     def first_guess(self, inputs: Array) -> list[Array]:
         """Strictly admissible variables of every stage near inputs (N, nu)."""
-        scaled = self._towards(inputs) / self.input_size
+        # towards the middle, within less than the rate limit
+        scaled = FIRST_GUESS_SHARE * np.asarray(inputs)
+        if self.problem.rate_limit is not None:
+            last = self.start[self.problem.nx :] * self.input_size
+            scaled = no_faster(scaled, last, FIRST_GUESS_SHARE * self.problem.rate_limit, self.held)
+        scaled = scaled / self.input_size
         return [
             np.concatenate([scaled[k] if stage.nu else [], np.zeros(len(stage.gv) - stage.nu)])
             for k, stage in enumerate(self.stages)
         ]
-
-    def _towards(self, inputs: Array) -> Array:
-        """Inputs towards the middle, within less than the rate limit."""
-        followed = FIRST_GUESS_SHARE * np.asarray(inputs)
-        if self.problem.rate_limit is None:
-            return followed
-        last = self.start[self.problem.nx :] * self.input_size
-        for k, wanted in enumerate(followed):
-            move = 0.0 if self.held[k] else wanted - last
-            share = np.max(np.abs(move) / (FIRST_GUESS_SHARE * self.problem.rate_limit), initial=1.0)
-            last = followed[k] = last + move / share  # between two inputs of U, so in U
-        return followed
 
     def plan(self, states: list[Array], variables: list[Array], x: Array) -> tuple[Array, Array]:
         """Inputs (N, nu) and states (N + 1, nx) in plant units."""
@@ -169,37 +153,35 @@ class StagewiseQP:
 
     def _rows(self, k: int, free: int, priced: int) -> tuple[Array, Array, Array]:
         """Rows (C, D, d) of step k in units of their bounds."""
-        nx = self.problem.nx
-        n = self.n
-        width = free + priced
-        blocks: list[tuple[Array, Array, Array]] = [(np.zeros((0, width)), np.zeros((0, n)), np.zeros(0))]
+        nx, n, width = self.problem.nx, self.n, self.n + free + priced
+        rows = [np.zeros((0, width))]  # on (ξ, ν)
+        bounds = [np.zeros(0)]
         units = self.problem.row_units if self.problem.soft is None else self.problem.price_units
         if free:
             H, h = self.problem.input_rows
-            C = np.zeros((len(h), width))
-            C[:, :free] = H * self.input_size / units["input"][:, None]
-            blocks.append((C, np.zeros((len(h), n)), h / units["input"]))
+            J = np.zeros((len(h), width))
+            J[:, n : n + free] = H * self.input_size / units["input"][:, None]
+            rows.append(J)
+            bounds.append(h / units["input"])
             if self.problem.rate_limit is not None:
                 both = np.vstack([np.eye(free), -np.eye(free)]) * self.input_size / units["rate"][:, None]
-                C = np.zeros((2 * free, width))
-                D = np.zeros((2 * free, n))
-                C[:, :free] = both
-                D[:, nx:] = -both
-                blocks.append((C, D, np.ones(2 * free)))
+                J = np.zeros((2 * free, width))
+                J[:, n : n + free] = both
+                J[:, nx:n] = -both
+                rows.append(J)
+                bounds.append(np.ones(2 * free))
         sets = [("state", self.problem.state_rows)] * (k > 0)
         sets += [("terminal", self.problem.terminal_rows)] * (k == self.problem.horizon)
         for kind, (H, h) in sets:
-            C = np.zeros((len(h), width))
-            D = np.zeros((len(h), n))
-            C[:, width - priced :] = -1.0
-            D[:, :nx] = H * self.state_size / units[kind][:, None]
-            blocks.append((C, D, h / units[kind]))
-        if priced:
-            C = np.zeros((1, width))
-            C[0, -1] = -1.0
-            blocks.append((C, np.zeros((1, n)), np.zeros(1)))
-        C, D, d = (np.concatenate(parts) for parts in zip(*blocks))
-        return C, D, d
+            J = np.zeros((len(h), width))
+            J[:, width - priced :] = -1.0
+            J[:, :nx] = H * self.state_size / units[kind][:, None]
+            rows.append(J)
+            bounds.append(h / units[kind])
+        rows.append(-np.eye(width)[width - priced :])
+        bounds.append(np.zeros(priced))
+        D, C = (np.ascontiguousarray(part) for part in np.split(np.vstack(rows), [n], axis=1))
+        return C, D, np.concatenate(bounds)
 
 
 def _input_size(problem: MPCProblem, x: Array, given: Given) -> Array:

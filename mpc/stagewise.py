@@ -16,7 +16,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.stages import QPStage
-from mpc.tolerances import BARRIER_STOP, FEEDBACK_ROUNDING, ROUNDING, SLACK_FLOOR, STAGEWISE
+from mpc.tolerances import FEEDBACK_ROUNDING, KKT_REPORTED, NEWTON, ROUNDING, SLACK_FLOOR
 
 Arrays = list[Array]
 
@@ -33,7 +33,7 @@ class StagewiseResult:
     @property
     def converged(self) -> bool:
         """Whether Newton steps have ended and every row holds."""
-        return max(self.step, self.violation) <= STAGEWISE
+        return max(self.step, self.violation) <= KKT_REPORTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ def solve_stagewise(stages: list[QPStage], start: Array, variables: Arrays) -> S
         if max(step, at.violation) < max(best.step, best.violation):
             best = StagewiseResult(at.states, list(at.variables), step, at.violation)
             waited = 0
-        if max(step, at.violation) <= BARRIER_STOP or (best.converged and waited > 2):
+        if max(step, at.violation) <= NEWTON or (best.converged and waited > 2):
             break
         mean = at.mean_product()
         share = at.mean_product(predictor, at.longest(predictor)) / mean if mean > 0 else 0.0

@@ -7,23 +7,28 @@ scaled coordinates has no unit and means the same whatever units the user measur
 from __future__ import annotations
 
 # ---- the online QP ----
-KKT = 1e-7  # Relative optimality residual above which the second solver is asked [-]
-KKT_REPORTED = 1e-6  # Relative optimality residual above which a plan is INACCURATE [-]
-PRIMAL = 1e-9  # Violation of a scaled row that DAQP accepts [-]
+# Relative optimality residual above which the second solver is asked, and at which OSQP stops before it polishes [-]
+KKT = 1e-7
+# Relative optimality residual, or Newton step in units of the limits, above which a plan is INACCURATE [-]
+KKT_REPORTED = 1e-6
+# Violation of a scaled row that DAQP accepts, and of a row that no input reaches that is put down to rounding [-]
+PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, on scaled data [-]
-# Absolute and relative tolerance at which OSQP stops, on scaled data; its answer is polished afterwards [-]
-OSQP = 1e-7
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
 # QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides.
 FEASIBLE = 1e-6
 NO_BOUND = 1e30  # DAQP takes this bound for none [-].
 DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
 MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
-UNREACHED = 1e-9  # Violation of a row that no input reaches, in its unit, that is put down to rounding [-]
 # Scaled violations of the origin are at most the inverse of this: with larger ones `PRIMAL` would lie below rounding
 # [-]
 FAR_BOUND = 1e-7
-NEGLIGIBLE = 1e-6  # Part of the bounds below which forces and steps count as zero in the residuals [-]
+# Part of the bounds below which forces and steps count as zero in the residuals, and part of the extent of a set below
+# which a bound says nothing of sizes [-]
+NEGLIGIBLE = 1e-6
+# Part of the terms of a difference, of the bounds along an axis, the costs of a mode or the coefficients of two laws,
+# that is rounding [-]
+ROUNDED_SUM = 1e-13
 
 # ---- weights and definiteness ----
 ASYMMETRY = 1e-9  # Largest |W - W'| of a weight, relative to its largest entry [-]
@@ -33,12 +38,8 @@ DEFINITE = 1e-13  # Least eigenvalue of a Hessian with unit diagonal [-]
 # ---- sets ----
 # By how much the lower side of a box may lie above the upper one through rounding, relative to their size [-]
 EMPTY = 1e-9
-# Bound, relative to the farthest one along the same axis, below which it is a zero that was rounded [-]
-ROUNDED_ZERO = 1e-13
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
 SMALL_STATE = 1e-3
-# Bound of a row, relative to the extent of the set along it, below which that extent is the unit of the row [-]
-SMALL_BOUND = 1e-6
 FAR = 1e4  # Distance in units of a set beyond which only the direction of a point counts for its projection [-]
 # Growth of an unstable plant over the horizon up to which costates keep the digits that a check needs [-]
 REMEMBERED = 1e6
@@ -71,7 +72,6 @@ GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken w
 SETTLED_MARGIN = 0.1
 # Distance of a closed loop from the unit circle below which rounding decides whether it is stable [-]
 LEAST_MARGIN = 1e-13
-ROUNDED_COST = 1e-13  # Cost of a mode, relative to the terms that it is the sum of, that is rounding [-]
 DOUBLED = 1e-9  # Root of the last term of a sum of doubled terms, relative to that of the sum, that is left out [-]
 # Relative distance of (Q, A) from not seeing a mode on the unit circle below which it counts as unseen [-]
 UNSEEN = 1e-8
@@ -87,10 +87,7 @@ FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled d
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----
-# Largest Newton step of an input, in units of its limits, at which a stagewise plan counts as solved [-]
-STAGEWISE = 1e-6
 FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
-BARRIER_STOP = 1e-9  # Newton step and violation at which the interior-point iteration ends [-]
 SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
 # Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
 FEEDBACK_ROUNDING = 1e-14
@@ -106,10 +103,11 @@ TARGET_DRIFT = 1e-6  # Weight of the output error beside the squared drift where
 ACTIVE = 1e-5
 # Distance of a row from its bound, and how far the plan would pass it if it did not act, both in its unit, below which
 # it neither acts nor leaves the plan alone [-]: plans are no more exact
-WEAKLY_ACTIVE = 1e-6
+WEAKLY_ACTIVE = KKT_REPORTED
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
-# Newton step, in sizes of inputs and states, from which on derivatives are taken [-]; their error is of this size
+# Newton step, in sizes of inputs and states, at which a stagewise plan is found and from which on derivatives are taken
+# [-]; their error is of this size
 NEWTON = 1e-9
 UNIT_STEP = 1e-5  # Step of differences of units, relative to what the units are made of [-]
 INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below which it depends on them [-]
@@ -133,11 +131,11 @@ EXCLUDED = 1e4
 # Distance of the unconstrained optimum from the bounds, in units of their size, beyond which rounding decides which
 # rows hold with equality and which lie in front of others [-]: the problem is a linear program but for its last digits
 FAR_OPTIMUM = 1e8
-DUPLICATE = 1e-9  # Difference of two unit rows below which only the tighter of them is kept [-]
 EQUALITY = 1e-11  # Distance of two opposite unit rows, in units of the bounds, below which they make an equality [-]
 # Largest slack of a row over a set without interior below which the row holds with equality [-]
 IMPLIED_EQUALITY = 1e-8
-REDUNDANT = 1e-9  # How far a unit row may cut into the set of the others and still count as redundant [-]
+# How far a unit row may cut into the set of the others, or differ from a tighter one, and still count as redundant [-]
+REDUNDANT = 1e-9
 # Error of a law, in its active rows, in any row or multiplier at the centre of its region, relative to the bounds, the
 # variables or the multipliers, up to which the law is accepted [-]
 LAW_ERROR = 1e-7
@@ -177,7 +175,6 @@ SIDE = 1e-9  # How far a region must reach across a hyperplane to lie on that si
 SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets agree that are stored once
 # Difference of two laws of one input, relative to the values that input takes, below which they are one [-]
 EQUAL_LAW = 1e-9
-LAW_ROUNDING = 1e-13  # Difference of two laws of one input, relative to its largest coefficient, that is rounding [-]
 FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
 CUT_OFF = 1e30  # Size of scaled parameters at which they are cut off [-]
 POINTS_OF_REGION = 64  # Points that stand for a region at most: as many as a word has bits.

@@ -197,7 +197,10 @@ class OffsetFreeLoop:
         states = as_floats("x", x)
         single = states.ndim == 1
         states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller._problem.nx))
-        applied = self._applied(signals.pop("u_prev", None))
+        if signals.get("u_prev") is None:
+            raise InputError("u_prev", "nothing", "the input that was applied one step ago", "Before the first: zeros.")
+        last = np.atleast_2d(as_floats("u_prev", signals.pop("u_prev")))
+        applied = as_array("u_prev", last, (len(self._each), self.controller._problem.nu))
         if self._last is not None:
             self._each = [c.observe(*step) for c, *step in zip(self._each, self._last, applied, states)]
         self._last = states
@@ -205,14 +208,6 @@ class OffsetFreeLoop:
         own = [{"u_prev": u} if limited else {} for u in applied]  # references are shared, the last input is not
         u = np.array([c(s, **signals, **mine) for c, s, mine in zip(self._each, states, own)])
         return u[0] if single else u
-
-    def _applied(self, u_prev: Any) -> Array:
-        """Last inputs (n, nu) of all runs, checked."""
-        if u_prev is None:
-            raise InputError("u_prev", "nothing", "the input that was applied one step ago", "Before the first: zeros.")
-        return as_array(
-            "u_prev", np.atleast_2d(as_floats("u_prev", u_prev)), (len(self._each), self.controller._problem.nu)
-        )
 
 
 @dataclass(frozen=True, eq=False)

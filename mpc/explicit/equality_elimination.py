@@ -91,7 +91,10 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
             break
         tight = tight[~loose]
     rows = tight[tight < len(qp.M)]
-    exact = not _leave_freedom(qp.M[rows], float(slack[tight].max(initial=0.0)) * max(1.0, qp.far))
+    # the slack must not let v move by more than rounding
+    sizes_of_rows = np.linalg.svd(qp.M[rows], compute_uv=False) if len(rows) else np.ones(1)
+    least = float(sizes_of_rows[sizes_of_rows > ZERO_ROW * sizes_of_rows[0]].min())
+    exact = float(slack[tight].max(initial=0.0)) * max(1.0, qp.far) <= LAW_ERROR * least
     wide = widths(qp.gram, np.abs(qp.own).sum(axis=1) * qp.own_unit)[rows]
     # no slab that is only thin beside others
     exact &= bool((slack[rows] <= np.maximum(LAW_ERROR * wide, ZERO_ROW)).all())
@@ -104,12 +107,6 @@ def _unsettled(deadline: float) -> ImpliedEqualities:
     """Outcome of an unfinished program: TIME_LIMIT or INACCURATE."""
     late = time.perf_counter() > deadline
     return ImpliedEqualities(MPQPStatus.TIME_LIMIT if late else MPQPStatus.INACCURATE)
-
-
-def _leave_freedom(rows: Array, slack: float) -> bool:
-    """Whether this slack lets v move by more than rounding."""
-    sizes = np.linalg.svd(rows, compute_uv=False) if len(rows) else np.ones(1)
-    return slack > LAW_ERROR * float(sizes[sizes > ZERO_ROW * sizes[0]].min())
 
 
 def _most_slack(J: Array, h: Array, counted: Ints, sizes: Limits, deadline: float) -> Any:
@@ -135,21 +132,8 @@ def _deepest(J: Array, h: Array, tight: Ints, sizes: Limits, deadline: float) ->
 def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...]) -> ScaledQP:
     """Problem in y, v = P y + (least-norm solution) [t; 1].
 
-    The least-norm solution is orthogonal to P, so that the cost stays ½|y|² up to a constant.
-
-    Parameters
-    ----------
-    qp : ScaledQP
-        The problem.
-    equalities : list of int
-        Rows of M that hold with equality.
-    labels : tuple of Constraint
-        Names of the rows of the original problem, for the message.
-
-    Raises
-    ------
-    InputError
-        The equalities leave no freedom in v, or restrict the parameter.
+    The least-norm solution is orthogonal to P, so that the cost stays ½|y|² up to a constant. Rows of M that hold with
+    equality are refused, named by `labels`, where they leave no freedom in v, or restrict the parameter.
     """
     M = qp.M[equalities]
     D = qp.D[equalities]

@@ -33,7 +33,11 @@ def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None
     first = Search(qp, feasible)
     first.begin(limits.deadline)
     search = first
-    status = None if first.queued else first.nothing_found(limits.deadline)
+    status = None
+    if not first.queued:
+        late = time.perf_counter() > limits.deadline
+        status = MPQPStatus.TIME_LIMIT if late else MPQPStatus.INFEASIBLE
+        status = MPQPStatus.INACCURATE if first.holes.uncovered else status
     while status is None:
         search.advance(limits.max_regions)
         if search.queued > search.done >= limits.max_regions:
@@ -89,12 +93,6 @@ class Search:
             feasible.append(found)
         if not self.queued:
             self.holes.ask_at(np.vstack(feasible), deadline)
-
-    def nothing_found(self, deadline: float) -> MPQPStatus:
-        """Status of an exploration without a first region."""
-        if self.holes.uncovered:
-            return MPQPStatus.INACCURATE
-        return MPQPStatus.TIME_LIMIT if time.perf_counter() > deadline else MPQPStatus.INFEASIBLE
 
     def advance(self, most: int) -> None:
         """Find facets and neighbours of some more regions."""
@@ -174,18 +172,8 @@ def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
     if flag != 1 or not row @ point <= bound + REDUNDANT:
         return False
     y = np.maximum(info["lam"][:-1], 0.0)
-    return _proves(y, row, bound, J, h, point) or _proves(_refined(y, row, J), row, bound, J, h, point)
-
-
-def _refined(y: Array, row: Array, J: Array) -> Array:
-    """Multipliers that combine the same rows to `row` best."""
     active = np.flatnonzero(y)
-    refined = np.zeros(len(y))
+    refined = np.zeros(len(y))  # combines the same rows to `row` best
     refined[active] = np.maximum(np.linalg.lstsq(J[active].T, row, rcond=None)[0], 0.0)
-    return refined
-
-
-def _proves(y: Array, row: Array, bound: float, J: Array, h: Array, point: Array) -> bool:
-    """Whether y'J is `row` and y'h within `bound`, at the size of `point`."""
-    missed = np.abs(row - y @ J) @ (1.0 + np.abs(point))
-    return bool(y @ h + missed <= bound + REDUNDANT)
+    size = 1.0 + np.abs(point)
+    return any(proof @ h + np.abs(row - proof @ J) @ size <= bound + REDUNDANT for proof in (y, refined))

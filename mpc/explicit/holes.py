@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -32,13 +31,6 @@ from mpc.tolerances import (
     THIN,
     TIE,
 )
-
-
-class Opening(NamedTuple):
-    """Independent active sets, and whether the parameter has room."""
-
-    candidates: list[tuple[int, ...]]
-    feasible: bool
 
 
 def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
@@ -74,17 +66,17 @@ class OnlineQP:
         self.free = np.zeros(qp.M.shape[1])
         self.solver = DenseQP(np.eye(len(self.free)), qp.M)
 
-    def at(self, t: Array, deadline: float = np.inf) -> Opening:
-        """Opening at t; past the deadline room may be missed."""
+    def at(self, t: Array, deadline: float = np.inf) -> tuple[list[tuple[int, ...]], bool]:
+        """Independent active sets at t, and whether t has room; past the deadline that may be missed."""
         bounds = self.qp.D @ np.append(t, 1.0)
         result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
         y = result.multipliers
         if result.infeasible and proves_infeasible(y, self.qp.M, bounds, self.qp.reach):
-            return Opening([], feasible=False)
+            return [], False
         if result.infeasible or not result.residuals.primal <= KKT:
-            return Opening([], self._has_room(bounds, deadline))
+            return [], self._has_room(bounds, deadline)
         taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
-        return Opening([taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline))
+        return [taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline)
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
         """Fewest rows active at v that carry it, linearly independent."""
@@ -98,9 +90,10 @@ class OnlineQP:
         """Whether a point holds every row without a tolerance."""
         room = TIE * (1.0 + np.abs(bounds))
         found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
-        if (self.qp.M @ found <= bounds).all():
-            return True
-        # where HiGHS does not end, nobody can tell, and the parameter counts
+        return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
+
+    def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
+        """Whether a linear program finds room, for v within reach, or does not end: then nobody can tell."""
         cost = np.append(self.free, -1.0)
         rows = np.hstack([self.qp.M, room[:, None] / TIE])
         limits = [(-self.qp.reach, self.qp.reach)] * len(self.free) + [(None, 1.0)]
@@ -242,8 +235,8 @@ class Holes:
         for point in points[~self.regions.covered(points)]:
             if time.perf_counter() > deadline:
                 break
-            opening = self.online.at(point, deadline)
-            for act in opening.candidates:
+            candidates, feasible = self.online.at(point, deadline)
+            for act in candidates:
                 self.regions.consider(act)
-            if opening.feasible:
+            if feasible:
                 self.feasible = np.vstack([self.feasible, point])

@@ -26,12 +26,12 @@ from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.tolerances import (
-    DUPLICATE,
     FAR_OPTIMUM,
     LAW_ERROR,
     LAW_ROUNDING_FAR,
     LAWS_AT_ONCE,
     NEARLY_DEPENDENT,
+    REDUNDANT,
     REGION_RADIUS,
     THIN,
 )
@@ -144,7 +144,7 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
 
 def _thinnest(qp: ScaledQP) -> float:
     """Least parameter distance between opposite bounds; inf without any."""
-    first, second = np.nonzero(qp.gram < DUPLICATE - 1)
+    first, second = np.nonzero(qp.gram < REDUNDANT - 1)
     slope = np.linalg.norm(qp.D[first, :-1], axis=1)
     apart = qp.D[first] + qp.D[second]
     room = apart[:, -1] + np.abs(apart[:, :-1]).sum(axis=1)

@@ -11,7 +11,7 @@ from ccdtools_ground.door import frozen
 from mpc.checks import Array, Flags, Ints, ReadOnly, as_floats
 from mpc.exceptions import InputError
 from mpc.explicit.partition import Laws, MPQPStatus, Partition
-from mpc.explicit.search_tree import METHODS, SearchTree, search
+from mpc.explicit.search_tree import SearchTree, is_scan, search
 from mpc.halfspaces import box_of, nearest_points
 
 
@@ -55,7 +55,7 @@ class PiecewiseLaw(ReadOnly):
     def locate(self, theta: ArrayLike, *, method: str = "tree") -> Ints:
         """Region of each parameter (n, nt) -> (n,) or (nt,) -> (); -1 outside."""
         points, single = self._points(theta)
-        region, outside, _ = search(self.tree, self.partition, points, scan=_is_scan(method))
+        region, outside, _ = search(self.tree, self.partition, points, scan=is_scan(method))
         region = np.where(outside, -1, region)
         return region[0] if single else region
 
@@ -87,7 +87,7 @@ class PiecewiseLaw(ReadOnly):
         box = box_of(H, h)
         limits = np.array(box or (np.full(self.nu, -np.inf), np.full(self.nu, np.inf)))
         laws = Laws(self.law, self.law_number, limits)
-        _, outside, u = search(self.tree, self.partition, points, laws, scan=_is_scan(method))
+        _, outside, u = search(self.tree, self.partition, points, laws, scan=is_scan(method))
         if box is None:
             u[outside] = nearest_points(u[outside], H, h)
         return (u[0], outside[0]) if single else (u, outside)
@@ -120,10 +120,3 @@ class PiecewiseLaw(ReadOnly):
             row = int(np.argwhere(~np.isfinite(points))[0, 0])
             raise InputError("theta", f"NaN or infinity in row {row}", "finite numbers")
         return points, single
-
-
-def _is_scan(method: str) -> bool:
-    """Whether all regions are to be scanned."""
-    if method not in METHODS:
-        raise InputError("method", repr(method), "'tree' or 'sequential'")
-    return method == "sequential"

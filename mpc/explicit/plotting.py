@@ -44,7 +44,10 @@ def plot_explicit(
 
     if what not in ("regions", "law", "value"):
         raise InputError("what", repr(what), "'regions', 'law' or 'value'")
-    first, second = _as_axes(axes, law.nt)
+    pair = tuple(axes) if isinstance(axes, (tuple, list, np.ndarray)) else ()
+    if len(pair) != 2 or not all(_is_index(i, law.nt) for i in pair) or pair[0] == pair[1]:
+        raise InputError("axes", repr(axes), f"two different numbers below {law.nt}, one per parameter")
+    first, second = int(pair[0]), int(pair[1])
     if not _is_index(component, law.nu):
         raise InputError("component", repr(component), f"the number of an input, below {law.nu}")
     points = as_count("points", points)
@@ -68,14 +71,6 @@ def plot_explicit(
     drawn = ax.contourf(*grid, height, levels=30, cmap="viridis")
     ax.figure.colorbar(drawn, ax=ax, label=f"u[{component}]" if what == "law" else "cost")
     return drawn
-
-
-def _as_axes(axes: Any, nt: int) -> tuple[int, int]:
-    """Two different parameters."""
-    pair = tuple(axes) if isinstance(axes, (tuple, list, np.ndarray)) else ()
-    if len(pair) != 2 or not all(_is_index(i, nt) for i in pair) or pair[0] == pair[1]:
-        raise InputError("axes", repr(axes), f"two different numbers below {nt}, one per parameter")
-    return int(pair[0]), int(pair[1])
 
 
 def _is_index(value: Any, count: int) -> bool:

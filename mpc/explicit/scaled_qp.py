@@ -15,11 +15,11 @@ from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import (
     DEFINITE,
-    DUPLICATE,
     EXCLUDED,
     FAR_OPTIMUM,
     FLAT_INTERVAL,
     NOT_NEAR,
+    REDUNDANT,
     ROUNDED,
     ROUNDING,
     UNCHANGED,
@@ -192,7 +192,7 @@ def _bounded_rows(problem: ParametricQP) -> Ints:
 def widths(gram: Array, sizes: Array) -> Array:
     """Size of each bound, or of a larger opposite one."""
     wide = sizes.copy()
-    first, second = np.nonzero(gram < DUPLICATE - 1)
+    first, second = np.nonzero(gram < REDUNDANT - 1)
     np.maximum.at(wide, first, sizes[second])
     return wide
 
@@ -270,7 +270,7 @@ def _beyond_rounding(D: Array) -> Array:
 
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
     """Rows without duplicates, each kept with its tightest bound."""
-    first, second = np.nonzero(gram > 1 - DUPLICATE)
+    first, second = np.nonzero(gram > 1 - REDUNDANT)
     once = first < second
     if not once.any():
         return np.arange(len(M))
@@ -278,7 +278,7 @@ def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
     second = second[once]
     size = np.maximum(np.abs(D[first, :-1]), np.abs(D[second, :-1])).max(axis=1, initial=0.0)
     apart = np.abs(D[first, :-1] - D[second, :-1]).max(axis=1, initial=0.0)
-    close = (apart <= DUPLICATE * size) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < DUPLICATE)
+    close = (apart <= REDUNDANT * size) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < REDUNDANT)
     dropped = np.zeros(len(M), dtype=bool)
     for i, j in zip(first[close], second[close]):
         if not dropped[i] and not dropped[j]:

@@ -14,9 +14,6 @@ from mpc.exceptions import InputError
 from mpc.explicit.partition import Laws, MPQPStatus, Partition
 from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
 
-METHODS = ("tree", "sequential")
-
-
 
 class TreeStatus(Outcome):
     """Outcome of growing a search tree; the value is the advice."""
@@ -78,43 +75,34 @@ class RegionPoints(NamedTuple):
 def build_tree(
     partition: Partition, laws: Ints, points: RegionPoints, *, method: str = "tree", time_limit: float | None = None
 ) -> SearchTree:
-    """Search tree whose leaves hold regions of one law, or few.
+    """Search tree whose leaves hold regions of one law, or few; with "sequential" one leaf with all regions.
 
-    Parameters
-    ----------
-    partition : Partition
-        At least one region.
-    laws : (n_regions,) int array
-        Number of each region's law; regions of the same law need not be told apart.
-    points : RegionPoints
-        See `region_points`.
-    method : "tree" or "sequential"
-        With "sequential" the tree is one leaf with all regions.
-    time_limit : float
-        Wall time for the growth [s]; at the limit the leaves reached so far are kept.
-
-    References
-    ----------
-    Tøndel, Johansen and Bemporad, *Evaluation of piecewise affine control via binary search tree*, Automatica 39(5),
-    2003. Here hyperplanes are judged by points of the regions at a node, and only the sides of the chosen one are
-    computed, so that the work grows little faster than the number of regions.
+    Regions of equal `laws` (n_regions,) need not be told apart; at the time limit [s] the leaves reached so far are
+    kept (Tøndel, Johansen and Bemporad, *Evaluation of piecewise affine control via binary search tree*, Automatica
+    39(5), 2003). Here hyperplanes are judged by points of the regions at a node, and only the sides of the chosen one
+    are computed, so that the work grows little faster than the number of regions.
     """
-    if method not in METHODS:
-        raise InputError("method", repr(method), "'tree' or 'sequential'")
+    scan = is_scan(method)
     deadline = time.perf_counter() + as_seconds("tree_time_limit", time_limit)
     n = len(partition.centre)
     every = np.arange(len(partition), dtype=np.int64)
     nodes = np.array([[-1, 0, len(partition)]], dtype=np.int64)
     tree = SearchTree(np.zeros((0, n + 1)), nodes, every, np.zeros((0, n + 1)), np.zeros(n), TreeStatus.SEQUENTIAL)
-    if method == "tree":
+    if not scan:
         planes, nodes, leaf, status = _grow(partition, laws, points, deadline)
         tree = replace(
             tree, planes=planes, nodes=nodes, leaf_regions=_largest_first(nodes, leaf, points), status=status
         )
     if partition.status is not MPQPStatus.COMPLETE:
         return tree
+    from mpc.explicit.kernels.halfspace import interior_point
+
     border = _border(partition, tree, points)
-    return replace(tree, border=border, centre=_centre_of(border))
+    centre = np.zeros(n)  # becomes a point well within the border, if there is one
+    if len(border):
+        A, b = (np.ascontiguousarray(part) for part in (border[:, :-1], border[:, -1]))
+        interior_point(A, b, np.inf, centre)
+    return replace(tree, border=border, centre=centre)
 
 
 def search(
@@ -159,6 +147,13 @@ def _view(array: Any) -> Any:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def is_scan(method: str) -> bool:
+    """Whether all regions are to be scanned; an unknown method is refused."""
+    if method not in ("tree", "sequential"):
+        raise InputError("method", repr(method), "'tree' or 'sequential'")
+    return method == "sequential"
 
 
 def region_points(partition: Partition) -> RegionPoints:
@@ -267,15 +262,3 @@ def _border(partition: Partition, tree: SearchTree, points: RegionPoints) -> Arr
     facet = np.minimum(facet, points.starts[region + 1] - 1)
     across = partition.centre + partition.half * (points.points[facet] + CROSSING * rows[candidates, :-1])
     return np.ascontiguousarray(rows[candidates[search(tree, partition, across)[1]]])
-
-
-def _centre_of(border: Array) -> Array:
-    """Point well within the border; the origin without one."""
-    n = border.shape[1] - 1
-    centre = np.zeros(n)
-    if len(border):
-        from mpc.explicit.kernels.halfspace import interior_point
-
-        A = np.ascontiguousarray(border[:, :-1])
-        interior_point(A, np.ascontiguousarray(border[:, -1]), np.inf, centre)
-    return centre

@@ -12,8 +12,7 @@ from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
 from mpc.sensitivities.changes import SOFTENED, Changes
-from mpc.sensitivities.conditions import Conditions, PlanModel, Point
-from mpc.sensitivities.linearised import Linearised
+from mpc.sensitivities.linearised import Conditions, Linearised, PlanModel, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
 
@@ -26,11 +25,10 @@ def sensitivity_of(
     if plan.status is not Status.SOLVED:
         return conditions.none(plan, SensitivityStatus.UNSOLVED)
     with np.errstate(over="ignore", invalid="ignore"):
-        point = Point.from_plan(problem, plan)
-        point = Linearised(conditions, point).with_multipliers(point)
+        point = Linearised(conditions, Point.from_plan(problem, plan)).with_multipliers()
         last = NEAR_OPTIMUM
         for _ in range(8):
-            step = NewtonStep.at(Linearised(conditions, point), point)
+            step = NewtonStep.at(Linearised(conditions, point))
             if step is None:
                 return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = step.size
@@ -47,14 +45,13 @@ def sensitivity_of(
 
 def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
     """Derivatives at an optimum, from the last step."""
-    linear, point = step.linear, step.point
+    linear = step.linear
     at, nt = linear.conditions.columns, linear.conditions.nt
     rates = step.moves[:, :nt]
-    n = at["z"].stop - at["z"].start
-    U, X = (form[:, :, :nt] + form[:, :, at["z"]] @ rates[:n] for form in (linear.U, linear.X))
+    U, X = (form[:, :, :nt] + form[:, :, linear.free] @ rates for form in (linear.U, linear.X))
     cost = linear.gradient[:nt] + linear.multipliers @ linear.rows[:, :nt]
     by_parameters = cost[at["p"]] + linear.cost_of_parameters
-    idle = IdleRows.at(linear, point, rates)
+    idle = IdleRows.at(linear, rates)
     status = SensitivityStatus.SMOOTH
     if idle.weak.any():
         status = SensitivityStatus.ONE_SIDED
@@ -62,12 +59,9 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
     if parting.any():
         status = SensitivityStatus.DEPENDENT
     pushing = np.flatnonzero(linear.worth(linear.multipliers) > WEAKLY_ACTIVE)
-    keep = np.r_[0:nt, at["z"].start : linear.width]
-    inputs, states = (
-        np.concatenate([form[:, :, np.r_[0:nt, at["z"]]], np.zeros((*form.shape[:2], len(point.slacks)))], axis=2)
-        for form in (linear.U, linear.X)
-    )
-    held, weak = (linear.rows[rows][:, keep] for rows in (point.acting, idle.weak))
+    keep = np.r_[0:nt, linear.free]
+    inputs, states = (form[:, :, keep] for form in (linear.U, linear.X))
+    held, weak = (linear.rows[rows][:, keep] for rows in (linear.point.acting, idle.weak))
     local = None if (parting & ~idle.weak).any() else LocalProgram(linear.H, linear.F, held, weak, inputs, states)
     return PlanSensitivity(
         plan=plan, status=status, cost_by_state=cost[at["x"]], cost_by_parameters=by_parameters,
@@ -77,7 +71,7 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
         active={linear.labels[i]: float(linear.multipliers[i]) for i in pushing},
         weakly_active=tuple(linear.labels[i] for i in np.flatnonzero(idle.weak)),
         dependent=tuple(linear.labels[i] for i in np.flatnonzero(idle.dependent)),
-        margin=idle.margin(linear, point), local=local,
+        margin=idle.margin(linear), local=local,
     )  # fmt: skip
 
 
@@ -94,10 +88,10 @@ class IdleRows:
     together: Flags
 
     @classmethod
-    def at(cls, linear: Linearised, point: Point, rates: Array) -> IdleRows:
+    def at(cls, linear: Linearised, rates: Array) -> IdleRows:
         """Idle rows at an optimum with rates (n, nt)."""
-        met = linear.on_bound & linear.own & ~point.acting
-        acting = linear.rows[point.acting][:, linear.free] * linear.scale
+        met = linear.on_bound & linear.own & ~linear.point.acting
+        acting = linear.rows[linear.point.acting][:, linear.free] * linear.scale
         basis = np.linalg.qr(acting.T)[0] if len(acting) else np.zeros((len(linear.scale), 0))
         touched = {linear.labels[i].step for i in np.flatnonzero(linear.on_bound) if linear.labels[i].kind in SOFTENED}
         met &= np.array([label.kind != "slack" or label.step in touched for label in linear.labels], dtype=bool)
@@ -120,15 +114,16 @@ class IdleRows:
             apart[members] = False
         return cls(met & ~alone, dependent, together)
 
-    def margin(self, linear: Linearised, point: Point) -> float:
+    def margin(self, linear: Linearised) -> float:
         """Distance of the nearest row from beginning or ceasing to act [-]."""
         idle = self.weak | self.dependent
+        acting = linear.point.acting
         worth = linear.worth(linear.multipliers)
         pushing = worth > WEAKLY_ACTIVE
         room = np.where(pushing, worth, -linear.values / linear.units)
-        counts = pushing | (linear.own & ~(point.acting | idle))
+        counts = pushing | (linear.own & ~(acting | idle))
         counts &= np.array([label.kind != "slack" for label in linear.labels], dtype=bool) | pushing | ~linear.on_bound
-        if (idle & ~point.acting).any() and not counts.any():
+        if (idle & ~acting).any() and not counts.any():
             return 0.0
         return float(np.maximum(room[counts], 0.0).min(initial=np.inf))
 
@@ -160,15 +155,14 @@ class NewtonStep:
     """Moves by θ = (x, p, u_prev) and, last, to the optimum."""
 
     linear: Linearised  # the conditions that it is a step on
-    point: Point  # where it begins
     moves: Array  # (n, nt + 1): of the free inputs and slacks
     pushes: Array  # (number of acting rows, nt + 1): of their multipliers
 
     @classmethod
-    def at(cls, linear: Linearised, point: Point) -> NewtonStep | None:
+    def at(cls, linear: Linearised) -> NewtonStep | None:
         """Newton step at a point; None at saddles or dependent acting rows."""
         at, nt = linear.conditions.columns, linear.conditions.nt
-        acting = np.flatnonzero(point.acting)
+        acting = np.flatnonzero(linear.point.acting)
         d = linear.scale
         rows = linear.rows[acting]
         G = rows[:, linear.free] * d
@@ -191,7 +185,7 @@ class NewtonStep:
                 return None
             first = first + Z @ np.linalg.solve(reduced, Z.T @ (right - H @ first))
         pushes = np.linalg.lstsq(G.T, right - H @ first, rcond=None)[0] if len(G) else np.zeros((0, nt + 1))
-        return cls(linear, point, first * d[:, None], pushes / length[:, None])
+        return cls(linear, first * d[:, None], pushes / length[:, None])
 
     @property
     def size(self) -> float:
@@ -208,9 +202,9 @@ class NewtonStep:
     @property
     def _of_plan(self) -> tuple[Array, Array]:
         """Moves of inputs and states to the optimum."""
-        linear, at = self.linear, self.linear.conditions.columns
-        move = self.moves[: at["z"].stop - at["z"].start, -1]
-        inputs, states = (form[:, :, at["z"]] @ move + form[:, :, at["gap"]][:, :, 0] for form in (linear.U, linear.X))
+        linear, gap = self.linear, self.linear.conditions.columns["gap"]
+        move = self.moves[:, -1]
+        inputs, states = (form[:, :, linear.free] @ move + form[:, :, gap][:, :, 0] for form in (linear.U, linear.X))
         return inputs, states
 
     @property
@@ -221,7 +215,7 @@ class NewtonStep:
 
     def after(self) -> Point:
         """Point after the step, with its rows that act."""
-        linear, point = self.linear, self.point
+        linear, point = self.linear, self.linear.point
         inputs, states = self._of_plan
         multipliers = np.zeros(len(linear.rows))
         multipliers[point.acting] = linear.multipliers[point.acting] + self.pushes[:, -1]

@@ -1,4 +1,4 @@
-"""Derivatives of cost and limits by parameters, checked."""
+"""Derivatives of cost, limits and linear models by parameters, checked."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.halfspaces import Limits
 from mpc.problem import MPCProblem
+from mpc.rollout import Given, pushes
 from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
 from mpc.tolerances import UNIT_STEP
 
@@ -22,15 +23,8 @@ SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
 class Changes:
     """Derivatives of cost and limits by np parameters.
 
-    Attributes
-    ----------
-    Q, R, S, P : (·, ·, np) arrays
-    bounds : dict of str to (rows, np) array
-        Of h in {v : Hv <= h}, by kind of constraint.
-    units : dict of str to (rows, np) array
-        Of the units in which violations of soft limits have a price.
-    model : dict of str to (·, ·, np) array
-        dA, dB and dE of a linear model.
+    Q, R, S, P : (·, ·, np); bounds : by kind of constraint (rows, np), of h in {v : Hv <= h}; units : likewise, of the
+    units in which violations of soft limits have a price; model : dA, dB and dE (·, ·, np) of a linear model.
     """
 
     Q: Array
@@ -50,14 +44,8 @@ class Changes:
 def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count: int | None = None) -> Changes:
     """Derivatives dA, …, d_rate_limit, checked; 0 for None.
 
-    Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others.
-
-    Parameters
-    ----------
-    problem : MPCProblem
-    given : dict of str to array
-    count : int, optional
-        Number of parameters; by default what the arrays say.
+    Where the terminal weight is the solution of the Riccati equation, its derivative follows from the others. The
+    number of parameters is `count`, by default what the arrays say.
     """
     nx, nu, nw = problem.nx, problem.nu, problem.nw
     if given.get("dE") is not None and not nw:
@@ -116,3 +104,28 @@ def _moved(limits: Limits, moves: dict[str, Array], dB: Array, part: float) -> L
     sets = {kind: (H, h + part * moves[kind]) for kind, (H, h) in limits.sets.items()}
     rate = None if limits.rate is None else limits.rate + part * moves["rate"]
     return Limits(limits.B + part * dB, sets, rate, limits.horizon)
+
+
+class LinearModel:
+    """Derivatives of x⁺ = Ax + Bu + Ew along a plan."""
+
+    def __init__(self, problem: MPCProblem, given: Given, changes: dict[str, Array]) -> None:
+        self._problem = problem
+        self._push = pushes(problem, given)
+        self._changes = changes
+        w = given["w"].reshape(problem.horizon, -1) if "w" in given else np.zeros((problem.horizon, problem.nw))
+        self._pushed = np.einsum("xwp,kw->kxp", changes["dE"], w)
+
+    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
+        """f, ∂f/∂x, ∂f/∂u and ∂f/∂p."""
+        A, B, N = self._problem.A, self._problem.B, len(inputs)
+        by_parameters = np.einsum("xyp,ky->kxp", self._changes["dA"], states) + self._pushed
+        by_parameters += np.einsum("xup,ku->kxp", self._changes["dB"], inputs)
+        after = states @ A.T + inputs @ B.T + self._push
+        return after, np.broadcast_to(A, (N, *A.shape)), np.broadcast_to(B, (N, *B.shape)), by_parameters
+
+    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
+        """Curvature, which is zero, and mixed derivatives by parameters."""
+        size = states.shape[1] + inputs.shape[1]
+        mixed = [np.einsum("kx,xyp->kyp", costates, self._changes[name]) for name in ("dA", "dB")]
+        return np.zeros((len(inputs), size, size)), np.concatenate(mixed, axis=1)

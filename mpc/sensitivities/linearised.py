@@ -2,54 +2,138 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import Protocol
+
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
 from mpc.checks import Array, Flags
-from mpc.condensing import row_units
+from mpc.condensing import constraints_of, number_of_slacks, predict, row_units
 from mpc.feedback import block_lengths, feedback_along
-from mpc.sensitivities.changes import SOFTENED
-from mpc.sensitivities.conditions import Conditions, Point
+from mpc.parametric_qp import places
+from mpc.plan import Plan
+from mpc.problem import MPCProblem
+from mpc.rollout import Given, relative_violations
+from mpc.sensitivities.changes import SOFTENED, Changes
+from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
 from mpc.tolerances import ACTIVE, WEAKLY_ACTIVE
+
+
+class PlanModel(Protocol):
+    """Derivatives of x⁺ = f(x, u, p) along a plan, p (np,)."""
+
+    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
+        """Values f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
+        ...
+
+    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
+        """Hessians of Σ λ_i f_i by (x, u), and mixed derivatives with p."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Inputs (N, nu), states (N + 1, nx), slacks (N,), multipliers (m,) or None."""
+
+    inputs: Array
+    states: Array
+    slacks: Array
+    multipliers: Array | None
+    acting: Flags
+
+    @classmethod
+    def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:
+        """Point of a plan without multipliers."""
+        slacks = np.zeros(0)
+        if problem.soft is not None:
+            slacks = relative_violations(problem, plan.states, problem.price_units)
+        return cls(np.array(plan.inputs), np.array(plan.states), slacks, None, np.zeros(0, dtype=bool))
+
+
+class Conditions:
+    """Optimality conditions of a problem, to be linearised at points.
+
+    Columns of every form are ξ = (x, p, u_prev, gap, value, z, s): what moves with θ = (x, p, u_prev), what closes the
+    gaps of the dynamics, the value itself, and what moves with the free inputs and slacks.
+    """
+
+    def __init__(self, problem: MPCProblem, model: PlanModel, changes: Changes, given: Given) -> None:
+        self.problem, self.model, self.changes, self.given = problem, model, changes, given
+        last = problem.nu if problem.rate_limit is not None else 0
+        free = len(block_lengths(problem)) * problem.nu
+        self.columns = places({"x": problem.nx, "p": changes.parameters, "u_prev": last, "gap": 1, "value": 1,
+                               "z": free, "s": number_of_slacks(problem)})  # fmt: skip
+        self.nt = self.columns["gap"].start
+        self.free = slice(self.columns["z"].start, self.columns["s"].stop)
+        cross = changes.S
+        self.stage_change = np.block([[changes.Q.transpose(2, 0, 1), cross.transpose(2, 0, 1)],
+                                      [cross.transpose(2, 1, 0), changes.R.transpose(2, 0, 1)]])  # fmt: skip
+
+    def none(self, plan: Plan, status: SensitivityStatus) -> PlanSensitivity:
+        """Sensitivity with NaN in place of each derivative."""
+        N, nx, nu, count = self.problem.horizon, self.problem.nx, self.problem.nu, self.changes.parameters
+        last = self.columns["u_prev"].stop - self.columns["u_prev"].start
+        shapes = {
+            "cost_by_state": (nx,), "cost_by_parameters": (count,), "inputs_by_state": (N, nu, nx),
+            "inputs_by_parameters": (N, nu, count), "states_by_state": (N + 1, nx, nx),
+            "states_by_parameters": (N + 1, nx, count), "inputs_by_last_input": (N, nu, last),
+        }  # fmt: skip
+        unknown = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+        return PlanSensitivity(
+            plan=plan, status=status, **unknown, active={}, weakly_active=(), dependent=(), margin=np.nan, local=None
+        )
 
 
 class Linearised:
     """Optimality conditions at one point."""
 
     def __init__(self, conditions: Conditions, point: Point) -> None:
-        self.conditions = conditions
-        problem, at = conditions.problem, conditions.columns
+        self.conditions, self.point = conditions, point
+        self.free = conditions.free  # columns of z and the slacks
+        problem, at, given = conditions.problem, conditions.columns, conditions.given
         nx, N = problem.nx, problem.horizon
         after, A, B, F = conditions.model.first(point.states[:-1], point.inputs)
+        driven = np.zeros((N, nx, conditions.free.stop))
+        driven[:, :, at["p"]] = F
+        driven[:, :, at["gap"]] = (after - point.states[1:])[:, :, None]
         self.feedback = feedback_along(problem, A, B)
-        self.U, self.X = conditions.forms(point, (A, B, F), after, self.feedback)
-        rows, self.values, self.labels = conditions.rows(point, self.U, self.X)
-        self.rows = rows
+        self.U, self.X = predict(problem, A, B, driven, at["z"].start, self.feedback)
+        self.U[:, :, at["value"]] = point.inputs[:, :, None]
+        self.X[:, :, at["value"]] = point.states[:, :, None]
+        self.rows, bounds, self.labels = constraints_of(problem, self.U, self.X, at)
+        last = given.get("u_prev", np.zeros(0))
+        value = self.rows[:, at["value"]].ravel() + self.rows[:, at["u_prev"]] @ last
+        self.values = value + self.rows[:, at["s"]] @ point.slacks - bounds  # g <= 0
+        for i, (kind, _, row) in enumerate(self.labels):
+            if kind in conditions.changes.bounds:
+                self.rows[i, at["p"]] -= conditions.changes.bounds[kind][row]
+        # the price of a violation is counted in units that may change
+        prices = {kind: change for kind, change in conditions.changes.units.items() if change.any()}
+        priced = [(i, step - 1, prices[kind][row]) for i, (kind, step, row) in enumerate(self.labels) if kind in prices]
+        for i, k, change in priced:
+            self.rows[i, at["p"]] -= point.slacks[k] * change
         self.units = row_units(problem, self.labels)
+        self.on_bound = self.values >= -WEAKLY_ACTIVE * self.units  # rows that hold with equality
         held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         own = [label.kind != "input" or not held[label.step] for label in self.labels]
         self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
-        self.multipliers = np.zeros(len(rows)) if point.multipliers is None else point.multipliers
-        given = conditions.given
+        self.multipliers = np.zeros(len(self.rows)) if point.multipliers is None else point.multipliers
         error = point.states - given["x_ref"].reshape(N + 1, -1) if "x_ref" in given else point.states
         effort = point.inputs - given["u_ref"].reshape(N, -1) if "u_ref" in given else point.inputs
         steps = np.hstack([error[:-1], effort])
         self.slope = 2 * steps @ problem.stage_weight
         self.end_slope = 2 * problem.P @ error[-1]
         forms = np.concatenate([self.X[:-1], self.U], axis=1)
-        slacks = len(point.slacks)
-        n = at["z"].stop - at["z"].start + slacks
-        self.width = at["z"].stop + slacks
-        gradient = np.einsum("ki,kij->j", self.slope, forms) + self.end_slope @ self.X[-1]
-        self.gradient = np.concatenate([gradient, np.zeros(slacks)])
-        if problem.soft is not None:
-            linear, quadratic = problem.soft
-            self.gradient[at["z"].stop :] = linear + 2 * quadratic * point.slacks
-        mixed, end_mixed = self._mixed(steps, error[-1])
+        linear, quadratic = problem.soft or (0.0, 0.0)
+        self.gradient = np.einsum("ki,kij->j", self.slope, forms) + self.end_slope @ self.X[-1]
+        self.gradient[at["s"]] = linear + 2 * quadratic * point.slacks
+        mixed = 2 * np.einsum("pij,kj->kip", conditions.stage_change, steps)
+        end_mixed = 2 * np.einsum("ijp,j->ip", conditions.changes.P, error[-1])
         self.cost_of_parameters = 0.5 * (np.einsum("ki,kip->p", steps, mixed) + error[-1] @ end_mixed)
         curvature = np.broadcast_to(2 * problem.stage_weight, (N, nx + problem.nu, nx + problem.nu))
-        self.curvature = self._hessian(forms, curvature, slacks)[:, -n:]  # of the cost alone
+        self.curvature = self._hessian(forms, curvature)[:, conditions.free]  # of the cost alone
         diagonal = self.curvature.diagonal()
         self.scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
         if point.multipliers is not None:
@@ -57,44 +141,24 @@ class Linearised:
             of_model, mixed_of_model = conditions.model.second(point.states[:-1], point.inputs, costates)
             curvature = curvature + of_model
             mixed = mixed + mixed_of_model
-        whole = self._hessian(forms, curvature, slacks)
-        free = slice(at["z"].start, at["z"].stop)
-        drawn = np.einsum("kia,kip->ap", forms[:, :, free], mixed) + self.X[-1][:, free].T @ end_mixed
-        whole[: free.stop - free.start, at["p"]] += drawn
-        if slacks:  # what a slack is worth changes with the unit that it is counted in
-            for i, change in conditions.priced(self.labels):
-                whole[free.stop - free.start + self.labels[i].step - 1, at["p"]] -= self.multipliers[i] * change
-        self.H = whole[:, -n:]
+        whole = self._hessian(forms, curvature)
+        of_end = self.X[-1][:, conditions.free].T @ end_mixed
+        whole[:, at["p"]] += np.einsum("kia,kip->ap", forms[:, :, conditions.free], mixed) + of_end
+        for i, k, change in priced:  # what a slack is worth changes with the unit that it is counted in
+            whole[at["s"].start - at["z"].start + k, at["p"]] -= self.multipliers[i] * change
+        self.H = whole[:, conditions.free]
         self.F = whole[:, : conditions.nt]
         self.F_gap = whole[:, at["gap"]].ravel()
 
-    @property
-    def free(self) -> slice:
-        """Columns of z and the slacks."""
-        return slice(self.conditions.columns["z"].start, self.width)
-
-    def _mixed(self, steps: Array, end: Array) -> tuple[Array, Array]:
-        """Derivatives of cost slopes by p, (N, nx + nu, np) and (nx, np)."""
-        conditions = self.conditions
-        return (
-            2 * np.einsum("pij,kj->kip", conditions.stage_change, steps),
-            2 * np.einsum("ijp,j->ip", conditions.changes.P, end),
-        )
-
-    def _hessian(self, forms: Array, curvature: Array, slacks: int) -> Array:
-        """Lagrangian Hessian (n, ·) by (z, slacks) and (ξ, slacks)."""
-        problem, at = self.conditions.problem, self.conditions.columns
-        free = slice(at["z"].start, at["z"].stop)
+    def _hessian(self, forms: Array, curvature: Array) -> Array:
+        """Lagrangian Hessian (n, ·) by (z, slacks) and ξ."""
+        problem, slacks = self.conditions.problem, self.conditions.columns["s"]
         weighted = (curvature @ forms).reshape(-1, forms.shape[-1])
-        H: Array = forms[:, :, free].reshape(len(weighted), -1).T @ weighted + self.X[-1][:, free].T @ (
-            2 * problem.P @ self.X[-1]
-        )
-        if problem.soft is None:
-            return H
-        whole = np.zeros((len(H) + slacks, H.shape[1] + slacks))
-        whole[: len(H), : H.shape[1]] = H
-        whole[len(H) :, H.shape[1] :] = 2 * problem.soft[1] * np.eye(slacks)
-        return whole
+        H: Array = forms[:, :, self.free].reshape(len(weighted), -1).T @ weighted
+        H += self.X[-1][:, self.free].T @ (2 * problem.P @ self.X[-1])
+        if problem.soft is not None:
+            H[slacks.start - self.free.start :, slacks] = 2 * problem.soft[1] * np.eye(problem.horizon)
+        return H
 
     def _pushes(self) -> tuple[Array, Array]:
         """Slopes by states (N + 1, nx) and inputs (N, nu) from limits."""
@@ -134,8 +198,8 @@ class Linearised:
                 now = now - closing[k].T @ by_input
         return costates
 
-    def with_multipliers(self, point: Point) -> Point:
-        """Point with multipliers >= 0 that best balance the gradient."""
+    def with_multipliers(self) -> Point:
+        """The point with multipliers >= 0 that best balance the gradient."""
         met = np.flatnonzero((self.values >= -ACTIVE * self.units) & self.own)
         multipliers = np.zeros(len(self.rows))
         scaled = self.rows[met][:, self.free] * self.scale
@@ -144,7 +208,7 @@ class Linearised:
         if len(met):
             unit = scaled / length[:, None]
             multipliers[met] = nnls(unit.T, -self.gradient[self.free] * self.scale, maxiter=30 * len(met))[0] / length
-        return Point(point.inputs, point.states, point.slacks, multipliers, self.acting(multipliers))
+        return replace(self.point, multipliers=multipliers, acting=self.acting(multipliers))
 
     def worth(self, multipliers: Array) -> Array:
         """Violation (m,) of each row if inactive, in its unit [-]."""
@@ -173,8 +237,3 @@ class Linearised:
         }
         idle = [label.kind == "slack" and label.step not in near for label in self.labels]
         return np.asarray(pushing | np.array(idle, dtype=bool))
-
-    @property
-    def on_bound(self) -> Flags:
-        """Whether each row (m,) holds with equality, up to tolerance."""
-        return np.asarray(self.values >= -WEAKLY_ACTIVE * self.units)

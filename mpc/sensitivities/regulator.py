@@ -164,19 +164,8 @@ def as_derivatives(
 ) -> dict[str, Array]:
     """Derivatives (*shape, np) by name, checked; zeros for None.
 
-    Parameters
-    ----------
-    given : dict of name to (value, shape)
-        What was given, and the shape of the quantity itself.
-    symmetric : tuple of str
-        Those of symmetric matrices.
-    count : int, optional
-        np; by default what the first array says.
-
-    Raises
-    ------
-    InputError
-        Another shape, numbers of parameters that differ, NaN, or a derivative of a weight that is not symmetric.
+    `given` holds values and the shapes of the quantities themselves; np is `count`, or what the first array says. Other
+    shapes and numbers of parameters, NaN, and derivatives of `symmetric` matrices that are not symmetric are refused.
     """
     checked: dict[str, Array] = {}
     for name, (value, shape) in given.items():

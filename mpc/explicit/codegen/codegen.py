@@ -16,7 +16,7 @@ from mpc.explicit.codegen import c_source as c
 from mpc.explicit.codegen.c_source import real, table
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.piecewise_law import PiecewiseLaw
-from mpc.explicit.search_tree import distinct_planes, region_points
+from mpc.explicit.search_tree import distinct_planes, is_scan, region_points
 from mpc.halfspaces import box_of
 from mpc.tolerances import CUT_OFF, FAR_AWAY, INSIDE, INSIDE_FLOAT
 
@@ -87,17 +87,16 @@ def write_c(
     """
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError("name", repr(name), "a C identifier")
-    if method not in ("tree", "sequential"):
-        raise InputError("method", repr(method), "'tree' or 'sequential'")
+    scan = is_scan(method)
     if scalar not in _TOLERANCE:
         raise InputError("scalar", repr(scalar), "'double' or 'float'")
     complete = law.status is MPQPStatus.COMPLETE
-    if method == "tree" and not complete:
+    if not scan and not complete:
         got = f"'tree' for a partition that is incomplete ({law.status.name})"
         raise InputError("method", got, "a complete partition", "Use method='sequential'.")
     law_text, numbers = _law_tables(law, scalar)
     count = int(law.law_number.max()) + 1
-    search = _tree(law, scalar) if method == "tree" else _scan(law, scalar)
+    search = _scan(law, scalar) if scan else _tree(law, scalar)
     low, high, nearest = _inputs(law)
     fields = {
         "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu,

@@ -224,13 +224,13 @@ def test_a_search_that_starts_again_knows_of_the_holes_found(search):
 def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
     online = OnlineQP(search.regions.qp)
     for t in np.random.default_rng(0).uniform(-1, 1, size=(50, 2)):
-        opening = online.at(t)
-        for act in map(list, opening.candidates):
+        candidates, feasible = online.at(t)
+        for act in map(list, candidates):
             d = search.regions.qp.D @ np.append(t, 1.0)
             pull = np.linalg.solve(search.regions.qp.gram[np.ix_(act, act)], d[act])
             assert (pull <= 1e-9).all()
             assert (search.regions.qp.M @ (search.regions.qp.M[act].T @ pull) <= d + 1e-7).all()
-        assert bool(opening.candidates) == opening.feasible
+        assert bool(candidates) == feasible
 
 
 @pytest.mark.parametrize("seed", [3392])  # an input almost without weight: Gram eigenvalues of 1e-10 to 1e-14
