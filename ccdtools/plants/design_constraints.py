@@ -48,9 +48,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
 
 def constraint_names(names: Any, count: int) -> tuple[str, ...]:
     """Different names of the constraints; "constraint 1", … by default."""
-    if isinstance(names, tuple) and not names:
-        return tuple(f"constraint {i + 1}" for i in range(count))
-    given = as_names("constraint_names", names, count)
+    given = as_names("constraint_names", names, count, "constraint ")
     if len(set(given)) < count or not all(name.strip() for name in given):
         raise InputError("constraint_names", list(given), "a different name for every constraint")
     return given
