@@ -74,11 +74,7 @@ class TorchFunction:
             warnings.warn(
                 f"to_torch: CasADi evaluates {function.name()} point by point. {error.cure}".rstrip(), stacklevel=3
             )
-
-    @property
-    def translated(self) -> bool:
-        """Whether torch carries out every instruction."""
-        return self._tape is not None
+        self.translated = self._tape is not None
 
     def __repr__(self) -> str:
         way = "torch instructions" if self.translated else "CasADi point by point"
