@@ -80,14 +80,6 @@ class TorchFunction:
         way = "torch instructions" if self.translated else "CasADi point by point"
         return f"TorchFunction({self.function}, by {way})"
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"function": self.function.serialize()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it was said when the function was made
-            self.__init__(ca.Function.deserialize(state["function"]))  # type: ignore[misc]
-
     def __call__(self, *arguments: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Values at the arguments; leading shapes broadcast.
 
