@@ -105,8 +105,10 @@ def as_limit_tolerance(argument: str, value: Any) -> str | tuple[float, float]:
     return (fraction, as_number(argument, value[1], expected=expected, low=0.0))
 
 
-def as_names(argument: str, value: Any, size: int) -> tuple[str, ...]:
-    """Names, as many as `size`."""
+def as_names(argument: str, value: Any, size: int, default: str = "") -> tuple[str, ...]:
+    """Names, as many as `size`; of an empty tuple `default` with numbers from 1, if there is one."""
+    if default and isinstance(value, tuple) and not value:
+        return tuple(f"{default}{i + 1}" for i in range(size))
     if isinstance(value, str):
         raise InputError(argument, shown(value), f"a list of {size} name{'' if size == 1 else 's'}")
     try:

@@ -161,7 +161,7 @@ def excursions(states: ArrayLike, X: Polytope | StateLimits, *, names: Sequence[
     nx = limits.rows.shape[1]
     runs = np.asarray(as_array("states", states, ("T", nx), ("n", "T", nx)) if np.size(states) else states)
     runs = runs.reshape(-1, runs.shape[-2], nx)
-    names = tuple(f"x{i + 1}" for i in range(nx)) if names is None else as_names("names", names, nx)
+    names = as_names("names", () if names is None else names, nx, "x")
     return excursions_of(limits.depths(runs), lambda row: limits.row_text(row, names))
 
 

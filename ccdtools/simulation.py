@@ -15,7 +15,7 @@ from ccdtools.controllers.signals import Driver, Reference, Surroundings
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, Sensor, as_measurement
 from ccdtools.exceptions import CCDError, InputError
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
@@ -182,13 +182,10 @@ def as_simulable(plant: Any) -> Simulable:
 
 def _design(plant: Simulable, design: ArrayLike | None) -> Array:
     """Design (np,) to simulate at; empty for a plant without one."""
-    if plant.design is None or plant.design.dim == 0:
-        if design is not None and np.size(design) > 0:
-            raise InputError("design", shown(design), "nothing, because the plant has no design parameters")
-        return np.zeros(0)
-    if design is None:
-        raise InputError("design", "nothing", f"values for {', '.join(plant.design.names)}")
-    return plant.design.check_one(design)
+    space = plant.design or NO_DESIGN
+    if design is None and space.dim:
+        raise InputError("design", "nothing", f"values for {', '.join(space.names)}")
+    return space.check_one(() if design is None else design)
 
 
 def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> None:

@@ -51,7 +51,7 @@ def summarise(values: ArrayLike) -> Summary:
     if len(v) == 0:
         return Summary(np.nan, np.nan, np.nan, 0, (np.nan, np.nan))
     std = float(v.std(ddof=1)) if len(v) > 1 else float("nan")
-    warning = FEW_DECIDE if len(v) >= 3 * FEWEST_RUNS and _degrees(v) < FEWEST_RUNS else ""
+    warning = FEW_DECIDE if len(v) >= 3 * FEWEST_RUNS and _skewness_and_degrees(v)[1] < FEWEST_RUNS else ""
     return Summary(float(v.mean()), std, float(np.median(v)), len(v), interval_of_parts(v), warning)
 
 
@@ -140,7 +140,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     error = float(np.sqrt((cosines**2).mean() / len(values)))
     if correlation > float(stats.norm.ppf(INDEPENDENCE_LEVEL)) / np.sqrt(BATCHES) - 1 / BATCHES:
         return MeanInterval(mean, (np.nan, np.nan), error, correlation)
-    return MeanInterval(mean, _skewed(mean, error, _skewness(means), COSINES), error, correlation)
+    return MeanInterval(mean, _skewed(mean, error, _skewness_and_degrees(means)[0], COSINES), error, correlation)
 
 
 def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, float]:
@@ -163,8 +163,8 @@ def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, flo
     spread = float(values.std())
     if spread == 0:
         return (mean, mean)
-    degrees = min(n - 1.0, max(_degrees(values), FEWEST_RUNS))
-    return _skewed(mean, spread / np.sqrt(n - 1), _skewness(values), degrees, level)
+    skewness, degrees = _skewness_and_degrees(values)
+    return _skewed(mean, spread / np.sqrt(n - 1), skewness, min(n - 1.0, max(degrees, FEWEST_RUNS)), level)
 
 
 def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary:
@@ -233,19 +233,15 @@ def _alike(**given: ArrayLike) -> list[Array]:
     return pair
 
 
-def _skewness(values: Array) -> float:
-    """Skewness of the mean of values (n,); 0 if all are equal."""
+def _skewness_and_degrees(values: Array) -> tuple[float, float]:
+    """Skewness of the mean of values (n,), and degrees of freedom of their variance, by their kurtosis."""
     away = values - values.mean()
     spread = away.std()
-    return float(((away / spread) ** 3).mean() / np.sqrt(len(values))) if spread > 0 else 0.0
-
-
-def _degrees(values: Array) -> float:
-    """Degrees of freedom of the variance of values (n,), by their kurtosis."""
-    away = values - values.mean()
-    spread = away.std()
-    excess = float(((away / spread) ** 4).mean()) - 1 if spread > 0 else 0.0
-    return 2 * len(values) / excess if excess > 0 else float("inf")
+    if not spread > 0:
+        return 0.0, float("inf")
+    excess = float(((away / spread) ** 4).mean()) - 1
+    skewness = float(((away / spread) ** 3).mean() / np.sqrt(len(values)))
+    return skewness, 2 * len(values) / excess if excess > 0 else float("inf")
 
 
 def _skewed(mean: float, error: float, skewness: float, degrees: float, level: float = 0.95) -> tuple[float, float]:

@@ -30,18 +30,10 @@ class ImplicitStep:
         self.substeps = substeps
         self.weights = radau_weights()
         self.scale = np.ones(f.numel_out(0)) if scale is None else scale
-
-    @cached_property
-    def _dynamics(self) -> Vectorised:
-        """f on batches."""
-        return Vectorised(self.f)
-
-    @cached_property
-    def _jacobian(self) -> Vectorised:
-        """∂f/∂x by rows, on batches."""
-        arguments = [ca.SX.sym(name, *self.f.size_in(i)) for i, name in enumerate("xuwp")]
-        J = ca.jacobian(self.f(*arguments), arguments[0])
-        return Vectorised(ca.Function("jacobian", arguments, [ca.densify(ca.vec(J.T))]))
+        arguments = f.sx_in()
+        J = ca.jacobian(f(*arguments), arguments[0])
+        self._dynamics = Vectorised(f)
+        self._jacobian = Vectorised(ca.Function("jacobian", arguments, [ca.densify(ca.vec(J.T))]))  # ∂f/∂x by rows
 
     @cached_property
     def function(self) -> ca.Function:

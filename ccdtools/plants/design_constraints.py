@@ -48,9 +48,7 @@ def compiled(constraints: Any, names: Sequence[str]) -> ca.Function:
 
 def constraint_names(names: Any, count: int) -> tuple[str, ...]:
     """Different names of the constraints; "constraint 1", … by default."""
-    if isinstance(names, tuple) and not names:
-        return tuple(f"constraint {i + 1}" for i in range(count))
-    given = as_names("constraint_names", names, count)
+    given = as_names("constraint_names", names, count, "constraint ")
     if len(set(given)) < count or not all(name.strip() for name in given):
         raise InputError("constraint_names", list(given), "a different name for every constraint")
     return given
@@ -73,6 +71,8 @@ class UnitConstraints:
 
     Attributes
     ----------
+    count : int
+        Number of constraints.
     not_finite : (m, np) array
         Samples at which a constraint is not finite.
 
@@ -86,7 +86,8 @@ class UnitConstraints:
         v = ca.SX.sym("v", len(lower))
         p = ca.DM(lower) + v * ca.DM(upper - lower)
         g = function(p)
-        prices = ca.SX.sym("prices", g.numel())
+        self.count = g.numel()
+        prices = ca.SX.sym("prices", self.count)
         self._g = ca.Function("g", [v], [g])
         self._rows = ca.Function("rows", [v], [ca.vec(ca.densify(ca.jacobian(g, v)).T)])
         self._rounding = ca.Function("rounding", [v], [np.finfo(float).eps * term_sizes(function, p)])
@@ -115,11 +116,6 @@ class UnitConstraints:
         """Slopes (n, ng, np) at points (n, np) and their lengths (n, ng)."""
         slopes = _mapped(self._rows, points).reshape(len(points), -1, points.shape[1])
         return slopes, np.nan_to_num(np.hypot.reduce(slopes, axis=-1), nan=np.inf, posinf=np.inf)
-
-    @property
-    def count(self) -> int:
-        """Number of constraints."""
-        return len(self._scale)
 
     def values(self, v: Array) -> Array:
         """Scaled constraints (ng,): sign of g, slope one across the edge.

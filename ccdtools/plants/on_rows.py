@@ -8,7 +8,7 @@ arrays, they are the same.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -36,7 +36,7 @@ class Native:
 
     def __init__(self, function: ca.Function) -> None:
         self._function = function
-        self._for_rows: dict[tuple[int, tuple[int, ...]], ca.Function] = {}
+        self._for_rows = lru_cache(KEPT_SIZES)(partial(_for_rows, function))
 
     def __call__(self, *arguments: Array) -> Array:
         """Values (n, n_out) at arguments (n, n_i), or (n_i,) common to all rows."""
@@ -45,7 +45,7 @@ class Native:
         if not rows:
             return out
         common = tuple(i for i, a in enumerate(arguments) if a.ndim == 1)
-        made: Any = self._mapped(rows, common).buffer()
+        made: Any = self._for_rows(rows, common).buffer()
         buffer, evaluate = made
         given = [np.ascontiguousarray(a, dtype=float) for a in arguments]  # held: the buffer has their addresses only
         for i, a in enumerate(given):
@@ -54,19 +54,6 @@ class Native:
         buffer.set_res(0, memoryview(out))  # type: ignore[arg-type]
         evaluate()
         return out
-
-    def _mapped(self, rows: int, common: tuple[int, ...]) -> ca.Function:
-        """Function for `rows` rows, with some arguments `common` to all."""
-        if rows == 1:
-            return self._function
-        made = self._for_rows.get((rows, common))
-        if made is None:
-            name = f"{self._function.name()}_{rows}"
-            made = self._function.map(name, "serial", rows, list(common), [])
-            for oldest in list(self._for_rows)[: max(0, len(self._for_rows) - KEPT_SIZES + 1)]:
-                self._for_rows.pop(oldest, None)  # another thread may have been faster
-            self._for_rows[rows, common] = made
-        return made
 
 
 class InPlace:
@@ -108,6 +95,11 @@ class InPlace:
         with np.errstate(all="ignore"):
             for call, operands in self._calls:
                 call(*operands)
+
+
+def _for_rows(function: ca.Function, rows: int, common: tuple[int, ...]) -> ca.Function:
+    """Function for `rows` rows, with some arguments `common` to all."""
+    return function if rows == 1 else function.map(f"{function.name()}_{rows}", "serial", rows, list(common), [])
 
 
 def as_rows(columns: Array) -> Array:

@@ -95,9 +95,7 @@ class Plant(Symbolic):
         self._check_outputs()
         named = (("state_names", "x", self.nx), ("input_names", "u", self.nu), ("output_names", "y", self.ny))
         for name, letter, n in named:
-            given = getattr(self, name)
-            given = [f"{letter}{i + 1}" for i in range(n)] if isinstance(given, tuple) and not given else given
-            set_(self, name, as_names(name, given, n))
+            set_(self, name, as_names(name, getattr(self, name), n, letter))
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
 
     def _check_outputs(self) -> None:

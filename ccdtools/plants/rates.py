@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -27,8 +26,8 @@ class Rates:
         self.rate = ca.densify(ca.substitute(rate, plant.w, ca.DM(w)) if plant.nw else rate)
         self.jacobian_expression = ca.jacobian(self.rate, self.z)
         arguments = [self.z, plant.p]
-        self._arguments = arguments
         self._rate = ca.Function("rate", arguments, [self.rate])
+        self._terms = ca.Function("terms", arguments, [term_sizes(self._rate, *arguments)])
         self._jacobian = ca.Function("jacobian", arguments, [ca.densify(self.jacobian_expression)])
         self._by_design = ca.Function("by_design", arguments, [ca.densify(ca.jacobian(self.rate, plant.p))])
 
@@ -65,11 +64,6 @@ class Rates:
         size = J @ np.abs(z) + J.max(axis=1) * RATE_ROUNDING
         terms = np.nan_to_num(np.asarray(self._terms(z, p), dtype=float).ravel(), posinf=0.0)
         return np.asarray(RATE_ROUNDING * np.maximum(size, terms))
-
-    @cached_property
-    def _terms(self) -> ca.Function:
-        """(z, p) → sizes (nx, 1) of the terms of each rate."""
-        return ca.Function("terms", self._arguments, [term_sizes(self._rate, *self._arguments)])
 
 
 def rest_near(rates: Rates, z: Array, free: Array, p: Array) -> Array:

@@ -128,15 +128,12 @@ class SymbolicFunction:
         return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
 
     def __getstate__(self) -> dict[str, Any]:
-        functions = {sizes: function.serialize() for sizes, function in self._functions.items()}
-        whole = self._given.serialize() if isinstance(self._given, ca.Function) else None
-        plain = None if functions or whole is not None else self._given
-        return {"argument": self.argument, "names": self.names, "functions": functions, "whole": whole, "given": plain}
+        given = self._given if isinstance(self._given, ca.Function) or not self._functions else None
+        return {"argument": self.argument, "names": self.names, "functions": self._functions, "given": given}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        given = state["given"] if state["whole"] is None else ca.Function.deserialize(state["whole"])
-        self.__init__(state["argument"], given, state["names"])  # type: ignore[misc]
-        self._functions = {sizes: ca.Function.deserialize(text) for sizes, text in state["functions"].items()}
+        self.__init__(state["argument"], state["given"], state["names"])  # type: ignore[misc]
+        self._functions = dict(state["functions"])
 
 
 def as_symbolic(argument: str, value: Any, names: tuple[str, ...]) -> SymbolicFunction:

@@ -74,23 +74,11 @@ class TorchFunction:
             warnings.warn(
                 f"to_torch: CasADi evaluates {function.name()} point by point. {error.cure}".rstrip(), stacklevel=3
             )
-
-    @property
-    def translated(self) -> bool:
-        """Whether torch carries out every instruction."""
-        return self._tape is not None
+        self.translated = self._tape is not None
 
     def __repr__(self) -> str:
         way = "torch instructions" if self.translated else "CasADi point by point"
         return f"TorchFunction({self.function}, by {way})"
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"function": self.function.serialize()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it was said when the function was made
-            self.__init__(ca.Function.deserialize(state["function"]))  # type: ignore[misc]
 
     def __call__(self, *arguments: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Values at the arguments; leading shapes broadcast.

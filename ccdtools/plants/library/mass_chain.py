@@ -12,6 +12,10 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import dry_friction, hardening_spring
 from ccdtools.plants.plant import Plant
 
+HARDENING = 5.0  # 1/m², of the real springs
+DRY_FRICTION = 0.2  # N, of each real mass
+SLIDING = 0.05  # m/s, below which that is smoothed
+
 
 def mass_chain(n: int = 10, *, mass: float = 1.0, walls: int = 2, driven: Sequence[int] = (1,),
                disturbed: Sequence[int] | None = None, real: bool = False, dt: float = 0.05) -> Plant:  # fmt: skip
@@ -51,7 +55,7 @@ def mass_chain(n: int = 10, *, mass: float = 1.0, walls: int = 2, driven: Sequen
     links = _links(x[:n], x[n:], p, walls, real=real)
     forces = links[1:] - links[:-1]
     if real:
-        forces -= dry_friction(0.2, x[n:], knee=0.05)  # N, smoothed below so many m/s
+        forces -= dry_friction(DRY_FRICTION, x[n:], SLIDING)
     for numbers, given in ((pushed, u), (shaken, w)):
         for j, number in enumerate(numbers):
             forces[number - 1] += given[j]
@@ -66,8 +70,7 @@ def _links(q: ca.SX, v: ca.SX, p: ca.SX, walls: int, *, real: bool) -> ca.SX:
     ends = ca.SX(1, 1)
     stretch = ca.vertcat(q, ends) - ca.vertcat(ends, q)
     rate = ca.vertcat(v, ends) - ca.vertcat(ends, v)
-    hardening = 5.0 if real else 0.0  # 1/m²
-    tension = p[1] * rate + hardening_spring(p[0], stretch, hardening)
+    tension = p[1] * rate + (hardening_spring(p[0], stretch, HARDENING) if real else p[0] * stretch)
     if walls == 1:
         tension[-1] = 0
     return ca.densify(tension)
