@@ -15,6 +15,12 @@ from ccdtools.co_design.feasible import DesignRegion
 from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VALUE, PER_UNIT, STEEPEST, UNIT_OF_Z
 
 
+def compressed(relative: float) -> float:
+    """Relative cost, logarithmic beyond `COMPRESS_ABOVE`."""
+    high = relative > COMPRESS_ABOVE
+    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
+
+
 class SampleAverage:
     """Relative cost and gradient at z (m,) of weights and design.
 
@@ -85,7 +91,7 @@ class SampleAverage:
         value = cost.item() / self._scale
         if value > COMPRESS_ABOVE:
             gradient /= value / COMPRESS_ABOVE
-            value = COMPRESS_ABOVE * (1.0 + np.log(value / COMPRESS_ABOVE))
+        value = compressed(value)
         if self._region is not None:
             at = self._at
             added, gradient[at] = self._region.extended(UNIT_OF_Z * z[at], self._place, gradient[at])

@@ -136,13 +136,7 @@ def optimum_sensitivity(
 
 
 def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: int) -> tuple[Array, float]:
-    """Best design (np,) found by a search, and its cost.
-
-    Raises
-    ------
-    InputError
-        If there is no LQR to search by.
-    """
+    """Best design (np,) found by a search, and its cost."""
     space = problem.design
     if inner == "riccati":
         cost: DesignCost = RiccatiCost(problem)

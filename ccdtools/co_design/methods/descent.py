@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.climb import compressed
 from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import EXACT
@@ -36,12 +37,6 @@ class Descent:
     cost: float
     slope: Array  # (np,): of the cost there, per unit-box length
     spent: bool = False  # whether the evaluations ran out
-
-
-def compressed(relative: float) -> float:
-    """Relative cost, logarithmic beyond `COMPRESS_ABOVE`."""
-    high = relative > COMPRESS_ABOVE
-    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
 
 
 def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:

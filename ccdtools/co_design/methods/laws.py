@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, saturated_lqr
-from ccdtools.co_design.design_sensitivity import regulator_of
+from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, regulator_of, saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import Law
 from ccdtools.co_design.problem import CoDesignProblem

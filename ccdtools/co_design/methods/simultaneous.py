@@ -9,6 +9,7 @@ Design 136, 2014; Herber and Allison, Journal of Mechanical Design 141, 2019.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,14 +18,7 @@ from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.design_search import OTHERS, start_points
-from ccdtools.co_design.methods.open_loop import (
-    Feedback,
-    at_the_mean,
-    check_open_loop,
-    drawn,
-    followed,
-    open_loop_problem,
-)
+from ccdtools.co_design.methods.open_loop import Feedback, at_the_mean, check_open_loop, drawn, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, Valley
@@ -33,7 +27,7 @@ from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
 from mpc import NotStabilisableError
-from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Solution, build, solve
+from mpc.optimal_control import OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")
 RUNS = {"trajectory": 8, "gain": 16}  # Scenarios; each has trajectories of its own.
@@ -96,12 +90,7 @@ class Simultaneous:
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
         """Result of one start."""
         feedback = Feedback(problem, _first_gain(problem, design)) if self.unknowns == "gain" else None
-        guess = followed(problem, scenarios, design)
-
-        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
-            """Program of a problem from here."""
-            return open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
-
+        stated = partial(open_loop_problem, scenarios=scenarios, design=design, feedback=feedback)
         first = at_the_mean(problem, stated, max_iterations=self.iterations)
         solution = solve(build(stated(problem)), start=first, max_iterations=self.iterations)
         return _End(solution, solution.iterations + (0 if first is None else first.iterations))
