@@ -11,14 +11,9 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.descent import SpentError, compressed
 from ccdtools.co_design.feasible import DesignRegion
 from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VALUE, PER_UNIT, STEEPEST, UNIT_OF_Z
-
-
-def compressed(relative: float) -> float:
-    """Relative cost, logarithmic beyond `COMPRESS_ABOVE`."""
-    high = relative > COMPRESS_ABOVE
-    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
 
 
 class SampleAverage:
@@ -103,10 +98,6 @@ class SampleAverage:
         return PER_UNIT * value, PER_UNIT * UNIT_OF_Z * clipped
 
 
-class _StoppedError(Exception):
-    """Raised when the climb is to end."""
-
-
 def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], look: Callable[[], bool]) -> None:
     """Climb until level or spent, and set policy and design to the lowest point.
 
@@ -128,7 +119,7 @@ def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], l
         """Relative cost and gradient (m,)."""
         nonlocal lowest, least, new, left
         if left == 0:
-            raise _StoppedError
+            raise SpentError
         left -= 1
         value, gradient = average(z)
         if value < least:
@@ -138,11 +129,11 @@ def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], l
             average.put(lowest)
             new = False
             if look():
-                raise _StoppedError
+                raise SpentError
         return value, gradient
 
     options = CLIMB_OPTIONS | {"maxfun": 10 * length, "maxiter": length}
-    with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
+    with np.errstate(all="ignore"), contextlib.suppress(SpentError):
         minimize(value, average.first, jac=True, method="L-BFGS-B", bounds=average.bounds, options=options)
     average.put(lowest)
     if new:

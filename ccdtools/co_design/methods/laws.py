@@ -37,10 +37,8 @@ class DesignLaw:
     controller: Callable[[CoDesignProblem, Array], Controller]
     exact: Callable[[CoDesignProblem, Tensor], Law] | None = None
 
-    def at(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Law at a design (np,); a lost run is given no program to solve."""
-        if self.exact is not None:
-            return self.exact(problem, p)
+    def on_line(self, problem: CoDesignProblem, p: Tensor) -> Law:
+        """Controller of a design (np,) as a law; a lost run is given no program to solve."""
         controller = self.controller(problem, p.detach().numpy())
 
         def law(x: Tensor) -> Tensor:

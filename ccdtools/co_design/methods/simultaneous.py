@@ -134,14 +134,9 @@ class _End:
     iterations: int
 
     @property
-    def impossible(self) -> bool:
-        """Whether no inputs keep the limits."""
-        return self.solution.status is OptimalControlStatus.INFEASIBLE
-
-    @property
     def feasible(self) -> bool:
         """Whether all limits are kept."""
-        return not (self.impossible or self.solution.conflicts)
+        return not (self.solution.status is OptimalControlStatus.INFEASIBLE or self.solution.conflicts)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
         """Rise of the return per unit of each design constraint or bound."""
@@ -164,7 +159,7 @@ def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
 
 def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
     """Status of the program; whole numbers that one start kept leave others untried."""
-    if best.impossible:
+    if best.solution.status is OptimalControlStatus.INFEASIBLE:
         return CoDesignStatus.INFEASIBLE
     if not best.solution.solved or numbers:
         return CoDesignStatus.BUDGET_SPENT
