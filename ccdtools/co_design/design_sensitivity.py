@@ -104,7 +104,11 @@ def design_sensitivity(
     as_choice("controller", controller, CONTROLLERS)
     horizon = as_count("horizon", horizon)
     p = problem.design.check_one(design)
-    x = _start(problem, x0)
+    if x0 is None:
+        if not isinstance(problem.scenarios, FixedStart):
+            raise InputError("x0", "nothing", f"a state ({problem.model.nx},), because the problem has no FixedStart")
+        x0 = problem.scenarios.x0
+    x = as_vector("x0", x0, problem.model.nx, of="one per state")
     names = tuple(problem.design.names)
     changes = weight_changes(problem, p)
     weights = problem.weights(p).keywords()
@@ -119,15 +123,6 @@ def design_sensitivity(
         names, p, x, plan.plan.cost, plan.cost_by_state, plan.cost_by_parameters, plan.input_by_state,
         plan.input_by_parameters, plan.status, plan,
     )  # fmt: skip
-
-
-def _start(problem: CoDesignProblem, x0: ArrayLike | None) -> Array:
-    """Checked state."""
-    if x0 is None:
-        if not isinstance(problem.scenarios, FixedStart):
-            raise InputError("x0", "nothing", f"a state ({problem.model.nx},), because the problem has no FixedStart")
-        return np.asarray(problem.scenarios.x0)
-    return as_vector("x0", x0, problem.model.nx, of="one per state")
 
 
 def _of_mpc(

@@ -199,13 +199,18 @@ def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tupl
     return x0.double().numpy(), w.double().numpy()
 
 
+def lqr_or_none(problem: CoDesignProblem, design: Array) -> LinearFeedback:
+    """Saturated LQR of a design, or no feedback where there is none."""
+    try:
+        return saturated_lqr(problem, design)
+    except NotStabilisableError:
+        return LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
+
+
 def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
     """Trajectories (times, x, u) of saturated LQR, held where they diverge."""
     x0, w = scenarios
-    try:
-        law: Any = saturated_lqr(problem, design)
-    except NotStabilisableError:
-        law = LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
+    law = lqr_or_none(problem, design)
     step = problem.model.stepper(design, batch=len(x0))
     states, inputs = [x0], []
     for k in range(w.shape[1]):
