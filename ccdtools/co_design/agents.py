@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from ccdtools.checks import as_instance
@@ -13,13 +11,6 @@ from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic
-
-
-def as_agent(agent: Any) -> ActorCritic | None:
-    """Agent, or None where a method makes its own."""
-    if agent is not None:
-        as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
-    return agent  # type: ignore[no-any-return]
 
 
 def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:

@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.descent import SpentError, compressed
 from ccdtools.co_design.feasible import DesignRegion
 from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VALUE, PER_UNIT, STEEPEST, UNIT_OF_Z
 
@@ -85,7 +86,7 @@ class SampleAverage:
         value = cost.item() / self._scale
         if value > COMPRESS_ABOVE:
             gradient /= value / COMPRESS_ABOVE
-            value = COMPRESS_ABOVE * (1.0 + np.log(value / COMPRESS_ABOVE))
+        value = compressed(value)
         if self._region is not None:
             at = self._at
             added, gradient[at] = self._region.extended(UNIT_OF_Z * z[at], self._place, gradient[at])
@@ -95,10 +96,6 @@ class SampleAverage:
             return LOST_VALUE, np.zeros_like(gradient)
         clipped = gradient * min(1.0, STEEPEST / max(length, STEEPEST))
         return PER_UNIT * value, PER_UNIT * UNIT_OF_Z * clipped
-
-
-class _StoppedError(Exception):
-    """Raised when the climb is to end."""
 
 
 def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], look: Callable[[], bool]) -> None:
@@ -122,7 +119,7 @@ def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], l
         """Relative cost and gradient (m,)."""
         nonlocal lowest, least, new, left
         if left == 0:
-            raise _StoppedError
+            raise SpentError
         left -= 1
         value, gradient = average(z)
         if value < least:
@@ -132,11 +129,11 @@ def climb(average: SampleAverage, length: int, *, counted: Callable[[], bool], l
             average.put(lowest)
             new = False
             if look():
-                raise _StoppedError
+                raise SpentError
         return value, gradient
 
     options = CLIMB_OPTIONS | {"maxfun": 10 * length, "maxiter": length}
-    with np.errstate(all="ignore"), contextlib.suppress(_StoppedError):
+    with np.errstate(all="ignore"), contextlib.suppress(SpentError):
         minimize(value, average.first, jac=True, method="L-BFGS-B", bounds=average.bounds, options=options)
     average.put(lowest)
     if new:

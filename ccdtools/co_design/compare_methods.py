@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_instance, shown
-from ccdtools.co_design.agents import as_agent
 from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.method_comparison import MethodComparison
@@ -83,7 +83,9 @@ def compare_methods(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_count("seed", seed, least=0)
     shown_at_all = each is None if progress is None else as_flag("progress", progress)
-    chosen = named_methods(methods, as_agent(agent))
+    kinds = (ActorCritic, NoneType)
+    as_instance("agent", agent, kinds, "an ActorCritic", "fit_actor_critic makes one.")
+    chosen = named_methods(methods, agent)
     if reference is None:
         reference = REFERENCE if REFERENCE in chosen else next(iter(chosen))
     elif reference not in chosen:

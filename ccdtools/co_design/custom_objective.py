@@ -77,7 +77,13 @@ class CustomObjective(Objective):
         if self.Q is not None:
             return Weights(self.Q, self.R)
         H = np.asarray(self.stage_cost.hessian(nx, nu, len(p))(p), dtype=float) / 2
-        return _checked_weights(H, nx, p)
+        if not is_semidefinite(H):
+            got = f"one whose Hessian about x = 0, u = 0 is not positive semidefinite at the design {p.tolist()}"
+            cure = "Give the weights Q and R of the LQR and MPC that the cost is compared with."
+            raise InputError("objective.stage_cost", got, "a cost that grows away from rest", cure)
+        H = (H + H.T) / 2
+        S = H[:nx, nx:]
+        return Weights(H[:nx, :nx], H[nx:, nx:], S if S.any() else None)
 
     def weight_derivatives(self, p: Array, nx: int, nu: int) -> Weights:
         """Derivatives (·, ·, np) of the given weights or half the Hessian."""
@@ -158,20 +164,3 @@ def _as_matrix(argument: str, value: Any, size: int) -> Array:
     if array.ndim == 1:
         array = np.diag(as_array(argument, array, (size,)))
     return as_weight(argument, array, size)
-
-
-def _checked_weights(H: Array, nx: int, p: Array) -> Weights:
-    """Weights of a cost's Hessian, if it is a regulator's.
-
-    Raises
-    ------
-    InputError
-        If it is not positive semidefinite.
-    """
-    if not is_semidefinite(H):
-        got = f"one whose Hessian about x = 0, u = 0 is not positive semidefinite at the design {p.tolist()}"
-        cure = "Give the weights Q and R of the LQR and MPC that the cost is compared with."
-        raise InputError("objective.stage_cost", got, "a cost that grows away from rest", cure)
-    H = (H + H.T) / 2
-    S = H[:nx, nx:]
-    return Weights(H[:nx, :nx], H[nx:, nx:], S if S.any() else None)

@@ -16,7 +16,7 @@ from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
-from mpc import LinearMPC, NotStabilisableError, lqr
+from mpc import LinearMPC, LQRSensitivity, NotStabilisableError, lqr, lqr_sensitivity
 
 if TYPE_CHECKING:
     from mpc.optimal_control import NonlinearMPC
@@ -38,6 +38,20 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
     A, B, _ = problem.model.matrices(p)
     K, _ = lqr(A, B, **problem.weights(p).keywords())
     return LinearFeedback(K, *problem.input_bounds_at(p))
+
+
+def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
+    """LQR of a design (np,), with derivatives of gain and cost."""
+    A, B, _ = problem.model.matrices(p)
+    dA, dB, _ = problem.model.derivatives(p)
+    return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **weight_changes(problem, p))
+
+
+def weight_changes(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
+    """dQ, dR and dS."""
+    model = problem.model
+    changed = problem.objective.weight_derivatives(p, model.nx, model.nu)
+    return {f"d{name}": value for name, value in changed.keywords().items()}
 
 
 def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_instance, as_vector
-from ccdtools.co_design.design_controllers import HORIZON, undisturbed_step
+from ccdtools.co_design.design_controllers import HORIZON, regulator_of, undisturbed_step, weight_changes
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
+from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus
 
 CONTROLLERS = ("lqr", "mpc", "nmpc")
 
@@ -104,9 +104,13 @@ def design_sensitivity(
     as_choice("controller", controller, CONTROLLERS)
     horizon = as_count("horizon", horizon)
     p = problem.design.check_one(design)
-    x = _start(problem, x0)
+    if x0 is None:
+        if not isinstance(problem.scenarios, FixedStart):
+            raise InputError("x0", "nothing", f"a state ({problem.model.nx},), because the problem has no FixedStart")
+        x0 = problem.scenarios.x0
+    x = as_vector("x0", x0, problem.model.nx, of="one per state")
     names = tuple(problem.design.names)
-    changes = _weight_changes(problem, p)
+    changes = weight_changes(problem, p)
     weights = problem.weights(p).keywords()
     if controller == "lqr":
         found = regulator_of(problem, p)
@@ -119,29 +123,6 @@ def design_sensitivity(
         names, p, x, plan.plan.cost, plan.cost_by_state, plan.cost_by_parameters, plan.input_by_state,
         plan.input_by_parameters, plan.status, plan,
     )  # fmt: skip
-
-
-def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
-    """LQR of a design (np,), with derivatives of gain and cost."""
-    A, B, _ = problem.model.matrices(p)
-    dA, dB, _ = problem.model.derivatives(p)
-    return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **_weight_changes(problem, p))
-
-
-def _start(problem: CoDesignProblem, x0: ArrayLike | None) -> Array:
-    """Checked state."""
-    if x0 is None:
-        if not isinstance(problem.scenarios, FixedStart):
-            raise InputError("x0", "nothing", f"a state ({problem.model.nx},), because the problem has no FixedStart")
-        return np.asarray(problem.scenarios.x0)
-    return as_vector("x0", x0, problem.model.nx, of="one per state")
-
-
-def _weight_changes(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
-    """dQ, dR and dS."""
-    model = problem.model
-    changed = problem.objective.weight_derivatives(p, model.nx, model.nu)
-    return {f"d{name}": value for name, value in changed.keywords().items()}
 
 
 def _of_mpc(

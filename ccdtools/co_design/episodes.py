@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -38,8 +39,7 @@ class Episode:
     outside: Tensor  # (n,): fraction of the steps that end outside X; without a gradient, zero unless asked for
 
 
-@dataclass(frozen=True, eq=False)
-class _Progress:
+class _Progress(NamedTuple):
     """States, model errors and sums of n episodes after a segment."""
 
     x: Tensor
@@ -50,18 +50,9 @@ class _Progress:
     peak: Tensor
     outside: Tensor
 
-    def tensors(self) -> tuple[Tensor, ...]:
-        """Fields in order."""
-        return (self.x, self.e, self.running, self.total, self.depth, self.peak, self.outside)
-
 
 def episode(
-    problem: CoDesignProblem,
-    agent: ActorCritic,
-    p: Tensor,
-    scenarios: tuple[Tensor, Tensor],
-    *,
-    depths: bool = False,
+    problem: CoDesignProblem, agent: ActorCritic, p: Tensor, scenarios: tuple[Tensor, Tensor], *, depths: bool = False
 ) -> Episode:
     """Episodes of the mean policy at design `p`, fully differentiable.
 
@@ -92,26 +83,21 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
         """Progress after the steps of `w` (n, T, nw)."""
         for part in w.split(length, dim=1):
             if recomputed:
-                tensors = checkpoint(_segment, step, law, part, depths, *progress.tensors(), use_reentrant=False)
+                tensors = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False)
             else:
-                tensors = _segment(step, law, part, depths, *progress.tensors())
+                tensors = _segment(step, law, part, depths, *progress)
             progress = _Progress(*tensors)
         return progress
 
     if warm_up:
-        progress = _counted_from_here(advanced(progress, w[:, :warm_up]))
+        progress = advanced(progress, w[:, :warm_up])
+        total = torch.where(progress.running, nothing, progress.total)  # lost runs keep their cost
+        progress = progress._replace(total=total, depth=nothing, peak=nothing, outside=nothing)
     progress = advanced(progress, w[:, warm_up:])
     final = step.final_rewards(progress.x)
     total = progress.total if final is None else progress.total + torch.where(progress.running, final, 0.0).double()
     total = total - step.problem.objective.cost_of_design(step.p, steps)
     return Episode(total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
-
-
-def _counted_from_here(progress: _Progress) -> _Progress:
-    """Progress with empty sums; lost runs keep their cost."""
-    nothing = torch.zeros_like(progress.total)
-    total = torch.where(progress.running, nothing, progress.total)
-    return replace(progress, total=total, depth=nothing, peak=nothing, outside=nothing)
 
 
 def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> tuple[Tensor, ...]:
@@ -155,7 +141,7 @@ def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) 
 def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progress) -> tuple[Tensor, ...]:
     """Guarded `_segment`, with each run frozen beyond the divergence limit."""
     drive = step.drive(w)
-    x, e, running, total, depth, peak, outside = progress.tensors()
+    x, e, running, total, depth, peak, outside = progress
     for k in range(w.shape[1]):
         u = law(x)
         x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])

@@ -187,13 +187,13 @@ def expert_dataset(
         family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), budget)
         begin = starts(problem, family, samples, designs, budget, rng)
         loops = ExpertLoops(problem, begin, expert, horizon, progress=progress)
-        found = follow(problem, loops, gamma, rng, progress=progress)
-    known = (np.abs(found.states) <= IMITATED * problem.state_scale).all(axis=2)  # NaN is not
-    designs_of_all = np.broadcast_to(begin.p, (*found.states.shape[:2], begin.p.shape[1]))
-    inputs = np.concatenate([found.states, designs_of_all], axis=2)
-    lost = float(np.isnan(found.values[0, : begin.candidates]).mean())
+        states, actions, values = follow(problem, loops, gamma, rng, progress=progress)
+    known = (np.abs(states) <= IMITATED * problem.state_scale).all(axis=2)  # NaN is not
+    designs_of_all = np.broadcast_to(begin.p, (*states.shape[:2], begin.p.shape[1]))
+    inputs = np.concatenate([states, designs_of_all], axis=2)
+    lost = float(np.isnan(values[0, : begin.candidates]).mean())
     counts = begin.counts
     if counts is not None and isinstance(problem.model, SampledModel):
-        leaving = _leaving(problem.model, begin, found.states[0], found.actions[0])
+        leaving = _leaving(problem.model, begin, states[0], actions[0])
         counts = replace(counts, local=True, leaving=leaving)
-    return ExpertData(inputs[known], found.actions[known], found.values[known], begin.acceptance, lost, counts)
+    return ExpertData(inputs[known], actions[known], values[known], begin.acceptance, lost, counts)

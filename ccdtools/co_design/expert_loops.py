@@ -20,22 +20,13 @@ from invariant_sets import AdmissibleInputs, Polytope
 from mpc import LinearMPC
 
 
-@dataclass(frozen=True)
-class Followed:
-    """States (v, n, nx), inputs (v, n, nu), discounted returns (v, n) of v visits.
-
-    They are NaN where a run has diverged.
-    """
-
-    states: Array
-    actions: Array
-    values: Array
-
-
 def follow(
     problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *, progress: bool = False
-) -> Followed:
-    """Closed loops on the problem's model and disturbances, recorded at `VISITS`."""
+) -> tuple[Array, Array, Array]:
+    """Closed loops on the problem's model and disturbances, recorded at `VISITS`.
+
+    States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN where a run has diverged.
+    """
     x = loops.starts.x
     steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
@@ -59,7 +50,7 @@ def follow(
         future = rewards[k] + gamma * future
         if k in VISITS:
             values.append(future)
-    return Followed(np.array(visited), np.array(actions), np.array(values[::-1]))
+    return np.array(visited), np.array(actions), np.array(values[::-1])
 
 
 class ExpertLoops:

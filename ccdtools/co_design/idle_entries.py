@@ -85,10 +85,7 @@ def _idle(problem: Any, entries: Any, *, disturbance: float) -> Any:
 
 
 def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
-    """Functions that the design may enter as `p` or alone.
-
-    Of a linear model it enters [A B E], each column times the extent of what it is multiplied by.
-    """
+    """Functions that the design may enter as `p` or alone; of a linear model [A B E], columns times extents."""
     model = problem.model
     nx, nu, dim = model.nx, model.nu, model.design.dim
     if isinstance(model, SampledModel):

@@ -169,10 +169,7 @@ def _feasible(space: DesignSpace, V: Array) -> Array:
 
 
 def _hilltops_by_combination(landscape: Landscape, V: Array, J: Array) -> tuple[Array, Array, list[int]]:
-    """Points (n, np), returns, and the best combinations' highest optima.
-
-    Where there are more than a few combinations, they are found by a climb along the whole numbers too.
-    """
+    """Points (n, np), returns, and the best combinations' highest optima."""
     space = landscape.problem.design
     if combinations(space) > CLIMBED_COMBINATIONS:
         first = np.argsort(-J, kind="stable")[:MOST_CLIMBED]
@@ -197,10 +194,7 @@ def _hilltops(V: Array, J: Array) -> list[int]:
 def _climbed(
     landscape: Landscape, V: Array, J: Array, *, across: bool = False, seen: bool = False
 ) -> tuple[Array, Array]:
-    """Ends of compass searches from points (n, np), and their returns.
-
-    With `across`, along whole numbers too, one at least at a time; with `seen`, all points that were looked at.
-    """
+    """Ends of compass searches and their returns, `across` whole numbers too; if `seen`, all points looked at."""
     space = landscape.problem.design
     V = V.copy()
     J = J.copy()

@@ -43,7 +43,13 @@ def least_depth(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     horizon = min(problem.steps, HORIZON) if steps is None else as_count("steps", steps)
-    starts = _starts(problem) if x0 is None else as_vector("x0", x0, problem.model.nx, of="one per state")[None]
+    if x0 is not None:
+        starts = as_vector("x0", x0, problem.model.nx, of="one per state")[None]
+    elif isinstance(problem.scenarios, FixedStart):
+        starts = problem.scenarios.x0[None]
+    else:
+        drawn = problem.scenarios.sample(8, problem.steps, np.random.default_rng(0))[0]
+        starts = np.unique(np.asarray(drawn, dtype=float), axis=0)
     return float(np.mean([_least(problem, p, start, horizon) for start in starts]))
 
 
@@ -75,14 +81,6 @@ def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
         where = f"the least over the box of designs is {anywhere:.3g}" if anywhere > 0 else "other designs can keep it"
         text = f"no controller keeps X from the start at this design: it is left by {here:.3g} half-widths at least"
         warnings.warn(f"{text}; {where}", LimitWarning, stacklevel=3)
-
-
-def _starts(problem: CoDesignProblem) -> Array:
-    """Distinct starts of episodes, (n, nx)."""
-    if isinstance(problem.scenarios, FixedStart):
-        return np.asarray(problem.scenarios.x0)[None]
-    x0, _ = problem.scenarios.sample(8, problem.steps, np.random.default_rng(0))
-    return np.unique(np.asarray(x0, dtype=float), axis=0)
 
 
 def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:

@@ -75,11 +75,10 @@ def tolerance_by_mpc(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tenso
     middle = _beside(mpc_episodes(problem, v, scenarios))
     slopes = []
     for i in range(len(v)):
-        ends = [v.clone() for _ in range(2)]
-        for end, side in zip(ends, (-1, 1)):
-            end[i] = (v[i] + side * TOLERANCE_STEP).clamp(0.0, 1.0)
         known = []
-        for end in ends:
+        for side in (-1, 1):
+            end = v.clone()
+            end[i] = (v[i] + side * TOLERANCE_STEP).clamp(0.0, 1.0)
             with suppress(NotStabilisableError):  # there is no MPC beside it: the slope is one-sided
                 known.append((end[i], _beside(mpc_episodes(problem, end, scenarios))))
         known = known if len(known) == 2 else [(v[i], middle), *known]

@@ -206,10 +206,7 @@ def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:
 
 
 def _penalty(over: Tensor) -> Tensor:
-    """(exp(c z) − 1)/c of excesses z (2,), straight beyond `LARGEST_EXCESS`.
-
-    Its slope is what a multiplier grows by.
-    """
+    """(exp(c z) − 1)/c of excesses z (2,), straight beyond `LARGEST_EXCESS`."""
     near = over.clamp(max=LARGEST_EXCESS)
     return (torch.exp(GROWTH * near) - 1) / GROWTH + math.exp(GROWTH * LARGEST_EXCESS) * (over - near)
 

@@ -192,10 +192,7 @@ def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
 
 
 def _ellipsoid(closed: Array, limits: Array, scale: Array) -> Array:
-    """Invariant ellipsoid M (nx, nx), x'Mx <= 1, inside {limits x <= 1}; inf if none found.
-
-    Solved in states divided by `scale`, so that units do not matter.
-    """
+    """Invariant ellipsoid M (nx, nx), x'Mx <= 1, inside {limits x <= 1}; inf if none found."""
     unit = closed * scale / scale[:, None]
     rows = limits * scale
     try:

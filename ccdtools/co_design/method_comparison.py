@@ -88,7 +88,7 @@ class MethodComparison(Immutable):
         refused = [f"{row.name} refused: {row.refused}" for row in self.rows if row.result is None]
         if not rows:
             return ["No method could treat this problem.", *refused]
-        lines = [_equal(self, rows), _winner(self)]
+        lines = [_equal(self, rows), _winner(self, rows)]
         for row in rows:
             if row.name == self.reference or row is self.best or not _differs(self, row):
                 continue
@@ -234,16 +234,14 @@ def _equal(comparison: MethodComparison, rows: list[Any]) -> str:
     return f"Equal within {SAME_RETURN:g} % of the return of {comparison.reference}: {names}; {where}."
 
 
-def _winner(comparison: MethodComparison) -> str:
+def _winner(comparison: MethodComparison, rows: list[Any]) -> str:
     """Best method and its lead, if better than the reference."""
     best = comparison.best
-    if sum(row.result is not None for row in comparison.rows) == 1:
+    if len(rows) == 1 or comparison[comparison.reference].closed_loop.lost.all():
         return ""
     mean, low, _ = _percent(comparison, best)
-    if comparison[comparison.reference].closed_loop.lost.all():
-        return ""
     if best.name == comparison.reference or not mean > SAME_RETURN:
-        better = (row for row in comparison.rows if row.result is not None and _percent(comparison, row)[0] > SAME_RETURN)
+        better = (row for row in rows if _percent(comparison, row)[0] > SAME_RETURN)
         kept = " that keeps the limits" if any(leaves_limits(comparison, row) for row in better) else ""
         return f"No method{kept} is better than {comparison.reference} by more than {SAME_RETURN:g} %."
     certain = "" if low > 0 else " (the interval holds 0)"
@@ -267,10 +265,7 @@ def _difference(comparison: MethodComparison, row: Any) -> str:
 
 
 def _parts(comparison: MethodComparison, row: Any) -> str:
-    """Measured parts of a difference: design, controller and objective.
-
-    No cause is named: that would take the same method without the supposed cause.
-    """
+    """Measured parts of a difference: design, controller and objective; no cause, which would take a test."""
     result = row.result
     made_for = f"its criterion is the {result.criterion}" if result.criterion else ""
     loop = row.closed_loop.summary.mean

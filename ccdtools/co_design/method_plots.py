@@ -50,11 +50,7 @@ def plot_methods(comparison: Any) -> Figure:
 
 
 def _returns(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any]) -> None:
-    """Closed-loop return against the time of a method.
-
-    What is drawn is the reference's return and the paired difference to it, with the interval of the difference: that
-    of a return itself is mostly the scenarios'.
-    """
+    """Reference's return and paired differences to it, against the time of a method."""
     level = comparison[comparison.reference].closed_loop.summary.mean
     size = comparison.size
     strip = SAME_RETURN / 100 * size
@@ -93,17 +89,12 @@ def _axes_of(space: DesignSpace) -> list[int]:
     return [int(i) for i in np.flatnonzero(upper > lower)]
 
 
-def _axis(space: DesignSpace, i: int, count: int) -> Array:
-    """Values of a parameter over its range, or its whole numbers."""
-    lower, upper = space.outermost
-    values = np.linspace(lower[i], upper[i], count)
-    return np.unique(np.round(values)) if space.whole[i] else values
-
-
 def _landscape(comparison: Any, shown: Sequence[int]) -> tuple[list[Array], Array]:
     """Axes and returns of saturated LQR; NaN without LQR or with lost runs."""
     space = comparison.problem.design
-    axes = [_axis(space, i, {1: 41, 2: 13}[len(shown)]) for i in shown]  # designs per axis
+    lower, upper = space.outermost
+    ranges = [np.linspace(lower[i], upper[i], {1: 41, 2: 13}[len(shown)]) for i in shown]  # designs per axis
+    axes: list[Array] = [np.unique(np.round(values)) if space.whole[i] else values for i, values in zip(shown, ranges)]
     over = np.stack(np.meshgrid(*axes), axis=-1)
     held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
     grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()

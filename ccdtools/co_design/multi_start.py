@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_choice, as_count, as_flag, as_floats, as_instance
-from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
+from ccdtools.checks import as_count, as_flag, as_floats, as_instance
+from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.status import CoDesignStatus
@@ -117,8 +117,6 @@ def multi_start(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_count("seed", seed, least=0)
     as_flag("progress", progress)
-    if isinstance(method, str):
-        as_choice("method", method, METHODS)
     chosen = as_method(method)
     space = problem.design
     if np.ndim(starts) == 0:

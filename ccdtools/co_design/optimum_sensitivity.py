@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_number, as_share, shown
 from ccdtools.co_design.codesign import codesign
+from ccdtools.co_design.descent import descend
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.descent import descend
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.laws import LQR
 from ccdtools.co_design.methods.loop_cost import LoopCost
@@ -136,13 +136,7 @@ def optimum_sensitivity(
 
 
 def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: int) -> tuple[Array, float]:
-    """Best design (np,) found by a search, and its cost.
-
-    Raises
-    ------
-    InputError
-        If there is no LQR to search by.
-    """
+    """Best design (np,) found by a search, and its cost."""
     space = problem.design
     if inner == "riccati":
         cost: DesignCost = RiccatiCost(problem)

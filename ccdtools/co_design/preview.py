@@ -102,7 +102,7 @@ def previewed_objective(objective: Objective, steps: int, *, channels: int = 1) 
     length = as_count("steps", steps) * as_count("channels", channels)
     as_objective("objective", objective)
     if type(objective) is not QuadraticObjective:
-        return PreviewedObjective.of(objective, length)
+        return PreviewedObjective(objective, length, design_cost=objective.design_cost, episode=objective.episode)
     return replace(objective, **_with_register(objective.weights(np.zeros(0), 0, 0), length).keywords())
 
 
@@ -119,11 +119,6 @@ class PreviewedObjective(Objective):
 
     own: Objective
     length: int
-
-    @classmethod
-    def of(cls, own: Objective, length: int) -> PreviewedObjective:
-        """Objective `own` before a register, with its design cost."""
-        return cls(own, length, design_cost=own.design_cost, episode=own.episode)
 
     def __repr__(self) -> str:
         return f"{self.own!r} before a register of {self.length}"

@@ -93,10 +93,7 @@ class Settling:
         return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios), runs=runs)
 
     def _limits(self, loop: ClosedLoopReturns, design: Array, own: LimitsOutcome | None) -> LimitsOutcome | None:
-        """Violations of a closed loop beside the tolerance; None without one.
-
-        What a method found to be asked for, `own`, stands, unless it never saw the limits left.
-        """
+        """Violations of a closed loop beside the tolerance, a method's `own` if X was left; None without one."""
         seen, errors = Pair(loop.outside, loop.depth), Pair(*loop.limit_errors)
         if own is not None and own.source != UNTIL_LEFT.source:
             return replace(own, achieved=seen, errors=errors)
@@ -122,10 +119,7 @@ class Settling:
         return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), rng)
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
-        """LQR and MPC of the design, and nested LQR from there, within limits.
-
-        MPC is a baseline of a policy, which could be as good, where its few runs decide the risk.
-        """
+        """LQR of the design, MPC beside a policy where its few runs decide, and nested LQR, within limits."""
         found = []
         for name, lqr in self._linear_laws(result.design):
             if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask
-from ccdtools.checks import as_choice, as_count, as_flag, as_vector, shown
-from ccdtools.co_design.codesign import METHODS, Method, as_method, codesign
+from ccdtools.checks import as_count, as_flag, as_vector, shown
+from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.risk_intervals import difference_of_parts
@@ -150,17 +150,14 @@ def trade_off(
         raise InputError("values", "none", "at least one")
     as_count("seed", seed, least=0)
     as_flag("progress", progress)
-    if isinstance(method, str):
-        as_choice("method", method, METHODS)
     chosen = as_method(method)
     priced = isinstance(problem, CoDesignProblem)
     if isinstance(problem, CoDesignProblem):
         _check_prices(problem, points)
     elif not callable(problem):
         raise InputError("problem", shown(problem), "a CoDesignProblem, or a function that gives one")
-    of: Any = partial(_priced_or_stated, problem)
     ends = in_processes(
-        partial(_best, of, chosen, seed, design), points.tolist(), jobs=as_jobs(jobs), label="trade-off",
+        partial(_best, problem, chosen, seed, design), points.tolist(), jobs=as_jobs(jobs), label="trade-off",
         progress=progress,
     )  # fmt: skip
     results = tuple(result for result, *_ in ends)
@@ -190,21 +187,20 @@ def stated(problem_of: ProblemOf, value: float, *, argument: str = "problem") ->
     return problem
 
 
-def _priced_or_stated(problem: CoDesignProblem | ProblemOf, value: float) -> CoDesignProblem:
-    """Problem at a price, or stated at a value."""
-    return _at_price(problem, value) if isinstance(problem, CoDesignProblem) else stated(problem, value)
-
-
-def _at_price(problem: CoDesignProblem, price: float) -> CoDesignProblem:
-    """Problem whose design costs `price` times as much."""
+def _at(problem: CoDesignProblem | ProblemOf, value: float) -> CoDesignProblem:
+    """Problem whose design costs `value` times as much, or that is stated at it."""
+    if not isinstance(problem, CoDesignProblem):
+        return stated(problem, value)
     cost = problem.objective.design_cost.function(problem.design.dim)
-    objective: Any = replace(problem.objective, design_cost=lambda p: price * cost(p))
+    objective: Any = replace(problem.objective, design_cost=lambda p: value * cost(p))
     return replace(problem, objective=objective)
 
 
-def _best(of: ProblemOf, method: Method, seed: int, design: Any, value: float) -> tuple[Any, ...]:
+def _best(
+    of: CoDesignProblem | ProblemOf, method: Method, seed: int, design: Any, value: float
+) -> tuple[Any, ...]:
     """Result at a value, design cost, return without it, and box."""
-    problem = of(value)
+    problem = _at(of, value)
     result = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
     assert result.closed_loop is not None
     summary = result.closed_loop.summary

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.methods.descent import compressed
+from ccdtools.co_design.descent import compressed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.tolerances import (

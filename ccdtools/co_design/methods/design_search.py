@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.descent import Cost, Descent, descend
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
-from ccdtools.co_design.methods.descent import Cost, Descent, descend
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
 from ccdtools.co_design.status import CoDesignStatus

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, saturated_lqr
-from ccdtools.co_design.design_sensitivity import regulator_of
+from ccdtools.co_design.design_controllers import HORIZON, linear_mpc, nonlinear_mpc, regulator_of, saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import Law
 from ccdtools.co_design.problem import CoDesignProblem
@@ -38,10 +37,8 @@ class DesignLaw:
     controller: Callable[[CoDesignProblem, Array], Controller]
     exact: Callable[[CoDesignProblem, Tensor], Law] | None = None
 
-    def at(self, problem: CoDesignProblem, p: Tensor) -> Law:
-        """Law at a design (np,); a lost run is given no program to solve."""
-        if self.exact is not None:
-            return self.exact(problem, p)
+    def on_line(self, problem: CoDesignProblem, p: Tensor) -> Law:
+        """Controller of a design (np,) as a law; a lost run is given no program to solve."""
         controller = self.controller(problem, p.detach().numpy())
 
         def law(x: Tensor) -> Tensor:

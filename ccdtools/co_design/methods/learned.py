@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
-from ccdtools.co_design.agents import as_agent, check_agent
+from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
@@ -66,7 +67,8 @@ class Learned:
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
-        as_agent(self.agent)
+        kinds = (ActorCritic, NoneType)
+        as_instance("agent", self.agent, kinds, "an ActorCritic", "fit_actor_critic makes one.")
         config = CoDesignConfig() if self.config is None else self.config
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
         if self.judge is not None:
@@ -208,7 +210,12 @@ def chosen_valleys(task: Task, design: Array, rng: np.random.Generator) -> tuple
 def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[Array]:
     """Given design, and the bottoms of the best other valleys."""
     space = task.problem.design
-    most = task.config.starts or _by_default(space)
+    if space.integer:  # all of few combinations, and the best of many
+        number = combinations(space)
+        most = 1 + int(number) if number <= CLIMBED_COMBINATIONS else 4
+    else:
+        most = 3 if space.free.sum() <= 3 else 2  # a second local optimum is climbed from in up to 3
+    most = task.config.starts or most
     starts = [np.asarray(design, dtype=float)]
     for valley in found:
         best = found[0].lqr_return
@@ -217,14 +224,6 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
         if len(starts) < most and hopeful and elsewhere:
             starts.append(valley.design)
     return starts
-
-
-def _by_default(space: DesignSpace) -> int:
-    """Default number of starts; all of few whole-number combinations."""
-    if space.integer:
-        number = combinations(space)
-        return 1 + int(number) if number <= CLIMBED_COMBINATIONS else 4  # starts with the best of many combinations
-    return 3 if space.free.sum() <= 3 else 2  # a second local optimum is climbed from in up to 3
 
 
 def race(

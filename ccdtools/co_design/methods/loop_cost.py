@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.descent import descend
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
 from ccdtools.co_design.episodes import Episode, simulated
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import descend
 from ccdtools.co_design.methods.design_search import DesignCost, End
 from ccdtools.co_design.methods.laws import LQR, DesignLaw
 from ccdtools.co_design.problem import CoDesignProblem
@@ -138,7 +138,8 @@ class LoopCost(DesignCost):
     def _episode(self, v: Tensor, *, depths: bool) -> Episode:
         """Episodes at a unit-box point."""
         p = to_design(self.problem, v)
-        return simulated(Stepper.at(self.problem, p), self.law.at(self.problem, p), self.scenarios, depths=depths)
+        law = (self.law.exact or self.law.on_line)(self.problem, p)
+        return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=depths)
 
     def plain(self, seen: Episode) -> float:
         """Cost of episodes, whatever they do to the limits."""

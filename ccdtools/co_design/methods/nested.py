@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from types import NoneType
 
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count
-from ccdtools.co_design.agents import as_agent
+from ccdtools.checks import as_choice, as_count, as_instance
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch
@@ -89,7 +89,8 @@ class Nested:
         for name in ("runs", "evaluations"):
             if getattr(self, name) is not None:
                 as_count(name, getattr(self, name))
-        as_agent(self.agent)
+        kinds = (ActorCritic, NoneType)
+        as_instance("agent", self.agent, kinds, "an ActorCritic", "fit_actor_critic makes one.")
         as_choice("linearisation", self.linearisation, ("auto", "tangent", "secant"))
 
     @property

@@ -28,8 +28,8 @@ CURE = "Nested or learned co-design simulates the problem as it is."
 
 
 def open_loop_problem(
-    problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, guess: list[Any] | None = None,
-    feedback: Feedback | None = None, constrained: bool = True,
+    problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, feedback: Feedback | None = None,
+    constrained: bool = True,
 ) -> OptimalControlProblem:  # fmt: skip
     """Best trajectories of given scenarios, with a design they share.
 
@@ -41,9 +41,7 @@ def open_loop_problem(
     problem : CoDesignProblem
     scenarios : arrays (n, nx) and (n, T, nw)
     design : (np,) array
-        To start from; its whole numbers are held.
-    guess : list of (times, x, u), optional
-        Of every scenario.
+        To start from, with saturated LQR; its whole numbers are held.
     feedback : Feedback, optional
     constrained : bool
         Whether the constraints on the design are part of it.
@@ -57,7 +55,8 @@ def open_loop_problem(
     check_open_loop(problem)
     x0, w = scenarios
     sizes = problem.model.nx, problem.model.nu, problem.design.dim
-    phases = [_phase(problem, x0[i], w[i], None if guess is None else guess[i], feedback) for i in range(len(x0))]
+    guess = followed(problem, scenarios, design)
+    phases = [_phase(problem, x0[i], w[i], guess[i], feedback) for i in range(len(x0))]
     space = problem.design
     lower, upper = space.lower.copy(), space.upper.copy()
     lower[space.whole] = upper[space.whole] = design[space.whole]
@@ -143,25 +142,21 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
     stage, terminal = costs(problem)
     limits = path_limits(problem, fed_back=feedback is not None)
     lower, upper = problem.input_bounds
-    if guess is not None and feedback is not None:
+    if feedback is not None:
         guess = (guess[0], guess[1], np.zeros((len(guess[0]), 0)))
     signal = np.vstack([w, w[-1:]]) if w.shape[1] else None
 
-    def next_state(x: Any, u: Any, w: Any, p: Any) -> Any:
-        """x⁺."""
-        return step(x, u if feedback is None else feedback.inputs(x, p, size), w, p[:size])
-
-    def stage_cost(x: Any, u: Any, p: Any) -> Any:
-        """Stage cost of the present state."""
-        return stage(x, u if feedback is None else feedback.inputs(x, p, size), p[:size])
+    def applied(x: Any, u: Any, p: Any) -> Any:
+        """Inputs at a state."""
+        return u if feedback is None else feedback.inputs(x, p, size)
 
     def path(x: Any, u: Any, p: Any) -> Any:
         """Limits, each ≤ 0."""
-        applied = u if feedback is None else feedback.inputs(x, p, size)
-        return ca.vertcat(*(limit.values(x, applied, p[:size]) for limit in limits))
+        return ca.vertcat(*(limit.values(x, applied(x, u, p), p[:size]) for limit in limits))
 
     return Phase(
-        dynamics=next_state, states=nx, inputs=0 if feedback is not None else nu, stage_cost=stage_cost,
+        dynamics=lambda x, u, w, p: step(x, applied(x, u, p), w, p[:size]), states=nx,
+        inputs=0 if feedback is not None else nu, stage_cost=lambda x, u, p: stage(x, applied(x, u, p), p[:size]),
         terminal_cost=lambda x, p: terminal(x, p[:size]) - first_cost(problem, x0), start=x0, duration=len(w),
         discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
         path=path if limits else None, signal=signal, guess=guess, state_names=state_names(problem),
@@ -204,13 +199,18 @@ def drawn(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> tupl
     return x0.double().numpy(), w.double().numpy()
 
 
+def lqr_or_none(problem: CoDesignProblem, design: Array) -> LinearFeedback:
+    """Saturated LQR of a design, or no feedback where there is none."""
+    try:
+        return saturated_lqr(problem, design)
+    except NotStabilisableError:
+        return LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
+
+
 def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> list[Any]:
     """Trajectories (times, x, u) of saturated LQR, held where they diverge."""
     x0, w = scenarios
-    try:
-        law: Any = saturated_lqr(problem, design)
-    except NotStabilisableError:
-        law = LinearFeedback(np.zeros((problem.model.nu, problem.model.nx)))
+    law = lqr_or_none(problem, design)
     step = problem.model.stepper(design, batch=len(x0))
     states, inputs = [x0], []
     for k in range(w.shape[1]):

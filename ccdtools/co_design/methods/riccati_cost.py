@@ -10,8 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
-from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.design_sensitivity import regulator_of
+from ccdtools.co_design.design_controllers import regulator_of, saturated_lqr
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem

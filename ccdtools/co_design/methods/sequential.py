@@ -75,8 +75,7 @@ class Sequential:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
             search = DesignSearch(unlimited, self.name, self.starts, self.evaluations, progress)
             plant = search.best(lambda v: LoopCost(unlimited, PASSIVE, scenarios), design, rng)
-        controller = controller_of(self.control, problem, plant.design)
-        return replace(plant, method=self.name, controller=controller)
+        return replace(plant, method=self.name, controller=controller_of(self.control, problem, plant.design))
 
 
 def _stands_alone(problem: CoDesignProblem, design: Array, scenarios: ScenarioTensors) -> bool:

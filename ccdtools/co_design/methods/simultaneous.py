@@ -9,12 +9,13 @@ Design 136, 2014; Herber and Allison, Journal of Mechanical Design 141, 2019.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
-from ccdtools.co_design.design_controllers import CONTROL, controller_of, saturated_lqr
+from ccdtools.co_design.design_controllers import CONTROL, controller_of
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.design_search import OTHERS, start_points
 from ccdtools.co_design.methods.open_loop import (
@@ -22,7 +23,7 @@ from ccdtools.co_design.methods.open_loop import (
     at_the_mean,
     check_open_loop,
     drawn,
-    followed,
+    lqr_or_none,
     open_loop_problem,
 )
 from ccdtools.co_design.methods.path_limits import told
@@ -32,8 +33,7 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
-from mpc import NotStabilisableError
-from mpc.optimal_control import OptimalControlProblem, OptimalControlStatus, Solution, build, solve
+from mpc.optimal_control import OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")
 RUNS = {"trajectory": 8, "gain": 16}  # Scenarios; each has trajectories of its own.
@@ -95,13 +95,8 @@ class Simultaneous:
 
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
         """Result of one start."""
-        feedback = Feedback(problem, _first_gain(problem, design)) if self.unknowns == "gain" else None
-        guess = followed(problem, scenarios, design)
-
-        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
-            """Program of a problem from here."""
-            return open_loop_problem(problem, scenarios, design=design, guess=guess, feedback=feedback)
-
+        feedback = Feedback(problem, lqr_or_none(problem, design).K) if self.unknowns == "gain" else None
+        stated = partial(open_loop_problem, scenarios=scenarios, design=design, feedback=feedback)
         first = at_the_mean(problem, stated, max_iterations=self.iterations)
         solution = solve(build(stated(problem)), start=first, max_iterations=self.iterations)
         return _End(solution, solution.iterations + (0 if first is None else first.iterations))
@@ -119,22 +114,24 @@ class Simultaneous:
         words = (f"one saturated gain in {runs} scenarios" if gain else
                  f"the best inputs in {runs} scenarios whose disturbances are known ahead")  # fmt: skip
         value = -float(best.solution.cost)
+        status = CoDesignStatus.AT_BOUND if bounds or constraints else CoDesignStatus.CONVERGED
+        if best.solution.status is OptimalControlStatus.INFEASIBLE:
+            status = CoDesignStatus.INFEASIBLE
+        elif not best.solution.solved or others:
+            status = CoDesignStatus.BUDGET_SPENT
+        if gain:
+            K = best.solution.p[space.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
+            controller: Controller = LinearFeedback(K, *problem.input_bounds_at(design))
+        else:
+            controller = controller_of(self.control, problem, design)
         return CoDesignResult(
-            design=design, controller=self._controller(problem, best, design), method=self.name,
-            status=_status(best, bool(bounds or constraints), bool(others)), criterion=f"return of {words}",
+            design=design, controller=controller, method=self.name, status=status, criterion=f"return of {words}",
             objective=value if best.feasible else np.nan, active_bounds=bounds, active_constraints=constraints,
             multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints} if best.feasible},
             slope=float(best.solution.residuals.worst), evaluations=iterations,
             history=History.of([(best.iterations, best.iterations, design, value, 0.0, 0.0)]), valleys=found,
             notes=(*told(problem, best.solution, fed_back=gain), *others),
         )  # fmt: skip
-
-    def _controller(self, problem: CoDesignProblem, best: _End, design: Array) -> Controller:
-        """Controller that closes the loop."""
-        if self.unknowns == "trajectory":
-            return controller_of(self.control, problem, design)
-        K = best.solution.p[problem.design.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
-        return LinearFeedback(K, *problem.input_bounds_at(design))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,14 +142,9 @@ class _End:
     iterations: int
 
     @property
-    def impossible(self) -> bool:
-        """Whether no inputs keep the limits."""
-        return self.solution.status is OptimalControlStatus.INFEASIBLE
-
-    @property
     def feasible(self) -> bool:
         """Whether all limits are kept."""
-        return not (self.impossible or self.solution.conflicts)
+        return not (self.solution.status is OptimalControlStatus.INFEASIBLE or self.solution.conflicts)
 
     def multipliers(self, space: DesignSpace) -> dict[str, float]:
         """Rise of the return per unit of each design constraint or bound."""
@@ -163,22 +155,3 @@ class _End:
                 prices |= dict(zip(space.constraint_names, own.tolist()))
         prices |= dict(zip(space.names, np.abs(self.solution.p_gradient[: space.dim] * space.free).tolist()))
         return prices
-
-
-def _first_gain(problem: CoDesignProblem, design: Array) -> Array:
-    """Gain of the LQR, or zeros without one."""
-    try:
-        return np.asarray(saturated_lqr(problem, design).K)
-    except NotStabilisableError:
-        return np.zeros((problem.model.nu, problem.model.nx))
-
-
-def _status(best: _End, held: bool, numbers: bool) -> CoDesignStatus:
-    """Status of the program; whole numbers that one start kept leave others untried."""
-    if best.impossible:
-        return CoDesignStatus.INFEASIBLE
-    if not best.solution.solved or numbers:
-        return CoDesignStatus.BUDGET_SPENT
-    return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
-
-

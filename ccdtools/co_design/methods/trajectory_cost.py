@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,14 +15,14 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.methods.design_search import DesignCost
-from ccdtools.co_design.methods.open_loop import at_the_mean, followed, open_loop_problem
+from ccdtools.co_design.methods.open_loop import at_the_mean, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, HistoryRow
 from ccdtools.co_design.risk import MEAN, WorstCase
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
-from mpc.optimal_control import NonlinearProgram, OptimalControlProblem, OptimalControlStatus, Solution, build, solve
+from mpc.optimal_control import OptimalControlStatus, Solution, build, solve
 
 
 @dataclass(eq=False)
@@ -55,9 +56,10 @@ class TrajectoryCost(DesignCost):
         if isinstance(problem.risk, WorstCase):
             parts = [(x0[None], w[None]) for x0, w in zip(*self.scenarios)]
             problem = replace(problem, risk=MEAN)
-        self._programs = [build(_stated(problem, part, self.start, constrained=False)) for part in parts]
         p = self.start
-        first = at_the_mean(problem, lambda one: _stated(one, self.scenarios, p, constrained=False), p=p)
+        self._programs = [build(open_loop_problem(problem, part, design=p, constrained=False)) for part in parts]
+        stated = partial(open_loop_problem, scenarios=self.scenarios, design=p, constrained=False)
+        first = at_the_mean(problem, stated, p=p)
         self._last: list[Solution | None] = [first] * len(parts)
 
     @property
@@ -69,7 +71,10 @@ class TrajectoryCost(DesignCost):
         """Cost and slope (np,) at a point (np,); infinite where limits break."""
         p = self.problem.design.settled(v)
         self.evaluations += 1
-        found: list[Solution] = [_solved(program, p, last) for program, last in zip(self._programs, self._last)]
+        found: list[Solution] = [solve(program, p=p, start=last) for program, last in zip(self._programs, self._last)]
+        for i, program in enumerate(self._programs):  # once more from the guess
+            if not found[i].solved and self._last[i] is not None:
+                found[i] = solve(program, p=p)
         if not all(solution.solved for solution in found):
             return np.inf, lambda: np.zeros(len(v))
         self._last = list(found)
@@ -103,12 +108,7 @@ class TrajectoryCost(DesignCost):
         """
         space = self.problem.design
         self.evaluations += 1
-        start = space.settled(v)
-
-        def stated(problem: CoDesignProblem) -> OptimalControlProblem:
-            """Program of a problem from here."""
-            return _stated(problem, self.scenarios, start, constrained=True)
-
+        stated = partial(open_loop_problem, scenarios=self.scenarios, design=space.settled(v))
         solution = solve(build(stated(self.problem)), start=at_the_mean(self.problem, stated))
         if not solution.solved:
             self.failed = solution
@@ -131,17 +131,3 @@ class TrajectoryCost(DesignCost):
     def controller(self, p: Array) -> Controller:
         """Controller that closes the loop at a design."""
         return controller_of(self.control, self.problem, p)
-
-
-def _stated(
-    problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array, *, constrained: bool
-) -> OptimalControlProblem:
-    """Problem with the design among its unknowns."""
-    guess = followed(problem, scenarios, design)
-    return open_loop_problem(problem, scenarios, design=design, guess=guess, constrained=constrained)
-
-
-def _solved(program: NonlinearProgram, p: Array, last: Solution | None) -> Solution:
-    """Solution at a design, from the last solution or else the guess."""
-    solution = solve(program, p=p, start=last)
-    return solution if solution.solved or last is None else solve(program, p=p)

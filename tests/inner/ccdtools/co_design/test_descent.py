@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from small_plants import mass
 
 import ccdtools as cc
-from ccdtools.co_design.methods.descent import descend
+from ccdtools.co_design.descent import descend
 from ccdtools.co_design.methods.laws import DesignLaw
 from ccdtools.co_design.methods.loop_cost import LoopCost
 

@@ -9,9 +9,9 @@ from small_plants import mass
 
 import ccdtools as cc
 import mpc
+from ccdtools.co_design.descent import Descent
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.descent import Descent
 from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, End, confirmed
 from ccdtools.co_design.methods.laws import LQR
 from ccdtools.co_design.methods.learned_cost import LearnedCost

@@ -24,8 +24,8 @@ Cost = Callable[[Array], tuple[float, Callable[[], Array]]]
 """Point (np,) of the unit box → cost, and a function that returns its slope (np,); infinite where there is none."""
 
 
-class _SpentError(Exception):
-    """Raised when no evaluation is left."""
+class SpentError(Exception):
+    """Raised when no evaluation is left, or more of them are of no use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,34 +61,20 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
     """
     limits = space.allowed.limits
     free = space.allowed.free
-    watched = _Watched(cost, space, v, evaluations)
-    if not free.any():
-        watched.at(v[free])
-        return watched.ended()
+    watched = _Watched(cost, space, v, size, evaluations)
     constraints = [] if limits is None else [{
         "type": "ineq", "fun": lambda z: -limits.values(watched.point(z)) - INSIDE_EDGES,
         "jac": lambda z: -limits.jacobian(watched.point(z))[:, free],
     }]  # fmt: skip
-
-    def value(z: Array) -> float:
-        """Relative cost, beyond `COMPRESS_ABOVE` its logarithm."""
-        relative = watched.at(z).cost / size
-        return compressed(relative) if np.isfinite(relative) else LOST_COST
-
-    def slope(z: Array) -> Array:
-        """Slope of the relative cost by free entries."""
-        here = watched.at(z)
-        relative = here.cost / size
-        own = here.slope()[free] if np.isfinite(relative) else np.full(len(z), np.nan)
-        if not np.isfinite(own).all():
-            return np.zeros(len(z))
-        return np.asarray(own / size * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0))
-
-    with suppress(_SpentError):
+    if not free.any():
+        watched.value(v[free])
+        return watched.ended()
+    with suppress(SpentError):
         for _ in range(3):  # searches follow one another while they gain
             before = watched.best.cost
-            minimize(value, watched.best.v[free], jac=slope, method="SLSQP", bounds=[(0.0, 1.0)] * int(free.sum()),
-                     constraints=constraints, options={"maxiter": evaluations, "ftol": 1e-10})  # fmt: skip
+            minimize(watched.value, watched.best.v[free], jac=watched.slope, method="SLSQP",
+                     bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,
+                     options={"maxiter": evaluations, "ftol": 1e-10})  # fmt: skip
             if not watched.best.cost < before - GAINED * size:
                 break
     return watched.ended()
@@ -104,43 +90,52 @@ class _Looked:
 
 
 class _Watched:
-    """Cost of free entries z that remembers its last and its best point."""
+    """Relative cost of free entries z that remembers its last and its best point."""
 
-    def __init__(self, cost: Cost, space: DesignSpace, v: Array, evaluations: int) -> None:
+    def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self._cost = cost
         self._space = space
-        self._start = v
+        self._size = size
         self._left = evaluations
-        self._last: _Looked | None = None
         self._spent = False
-        self.best = _Looked(v, np.inf, lambda: np.zeros(len(v)))
+        self._start = self._last = self.best = _Looked(v, np.inf, lambda: np.zeros(len(v)))
 
     def point(self, z: Array) -> Array:
         """Whole point with the free entries `z`."""
-        v = self._start.copy()
+        v = self._start.v.copy()
         v[self._space.allowed.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
         return v
 
-    def at(self, z: Array) -> _Looked:
-        """Evaluation at free entries.
+    def value(self, z: Array) -> float:
+        """Cost, beyond `COMPRESS_ABOVE` its logarithm.
 
         Raises
         ------
-        _SpentError
+        SpentError
             If that would be an evaluation too many.
         """
         v = self.point(z)
-        if self._last is not None and np.array_equal(v, self._last.v):
-            return self._last
-        if not self._left:
-            self._spent = True
-            raise _SpentError
-        self._left -= 1
-        value, slope = self._cost(v)
-        self._last = _Looked(v, value, cache(slope))
-        if value < self.best.cost and self._space.allowed.violation(v) <= EXACT:
-            self.best = self._last
-        return self._last
+        if self._last is self._start or not np.array_equal(v, self._last.v):
+            if not self._left:
+                self._spent = True
+                raise SpentError
+            self._left -= 1
+            cost, slope = self._cost(v)
+            self._last = _Looked(v, cost, cache(slope))
+            if cost < self.best.cost and self._space.allowed.violation(v) <= EXACT:
+                self.best = self._last
+        relative = self._last.cost / self._size
+        return compressed(relative) if np.isfinite(relative) else LOST_COST
+
+    def slope(self, z: Array) -> Array:
+        """Slope of the cost by free entries, zero where there is none."""
+        self.value(z)
+        relative = self._last.cost / self._size
+        if not np.isfinite(relative):
+            return np.zeros(len(z))
+        own = self._last.slope()[self._space.allowed.free] / self._size
+        own = own * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0)
+        return own if np.isfinite(own).all() else np.zeros(len(z))
 
     def ended(self) -> Descent:
         """Best point, with its slope."""
