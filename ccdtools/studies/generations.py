@@ -19,7 +19,7 @@ from ccdtools.studies.report.results import generation_entry, results
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.service import Deployed, after_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of, unpacked
+from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of
 from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
@@ -129,7 +129,7 @@ class Generations:
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.service,
             state.served, state.trust, state.twin,
         )  # fmt: skip
-        log = unpacked(deployed, self.evaluation.study.plant.dt)
+        log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
         learned = self._stage(
             f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log, deployed
         )
