@@ -50,7 +50,7 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
 
     settled = returns(longest) if places else np.zeros(0)
     size = problem.objective.made_by_control(settled, designs, window) if places else settled
-    doubled = [max(1, window // 4) * 2**k for k in range(longest.bit_length())]
+    doubled = [max(1, window // 4) << k for k in range(longest.bit_length())]
     for before in (0, *(steps for steps in doubled if steps < longest)):
         away = np.abs(returns(before) - settled) if places else np.zeros(0)
         if not (away > SETTLED_START * size).any():
