@@ -39,15 +39,12 @@ PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """State of the loop between two generations.
-
-    `served` is the reference deployment of what is deployed.
-    """
+    """State of the loop between two generations."""
 
     service: Deployable
     twin: DigitalTwin
     stages: tuple[Stage, ...]
-    served: Deployed | None = None
+    served: Deployed | None = None  # reference deployment of what is deployed
     trust: Trust = field(default_factory=Trust)
     entries: tuple[dict[str, Any], ...] = ()
     rows: tuple[dict[str, Any], ...] = ()

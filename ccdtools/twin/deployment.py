@@ -157,14 +157,7 @@ def deploy_and_update(
 
 @dataclass(eq=False)
 class _DeployedPolicy:
-    """Deployed policy with its log and updates so far.
-
-    Attributes
-    ----------
-    logs, train, test : list of Residuals
-        Errors of every part of the log: all of them, what candidates are trained on, and what they are judged on. Of a
-        single run, `test` holds whole stretches, of which only the last part is judged.
-    """
+    """Deployed policy with its log and updates so far."""
 
     served: ServedDistributions
     whole: Scenario
@@ -176,9 +169,9 @@ class _DeployedPolicy:
     former: Sequence[Residuals]
     pieces: list[Trajectory] = field(default_factory=list)
     updates: list[OnlineUpdate] = field(default_factory=list)
-    logs: list[Residuals] = field(default_factory=list)
-    train: list[Residuals] = field(default_factory=list)
-    test: list[Residuals] = field(default_factory=list)
+    logs: list[Residuals] = field(default_factory=list)  # errors of every part of the log
+    train: list[Residuals] = field(default_factory=list)  # what candidates are trained on
+    test: list[Residuals] = field(default_factory=list)  # what they are judged on; the last part of a single run's
 
     def __post_init__(self) -> None:
         config = self.config

@@ -14,12 +14,11 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
+from ccdtools.studies.tolerances import SET_SECONDS
 from invariant_sets import ParametricSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
 
 
 @dataclass(frozen=True, eq=False)
