@@ -297,13 +297,9 @@ def joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
         return pieces[0]
     first = pieces[0]
     if runs > 1:
-        return replace(
-            first,
-            states=np.concatenate([p.states for p in pieces]),
-            inputs=np.concatenate([p.inputs for p in pieces]),
-            disturbances=np.concatenate([p.disturbances for p in pieces]),
-            diverged_at=np.concatenate([p.diverged_at for p in pieces]),
-        )
+        names = ("states", "inputs", "disturbances", "diverged_at")
+        whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in names}
+        return replace(first, **whole)
     states = np.concatenate([first.states, *(p.states[:, 1:] for p in pieces[1:])], axis=1)
     inputs = np.concatenate([p.inputs for p in pieces], axis=1)
     disturbances = np.concatenate([p.disturbances for p in pieces], axis=1)
