@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -127,7 +127,12 @@ def decide(evidence: Sequence[Evidence], *, tolerance: float = NOT_WORSE) -> Ver
             numbers = f"a gain of {gain}, a price of {one.needed:g} and a size of {one.size:g}"
             raise InputError("evidence", f"{numbers} on {one.distribution}", "finite numbers")
     tolerance = as_number("tolerance", tolerance, expected="a fraction from 0 to 1", low=0.0, high=1.0)
-    for test in (_lost, _left_limits, lambda one: _short(one, tolerance)):
+    tests: tuple[Callable[[Evidence], Status | None], ...] = (
+        lambda one: Status.MORE_LOST if one.lost[0] > one.lost[1] else None,
+        lambda one: None if one.violation is None else Status.LIMITS,
+        lambda one: _short(one, tolerance),
+    )
+    for test in tests:
         for one in deciding:
             found = test(one)
             if found is not None:
@@ -148,16 +153,6 @@ def _without_gain(deciding: Sequence[Evidence], tolerance: float) -> tuple[Statu
         if not one.gain.ci95[0] >= -max(tolerance, SAME_RETURN) * one.size:
             return Status.NO_LOSS_SHOWN, one
     return Status.NOT_WORSE, deciding[0]
-
-
-def _lost(one: Evidence) -> Status | None:
-    """Whether the candidate loses more runs."""
-    return Status.MORE_LOST if one.lost[0] > one.lost[1] else None
-
-
-def _left_limits(one: Evidence) -> Status | None:
-    """Whether the candidate leaves the limits too far."""
-    return None if one.violation is None else Status.LIMITS
 
 
 def _short(one: Evidence, tolerance: float) -> Status | None:

@@ -31,7 +31,10 @@ def account(generation: int, deployed: Values, redesign: Values | None, place: s
     updates = deployed["updates"]
     accepted = sum(update["accepted"] for update in updates)
     if redesign is None:
-        return "; ".join([f"{name} designed {place} on the nominal model", *_returns(delivery),
+        expected, found = (with_minus(number(delivery[which]["mean"])) for which in ("predicted", "returns"))
+        missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
+        returns = f"predicted a deployed return of {expected}, measured {found}{missed}"
+        return "; ".join([f"{name} designed {place} on the nominal model", returns,
                           _updates(accepted, updates, "the policy is as designed")])  # fmt: skip
     if redesign["accepted"]:
         return "; ".join([*_redesigned(name, redesign, delivery, place), *_less_than_predicted(delivery),
@@ -96,13 +99,6 @@ def _less_than_predicted(delivery: Values) -> list[str]:
     if Agreement(delivery["agreement"]) is not Agreement.LESS:
         return []
     return [f"{delivery['agreement']}, a deployed return of {with_minus(number(delivery['predicted']['mean']))}"]
-
-
-def _returns(delivery: Values) -> list[str]:
-    """Predicted and measured return of the first generation."""
-    expected, found = (with_minus(number(delivery[name]["mean"])) for name in ("predicted", "returns"))
-    missed = ", less than predicted" if Agreement(delivery["agreement"]) is Agreement.LESS else ""
-    return [f"predicted a deployed return of {expected}, measured {found}{missed}"]
 
 
 def _change(delivery: Values) -> str:

@@ -98,9 +98,7 @@ class Evaluation:
     @property
     def window(self) -> int:
         """Length of a replayed training episode while deployed."""
-        return min(
-            self.study.steps, self.deployment_steps // 10 if self.study.real.runs == 1 else self.deployment_steps
-        )
+        return min(self.study.steps, self.deployment_steps // 10 if self.single else self.deployment_steps)
 
     def training_episode(self, logs: Sequence[Residuals], space: DesignSpace) -> tuple[int, int]:
         """Counted steps of a redesign's episode, and warm-up steps before them.
@@ -136,11 +134,14 @@ class Evaluation:
     @cached_property
     def served(self) -> ServedDistributions:
         """Distributions that the deployed will serve, by draws of their own."""
-        real = self.study.real
+        return ServedDistributions(self.problem, self.study.real.x0, self._fresh("judged"), self.config.online.judged)
+
+    def _fresh(self, purpose: str) -> dict[str, Array]:
+        """Draws (n, T, nw) of every held-out disturbance, of their own for each purpose."""
         runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
-        drawn = {name: one.sample(runs, steps, self.rng(f"judged: {name}")) for name, one in real.fresh.items()}
-        return ServedDistributions(self.problem, real.x0, drawn, self.config.online.judged)
+        fresh = self.study.real.fresh
+        return {name: one.sample(runs, steps, self.rng(f"{purpose}: {name}")) for name, one in fresh.items()}
 
     @cached_property
     def judge(self) -> Judge:
@@ -186,11 +187,8 @@ class Evaluation:
     def held_out(self) -> dict[str, Scenario]:
         """Fresh runs of the real plant, by disturbance name."""
         real = self.study.real
-        runs = self.config.held_out_runs
-        steps = min(self.config.held_out_steps, self.deployment_steps)
-        x0 = np.tile(real.x0, (runs, 1))
-        drawn = {name: one.sample(runs, steps, self.rng(f"held out: {name}")) for name, one in real.fresh.items()}
-        return {name: Scenario(real.plant, x0, w) for name, w in drawn.items()}
+        x0 = np.tile(real.x0, (self.config.held_out_runs, 1))
+        return {name: Scenario(real.plant, x0, w) for name, w in self._fresh("held out").items()}
 
     @cached_property
     def _tuned(self) -> Callable[[tuple[float, ...]], dict[str, Controller]]:
@@ -243,14 +241,6 @@ class Evaluation:
     def admissible(self, design: Array) -> AdmissibleInputs | None:
         """Input filter of a design; None if the study has none."""
         return None if self.study.filter == "none" else self._filters(tuple(design))
-
-    def can_serve(self, design: Array) -> bool:
-        """Whether the filter has a set at a design, or is absent."""
-        try:
-            self.admissible(design)
-        except InputError:
-            return False
-        return True
 
     @cached_property
     def _filters(self) -> Callable[[tuple[float, ...]], AdmissibleInputs]:

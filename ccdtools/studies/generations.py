@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
+from ccdtools.arrays import Array, jsonable
 from ccdtools.checks import as_count
+from ccdtools.co_design.design_controllers import tangent_note
+from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, held_out_stage
 from ccdtools.studies.presets import StudyConfig
-from ccdtools.studies.report.results import generation_entry, results
+from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.service import Deployed, after_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of, unpacked
+from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of
 from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
@@ -27,19 +33,18 @@ from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.twin import DigitalTwin
 
 Echo = Callable[[str], None]
+SCHEMA_VERSION = 6
+PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """State of the loop between two generations.
-
-    `served` is the reference deployment of what is deployed.
-    """
+    """State of the loop between two generations."""
 
     service: Deployable
     twin: DigitalTwin
     stages: tuple[Stage, ...]
-    served: Deployed | None = None
+    served: Deployed | None = None  # reference deployment of what is deployed
     trust: Trust = field(default_factory=Trust)
     entries: tuple[dict[str, Any], ...] = ()
     rows: tuple[dict[str, Any], ...] = ()
@@ -98,12 +103,38 @@ class Generations:
         beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, state.history))
         notes = {"study": self.evaluation.study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = results(
-            self.evaluation, initial=state.stages[0], generations=state.entries, comparison=state.rows,
-            stages=(*state.stages, beyond), beyond=beyond,
-        )  # fmt: skip
+        contents = self._results(state, beyond)
         self.folder.write_json("results.json", contents)
         return contents
+
+    def _results(self, state: _State, beyond: Stage) -> dict[str, Any]:
+        """Results that the tables show, with what reproduces them."""
+        evaluation = self.evaluation
+        study = evaluation.study
+        config = evaluation.config
+        space = evaluation.problem.design
+        contents: dict[str, Any] = {
+            "schema_version": SCHEMA_VERSION,
+            "study": study.name, "title": study.title, "seed": evaluation.seed,
+            "quick": config.quick, "preset": config.preset,
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*state.stages, beyond)),
+            "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
+            "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
+            "state_names": study.plant.state_names, "input_names": study.plant.input_names,
+            "design_space": {"names": space.names, "units": space.units, "lower": space.lower, "upper": space.upper,
+                             "constraints": space.constraint_names, "integer": space.integer},
+            "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
+            "measure": measure(study.judged_in), "optimised": measure(evaluation.problem.risk),
+            "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
+            "initialisation": {key: value for key, value in state.stages[0].values.items() if key != "report"},
+            "generations": list(state.entries),
+            "comparison": list(state.rows),
+            "held_out": beyond.values["rows"],
+            "gains": beyond.values["gains"],
+            "configuration": config.as_dict(),
+            "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        }  # fmt: skip
+        return dict(jsonable(contents | {"headline": headline(contents)}))
 
     def _begin(self) -> _State:
         """Initial state: the first policy, compared at the start design."""
@@ -129,7 +160,7 @@ class Generations:
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.service,
             state.served, state.trust, state.twin,
         )  # fmt: skip
-        log = unpacked(deployed, self.evaluation.study.plant.dt)
+        log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
         learned = self._stage(
             f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log, deployed
         )
@@ -146,15 +177,30 @@ class Generations:
                               lambda _: self.evaluation.returns(designed, known, discrepancy))  # fmt: skip
         stayed = deployed.values["delivery"]["replaces"]
         record = GenerationRecord(deployable_of(found), following.service, stayed=stayed)
-        entry = generation_entry(
-            generation, self.evaluation, found=found, deployed=deployed, learned=learned, returns=returns,
-            design=following.service.design,
-        )  # fmt: skip
+        entry = {"generation": generation} | self._entry(found, deployed, learned, returns, following.service.design)
         return replace(
             following, twin=twin, stages=(*state.stages, found, deployed, learned, compared, returns),
             entries=(*state.entries, entry), rows=(*state.rows, *compared.values["rows"]),
             history=(*state.history, record),
         )  # fmt: skip
+
+    def _entry(self, found: Stage, deployed: Stage, learned: Stage, returns: Stage, design: Array) -> dict[str, Any]:
+        """Element of ``generations`` in results.json; `design` is deployed after it."""
+        space = self.evaluation.problem.design
+        keep = ("model", "model_return", "nominal_return", "updated_model_return")
+        return {
+            "account": deployed.values["account"],
+            "design": space.as_dict(design), "active_bounds": space.active_bounds(design),
+            "active_constraints": space.active_constraints(design),
+            "deployed_design": space.as_dict(found.arrays["design"]), "predicted_return": found.values["predicted"],
+            **{name: returns.values[name] for name in keep},
+            "deployed_return": deployed.values["deployed_return"], "deployed_diverged": deployed.values["diverged"],
+            "delivery": deployed.values["delivery"], "trust": deployed.values["trust"],
+            "online_updates": deployed.values["updates"],
+            "quantiles": learned.values["scores"], "free_running": learned.values["free_running"],
+            "gradient_check": found.values["gradient_check"], "codesign": found.values["ended"],
+            "redesign": found.values["redesign"], "limits": found.values["limits"],
+        }  # fmt: skip
 
     def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
         """State after a deployment, kept or rolled back."""

@@ -89,7 +89,10 @@ class Options:
             accepted_loss(self.accept_loss, "--accept-loss")
         self.limit_tolerance()
         for name in ("x0", "p0"):
-            _check_numbers(f"--{name}", getattr(self, name))
+            values = getattr(self, name)
+            right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
+            if values is not None and not (right and values):
+                raise InputError(f"--{name}", shown(values), "a list of finite numbers")
         for name in (*FILES, "column"):
             value = getattr(self, name)
             if value is not None and not isinstance(value, str):
@@ -213,13 +216,6 @@ def _check_study(study: Any) -> None:
     if not study.endswith(".py") and study not in study_names():
         cure = f"A file needs its ending: {study}.py." if _is_file(f"{study}.py") else nearest(study, study_names())
         raise InputError("study", repr(study[:60]), expected, cure)
-
-
-def _check_numbers(argument: str, values: Any) -> None:
-    """Raise unless `values` is None or a list of finite numbers."""
-    right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
-    if values is not None and not (right and values):
-        raise InputError(argument, shown(values), "a list of finite numbers")
 
 
 def _is_file(path: str) -> bool:

@@ -16,9 +16,6 @@ from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig
 from learning.warm_start import CloningConfig
 
-PAPER_RATE = 1e-5
-PAPER_EPOCHS = 10_000
-
 
 @dataclass(frozen=True)
 class StudyConfig:
@@ -120,11 +117,12 @@ def configuration(
 
 def _paper(config: StudyConfig, study: Study) -> StudyConfig:
     """Configuration with the paper's networks, rates, epochs and design gradient."""
+    rate = 1e-5
     codesign = CoDesignConfig(
-        iterations=PAPER_EPOCHS, block=PAPER_EPOCHS, starts=1, runs=1, design_gradient="network_input",
-        design_rate=PAPER_RATE, policy_rate=0.0,
+        iterations=10_000, block=10_000, starts=1, runs=1, design_gradient="network_input",
+        design_rate=rate, policy_rate=0.0,
         constant_rates=True, evaluate_every=200, ppo=PPOConfig(
-            passes=1, minibatch=32, learning_rate=PAPER_RATE, value_rate=PAPER_RATE, kl_limit=float("inf"),
+            passes=1, minibatch=32, learning_rate=rate, value_rate=rate, kl_limit=float("inf"),
             critic_only=0,
         ),
     )  # fmt: skip

@@ -14,8 +14,7 @@ from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
-
-MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
+from ccdtools.studies.tolerances import MINIMUM_LOG
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,6 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.risk import measure
 from ccdtools.evidence.evidence import NOTHING
 from ccdtools.evidence.verdict import Status, Verdict
+from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import SAME_DESIGN
 from ccdtools.statistics import Summary, summarise_returns
@@ -24,6 +25,8 @@ from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution, logged, 
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.updated_plant import UpdatedPlant
+
+POLICY_PRICE = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,26 +45,20 @@ class RedesignJudge:
     def verdict(self, candidate: Deployable) -> Verdict:
         """Whether a redesign replaces what is deployed."""
         evaluation = self.evaluation
-        if not evaluation.can_serve(candidate.design):
+        try:
+            evaluation.admissible(candidate.design)
+        except InputError:
             return Verdict(Status.NO_FILTER)
+        nominal = evaluation.served.nominal(evaluation.rng("judged: nominal"))
         return evaluation.judge.verdict(
-            candidate, self.current, self._made_for, self._nominal, self.price(candidate), lambda: self._others
+            candidate, self.current, self._made_for, nominal, self.price(candidate), lambda: self._others
         )
 
     def price(self, candidate: Deployable) -> Callable[[float, int], float]:
         """Needed gain of a candidate, as a function of size and steps."""
         study = self.evaluation.study
-        asked = study.price
-        policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
-        moved = self.moved(candidate)
-
-        def needed(size: float, steps: int) -> float:
-            """Needed gain."""
-            part = steps / study.steps
-            whole = asked.needed(size, part)
-            return whole if moved else min(whole, policy.needed(size, part))
-
-        return needed
+        prices = [study.price] if self.moved(candidate) else [study.price, POLICY_PRICE]
+        return lambda size, steps: min(price.needed(size, steps / study.steps) for price in prices)
 
     def moved(self, candidate: Deployable) -> bool:
         """Whether a candidate's design differs from the deployed one."""
@@ -74,13 +71,12 @@ class RedesignJudge:
         nominal, updated = (verdict.on(name) for name in (NOMINAL, UPDATED))
         before, after = (np.nan, np.nan) if nominal is None else (nominal.values[1], nominal.values[0])
         moved = self.moved(candidate)
-        policy = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
         cheaper = not moved and made is not None and made.needed < study.price.needed(made.size, 1.0)
         return verdict.as_dict() | {
             "gain": vars(NOTHING if made is None else made.gain), "accepted": verdict.replaces, "moved": moved,
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
             "needed": np.nan if made is None else made.needed, "size": np.nan if made is None else made.size,
-            "nominal_before": before, "nominal_after": after, "price": str(policy if cheaper else study.price),
+            "nominal_before": before, "nominal_after": after, "price": str(POLICY_PRICE if cheaper else study.price),
             "predicted": "n/a" if made is None else made.percent, "measure": measure(study.judged_in),
             "reason": "" if verdict.replaces else str(verdict),
         }  # fmt: skip
@@ -93,11 +89,6 @@ class RedesignJudge:
             evaluation.split, self.twin.logs, series=evaluation.single, most=evaluation.config.model_runs,
             rng=evaluation.rng("replayed runs"),
         )  # fmt: skip
-
-    @cached_property
-    def _nominal(self) -> Distribution:
-        """Distribution on the nominal model."""
-        return self.evaluation.served.nominal(self.evaluation.rng("judged: nominal"))
 
     @cached_property
     def _others(self) -> list[Distribution]:

@@ -217,11 +217,7 @@ def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> A
 
 
 def _apart(lower: Summary, upper: Summary, rounding: float) -> bool:
-    """Whether one mean lies below another beyond chance (`FALSE_ALARM`).
-
-    The halves of the 95 % intervals that face each other are those of independent errors; together they are widened
-    from that level to the rarer one, with as many degrees of freedom as the shorter sample has.
-    """
+    """Whether one mean lies below another beyond chance: facing halves of their intervals, widened to `FALSE_ALARM`."""
     degrees = min(s.n - 1 if s.n > 1 else 2 for s in (lower, upper))  # a single run has at least two
     wider = stats.t.ppf(1 - FALSE_ALARM, degrees) / stats.t.ppf(0.975, degrees)
     half = np.hypot(lower.ci95[1] - lower.mean, upper.mean - upper.ci95[0])

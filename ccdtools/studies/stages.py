@@ -38,6 +38,7 @@ from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
 POLICY_ALONE = "its policy at the present design"
+LOGGED = ("states", "inputs", "disturbances", "diverged_at", "design")
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,10 @@ class LoopStages:
         result = in_whole_box(result, region.design, problem.design)
         judge = RedesignJudge(self.evaluation, current, twin)
         proposals = self._proposals(Deployable(result.agent, result.design, name), current, history)
-        verdicts = self._verdicts(proposals, judge)
+        verdicts: dict[str, Verdict] = {}
+        for name, proposal in proposals.items():
+            if name != POLICY_ALONE or not verdicts["redesign"].replaces:  # a policy is judged alone after a refusal
+                verdicts[name] = judge.verdict(proposal)
         deployed = [name for name, verdict in verdicts.items() if verdict.replaces]
         best = max(deployed, key=lambda name: verdicts[name].evidence[0].gain.mean, default=None)
         space = problem.design
@@ -131,14 +135,6 @@ class LoopStages:
             proposals[POLICY_ALONE] = replace(redesign, design=current.design)
         return proposals | {FORMER + name: service for name, service in formerly_deployed(history, current).items()}
 
-    def _verdicts(self, proposals: Mapping[str, Deployable], judge: RedesignJudge) -> dict[str, Verdict]:
-        """Verdicts by name; a policy is judged alone after a refusal."""
-        verdicts: dict[str, Verdict] = {}
-        for name, proposal in proposals.items():
-            if name != POLICY_ALONE or not verdicts["redesign"].replaces:
-                verdicts[name] = judge.verdict(proposal)
-        return verdicts
-
     def _co_designed(
         self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin, redesign: dict[str, Any] | None
     ) -> Stage:
@@ -157,12 +153,14 @@ class LoopStages:
         kept = ", ".join(space.active_constraints(chosen.design))
         held = f"active bounds: {named or 'none'}" + (f"; active constraints: {kept}" if kept else "")
         report.append(f"{space.describe(chosen.design)}; {held}")
+        limits = None
         if result.limits is not None:
             report.append(str(result.limits))
+            limits = asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}
         expected = predicted(self.evaluation, chosen, twin.logs)
         report.append(f"predicted return of the deployment {expected.mean:.4g}")
         values = {"active_bounds": active, "gradient_check": check, "ended": result.as_dict(), "redesign": redesign,
-                  "predicted": asdict(expected), "limits": _limits(result), "report": report,
+                  "predicted": asdict(expected), "limits": limits, "report": report,
                   "name": chosen.name}  # fmt: skip
         return Stage(values, {"design": chosen.design, **arrays}, {"agent": chosen.agent})
 
@@ -211,8 +209,9 @@ class LoopStages:
         sentence = account(generation, values, redesign, evaluation.problem.design.describe(designed.design))
         refused = [f"update {k} refused, {update['status']}: {update['reason']}"
                    for k, update in enumerate(values["updates"], 1) if not update["accepted"]]  # fmt: skip
-        return Stage(values | {"account": sentence, "report": [sentence, *refused]}, packed(log),
-                     {"agent": deployment.agent})  # fmt: skip
+        arrays = {name: getattr(log, name) for name in LOGGED}
+        values |= {"account": sentence, "report": [sentence, *refused]}
+        return Stage(values, arrays, {"agent": deployment.agent})
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""
@@ -257,13 +256,6 @@ class LoopStages:
         return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
 
 
-def _limits(result: LearnedCoDesign) -> dict[str, Any] | None:
-    """Record of the state limits in a co-design; None if switched off."""
-    if result.limits is None:
-        return None
-    return asdict(result.limits) | {"kept": result.limits.kept, "text": str(result.limits)}
-
-
 def _networks(discrepancy: Discrepancy) -> dict[str, Any]:
     """Networks of a discrepancy, by name."""
     parts = {"quantiles": discrepancy.network, "copula": discrepancy.copula}
@@ -287,16 +279,3 @@ def deployed_of(
     changes = tuple(update["after"] for update in updates if update["accepted"])
     after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
     return Deployed(generation, designed, after, log, changes)
-
-
-def packed(log: Trajectory) -> dict[str, Any]:
-    """Arrays of a log."""
-    return {
-        "states": log.states, "inputs": log.inputs, "disturbances": log.disturbances,
-        "diverged_at": log.diverged_at, "design": log.design,
-    }  # fmt: skip
-
-
-def unpacked(stage: Stage, dt: float) -> Trajectory:
-    """Log of a deployment's stage."""
-    return Trajectory(**stage.arrays, dt=dt)  # type: ignore[arg-type]

@@ -38,10 +38,9 @@ from ccdtools.studies.options import CHOICES
 from ccdtools.studies.plant_checks import check_finite, check_real_step, check_same_plant, extent_of
 from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, accepted_loss
 from ccdtools.studies.real_plant import RealPlant, check_disturbance
+from ccdtools.studies.tolerances import MODEL_RUNS
 from ccdtools.twin.transport import check_disturbance_enters
 from mpc import MPCError, lqr
-
-MODEL_RUNS = 200  # A deployment logs so many runs by default where the real plant is the model itself.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

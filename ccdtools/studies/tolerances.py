@@ -1,5 +1,9 @@
 """Tolerances of `ccdtools.studies`, relative [-] without a unit."""
 
+from ccdtools.evidence.tolerances import NOT_WORSE
+
+MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
+MODEL_RUNS = 200  # A deployment logs so many runs by default where the real plant is the model itself.
 MOSTLY_OUTSIDE = 0.5  # A recording with a larger part of its samples outside X is not one of this plant.
 REAL_RUNS = 500  # The gains on a real plant of short runs are measured on so many of them.
 WORTH_A_POLICY = 0.001  # A policy costs nothing to build and is replaced for a gain of this part of the return.
@@ -13,11 +17,12 @@ SETTLED_START = 0.02  # A start may cost or save this part of the return without
 WARM_UP_WINDOWS = 64  # The warm-up is measured on about so many windows.
 WARM_UP_DESIGNS = 9  # The warm-up is measured at so many designs of the box.
 SMALL_PART = 0.02  # A part of a whole below this goes unmentioned.
-NOT_WORSE_PERCENT = 0.5  # Smaller differences of the return do not matter [% of |LQR|].
+NOT_WORSE_PERCENT = 100 * NOT_WORSE  # Smaller differences of the return do not matter [% of |LQR|].
 EQUAL_PERCENT = 1e-4  # Two returns this close differ by rounding and the tolerances of the solvers [% of |LQR|].
 DIVERGED_RUNS = 0.01  # A design of the landscape is left blank if a larger part of its runs diverges.
 LANDSCAPE = {1: 21, 2: 9}  # The landscape over 1 or 2 design parameters has so many designs per axis.
 SURFACE_GRID = 121  # Policies are drawn over so many values of each of two states.
+SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
 SHOWN_STEPS = 200  # So many steps of a long trajectory are drawn.
 
 # --- steps of the real plant, errors as parts of half the range of a state in X --------------------------------------

@@ -50,7 +50,8 @@ def warm_up(problem: CoDesignProblem, logs: Sequence[Residuals], window: int, sp
 
     settled = returns(longest) if places else np.zeros(0)
     size = problem.objective.made_by_control(settled, designs, window) if places else settled
-    for before in (0, *_doubled(max(1, window // 4), longest)):
+    doubled = [max(1, window // 4) << k for k in range(longest.bit_length())]
+    for before in (0, *(steps for steps in doubled if steps < longest)):
         away = np.abs(returns(before) - settled) if places else np.zeros(0)
         if not (away > SETTLED_START * size).any():
             return before
@@ -83,10 +84,3 @@ def _places(logs: Sequence[Residuals], before: int, window: int) -> Iterator[tup
         last = logs[i].steps - window
         for k in np.unique(np.linspace(before, last, max(1, WARM_UP_WINDOWS // len(some))).round().astype(int)):
             yield i, run, k
-
-
-def _doubled(first: int, last: int) -> Iterator[int]:
-    """First number and its doubles below the last."""
-    while first < last:
-        yield first
-        first *= 2

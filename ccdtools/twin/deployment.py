@@ -157,14 +157,7 @@ def deploy_and_update(
 
 @dataclass(eq=False)
 class _DeployedPolicy:
-    """Deployed policy with its log and updates so far.
-
-    Attributes
-    ----------
-    logs, train, test : list of Residuals
-        Errors of every part of the log: all of them, what candidates are trained on, and what they are judged on. Of a
-        single run, `test` holds whole stretches, of which only the last part is judged.
-    """
+    """Deployed policy with its log and updates so far."""
 
     served: ServedDistributions
     whole: Scenario
@@ -176,9 +169,9 @@ class _DeployedPolicy:
     former: Sequence[Residuals]
     pieces: list[Trajectory] = field(default_factory=list)
     updates: list[OnlineUpdate] = field(default_factory=list)
-    logs: list[Residuals] = field(default_factory=list)
-    train: list[Residuals] = field(default_factory=list)
-    test: list[Residuals] = field(default_factory=list)
+    logs: list[Residuals] = field(default_factory=list)  # errors of every part of the log
+    train: list[Residuals] = field(default_factory=list)  # what candidates are trained on
+    test: list[Residuals] = field(default_factory=list)  # what they are judged on; the last part of a single run's
 
     def __post_init__(self) -> None:
         config = self.config
@@ -304,13 +297,9 @@ def joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
         return pieces[0]
     first = pieces[0]
     if runs > 1:
-        return replace(
-            first,
-            states=np.concatenate([p.states for p in pieces]),
-            inputs=np.concatenate([p.inputs for p in pieces]),
-            disturbances=np.concatenate([p.disturbances for p in pieces]),
-            diverged_at=np.concatenate([p.diverged_at for p in pieces]),
-        )
+        names = ("states", "inputs", "disturbances", "diverged_at")
+        whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in names}
+        return replace(first, **whole)
     states = np.concatenate([first.states, *(p.states[:, 1:] for p in pieces[1:])], axis=1)
     inputs = np.concatenate([p.inputs for p in pieces], axis=1)
     disturbances = np.concatenate([p.disturbances for p in pieces], axis=1)

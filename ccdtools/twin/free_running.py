@@ -17,9 +17,9 @@ from ccdtools.simulation import simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.residuals import Residuals, block_spans, residuals
-from ccdtools.twin.tolerances import RUNAWAY
+from ccdtools.twin.tolerances import BLOCKS, HELD_OUT, RUNAWAY
 from ccdtools.twin.transport import carried
-from ccdtools.twin.twin import BLOCKS, HELD_OUT, DigitalTwin
+from ccdtools.twin.twin import DigitalTwin
 
 STEPS = (10, 50, 100)  # Bands are measured after so many steps by default.
 

@@ -65,14 +65,13 @@ class Judge:
         size = float(np.nan_to_num(np.fmax(made.size, shown.size * counted / nominal.scenario.steps)))
         made = replace(made, size=size, needed=price(size, counted))
         found = decide([made, shown], tolerance=self.tolerance)
-        if not found.replaces:
-            return found
-        broken = violation(self.problem, made_for.scenario, after, before, self.plant)
-        found = decide([replace(made, violation=broken), shown], tolerance=self.tolerance)
-        if not found.replaces:
-            return found
-        rest = [self.evidence(candidate, current, one) for one in others()]
-        return decide([replace(made, violation=broken), *rest, shown], tolerance=self.tolerance)
+        if found.replaces:
+            made = replace(made, violation=violation(self.problem, made_for.scenario, after, before, self.plant))
+            found = decide([made, shown], tolerance=self.tolerance)
+        if found.replaces:
+            rest = [self.evidence(candidate, current, one) for one in others()]
+            found = decide([made, *rest, shown], tolerance=self.tolerance)
+        return found
 
     def evidence(self, candidate: Deployable, current: Deployable, on: Distribution) -> Evidence:
         """Evidence of the two on one distribution."""

@@ -35,14 +35,7 @@ def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array
 
 
 class _LeastSquares:
-    """Gauss–Newton least squares of all samples, with steps shortened until they improve.
-
-    Attributes
-    ----------
-    samples : int
-    size : (N,) array
-        Of the errors, in scaled states.
-    """
+    """Gauss–Newton least squares of all samples, with steps shortened until they improve."""
 
     def __init__(self, model: SampledModel, log: Residuals, scale: Array) -> None:
         self._model = model
@@ -51,7 +44,7 @@ class _LeastSquares:
         self.p = log.p
         self._reached = model.undisturbed(log.p)(self.x, self.u) + e_next
         self.samples = len(self.x)
-        self.size = np.linalg.norm(e_next / scale, axis=1)
+        self.size = np.linalg.norm(e_next / scale, axis=1)  # of the errors, in scaled states
         self._everyone: Indices = np.arange(self.samples)
 
     def distance(self, w: Array) -> Array:
@@ -128,16 +121,13 @@ class _LeastSquares:
 
 
 def _starts(model: SampledModel, fit: _LeastSquares) -> list[Array]:
-    """Starts (nw,) per channel and sign, besides zero; none if affine in w.
-
-    Where w enters as w |w|, its effect is zero at zero. The size is the smallest that moves states as far as errors do.
-    """
+    """Starts (nw,) per channel and sign, besides zero; none if affine in w."""
     plant = model.plant
     if not ca.depends_on(ca.jacobian(plant.dynamics, plant.w), plant.w):
         return []
     some = np.unique(np.linspace(0, fit.samples - 1, min(64, fit.samples)).round().astype(int))
     usual = np.median(fit.size)
-    sizes = np.logspace(-12, 12, 97)  # in whatever unit
+    sizes = np.logspace(-12, 12, 97)  # in whatever unit; the least that moves states as far as errors do is taken
     starts = []
     for channel in np.eye(model.nw):
         moved = np.sort(fit.effect_of(sizes[:, None, None] * channel, some), axis=1)[:, len(some) // 2]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices
 from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_logged_runs
@@ -35,7 +36,6 @@ class Replay(Immutable):
     logs: Sequence[Residuals]
     split: ErrorSplit | None = None
     starts: ArrayField = None
-    _entering: tuple[Array, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         logs = tuple(self.logs) if isinstance(self.logs, list | tuple) else (self.logs,)
@@ -44,9 +44,12 @@ class Replay(Immutable):
         object.__setattr__(self, "logs", logs)
         if self.split is not None:
             as_instance("split", self.split, ErrorSplit, "an ErrorSplit or None")
+
+    @cached_property
+    def _entering(self) -> tuple[Array, ...]:
+        """What drives the model along every log."""
         split = self.split
-        entering = tuple(frozen(log.e_next if split is None else split.disturbances(log)) for log in logs)
-        object.__setattr__(self, "_entering", entering)
+        return tuple(log.e_next if split is None else split.disturbances(log) for log in self.logs)
 
     def __repr__(self) -> str:
         return f"Replay({', '.join(map(repr, self.logs))})"

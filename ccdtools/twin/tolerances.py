@@ -2,6 +2,8 @@
 
 RUNAWAY = 1e3  # Draws are stopped where they exceed this many times the largest logged state.
 RANK = 1e-6  # Columns of E, each of length one, are dependent below this part of the largest singular value.
+HELD_OUT = 0.2  # This part of every block of a log is held out by default.
+BLOCKS = 20  # A single long run is cut into so many blocks by default.
 FEWEST_FITTED = 20  # Quantiles are fitted to at least so many samples.
 
 # --- disturbances that were met --------------------------------------------------------------------------------------

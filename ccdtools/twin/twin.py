@@ -15,13 +15,10 @@ from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
-from ccdtools.twin.tolerances import FEWEST_FITTED
+from ccdtools.twin.tolerances import BLOCKS, FEWEST_FITTED, HELD_OUT
 from ccdtools.twin.transport import Transport, as_extent, carried
 from learning.copula_fit import fit_copula
 from learning.quantile import QuantileConfig, fit_quantiles
-
-HELD_OUT = 0.2  # This part of every block of a log is held out by default.
-BLOCKS = 20  # A single long run is cut into so many blocks by default.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

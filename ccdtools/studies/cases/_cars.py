@@ -24,7 +24,6 @@ CAR = Car()
 WHEELBASE = CAR.front + CAR.rear
 SPEED = 20.0  # m/s
 FORCE = 1000.0  # N, of each strut; below the 2500 N at which the real actuator ends
-LAGGING_FORCE = 2500.0  # N, of the state that follows it with a lag; it costs nothing beside the demanded one
 WHEEL = {"tyre": 0.04, "travel": 0.1, "wheel speed": 2.5}  # limits: m, m (to the stops), m/s
 BODY = {"heave rate": 1.0, "pitch rate": 1.0, "roll rate": 1.0}  # limits: m/s, rad/s, rad/s
 PLACE = {"place": 0.25}  # limit: m, rad; where the car is costs nothing
@@ -55,7 +54,8 @@ def quarter_car_study(name: str, title: str, *, nonlinear: bool = False, actuato
     limits, good = (np.array([values[kind] for kind in kinds]) for values in (WHEEL | BODY, GOOD))
     weights = good**-2
     if actuator_lag:
-        limits, weights = np.append(limits, LAGGING_FORCE), np.append(weights, 0.0)
+        limits = np.append(limits, 2500.0)  # N, of the state that follows the demanded force with a lag
+        weights = np.append(weights, 0.0)
     return study_on_roads(
         name, title, nominal, quarter_car(actuator_lag=actuator_lag, real=True), Polytope.from_bounds(-limits, limits),
         np.diag(weights), quarter_car_ride(stop=WHEEL["travel"], forces=[4] if actuator_lag else None),

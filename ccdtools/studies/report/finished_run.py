@@ -14,12 +14,11 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
+from ccdtools.studies.tolerances import SET_SECONDS
 from invariant_sets import ParametricSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +74,14 @@ class FinishedRun:
 
     @cached_property
     def chosen(self) -> list[int]:
-        """Row of every history that its co-design returned."""
-        return [_returned(h, p, self.problem) for h, p in zip(self.histories, self.designs[1:])]
+        """Row of every history that its co-design returned: the best of those at the returned design."""
+        rows = []
+        for history, design in zip(self.histories, self.designs[1:]):
+            unit = self.problem.design.to_unit
+            away = np.abs(unit(history.design) - unit(design)).max(axis=1)
+            score = np.where(np.isfinite(history.model_return), history.model_return, -np.inf)
+            rows.append(int(np.where(away <= away.min() + 1e-6, score, -np.inf).argmax()))
+        return rows
 
     def describe(self, design: Array) -> str:
         """Text of one design with its units."""
@@ -86,10 +91,3 @@ class FinishedRun:
     def time_label(self) -> str:
         """Label of a time axis."""
         return "time [s]" if self.study.plant.continuous else "sample"
-
-
-def _returned(history: History, design: Array, problem: CoDesignProblem) -> int:
-    """Best row among those at the returned design."""
-    away = np.abs(problem.design.to_unit(history.design) - problem.design.to_unit(design)).max(axis=1)
-    score = np.where(np.isfinite(history.model_return), history.model_return, -np.inf)
-    return int(np.where(away <= away.min() + 1e-6, score, -np.inf).argmax())

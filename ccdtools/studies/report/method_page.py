@@ -38,16 +38,12 @@ def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
     write_table(found, folder)
     image = style.png(found.plot())
     folder.write_bytes(PICTURE, image)
-    return folder.write_text(PAGE, page(title, found, image))
-
-
-def page(title: str, found: Any, image: bytes) -> str:
-    """Self-contained page with its picture."""
     said = "".join(f"<li>{escape(line)}</li>" for line in found.verdict)
     name = escape(title)
     picture = base64.b64encode(image).decode("ascii")
-    return (
+    page = (
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{name}</title><style>{LOOK}</style></head>"
         f"<body><h1>{name}: every way to co-design</h1><div>{found.printed.html}</div><ul>{said}</ul>"
         f"<img alt='Return against time, and the designs' src='data:image/png;base64,{picture}'></body></html>"
     )
+    return folder.write_text(PAGE, page)

@@ -18,7 +18,7 @@ from ccdtools.design_limits import DesignLimits, limits_at
 from ccdtools.evidence.percent import share, with_minus
 from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.report.figures import figures
-from ccdtools.studies.report.finished_run import SET_SECONDS, FinishedRun
+from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.formatting import (
     axis_label,
     capitalised,
@@ -43,6 +43,7 @@ from ccdtools.studies.report.verdicts import (
 )
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
+from ccdtools.studies.tolerances import SET_SECONDS
 
 
 def write_report(study: Study, folder: RunFolder) -> Path:

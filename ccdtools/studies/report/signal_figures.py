@@ -17,7 +17,7 @@ from ccdtools.studies.report.formatting import generation_name
 from ccdtools.studies.tolerances import SHOWN_STEPS, SURFACE_GRID
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
-from ccdtools.twin.twin import BLOCKS, HELD_OUT
+from ccdtools.twin.tolerances import BLOCKS, HELD_OUT
 from invariant_sets import plot_polytope
 
 

@@ -17,7 +17,7 @@ from ccdtools.cli import app
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.co_design.result import History
 from ccdtools.studies import preparation
-from ccdtools.studies.fingerprint import jsonable_of
+from ccdtools.studies.preparation import jsonable_of
 from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.return_figures import history as history_figure
 from ccdtools.studies.report.set_figure import feasible_set_figure

@@ -17,7 +17,7 @@ import tiny_command
 from spring_run import ARGUMENTS, call, run_spring
 
 from ccdtools.studies import RunFolder
-from ccdtools.studies.fingerprint import differences
+from ccdtools.studies.preparation import differences
 
 COMMAND = [sys.executable, tiny_command.__file__]
 

@@ -8,8 +8,8 @@ import pytest
 
 from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, Study
 from ccdtools.studies import configuration
-from ccdtools.studies.fingerprint import fingerprint
 from ccdtools.studies.loading import LoadedStudy
+from ccdtools.studies.preparation import fingerprint
 
 NOISE = Gaussian([0.1])
 X = ([-2.0, -2.0], [2.0, 2.0])
