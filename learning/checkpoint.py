@@ -71,7 +71,11 @@ def load(path: str | Path, *, action_limits: LimitsReader | None = None) -> tupl
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise CheckpointError(path, error, "a file written by ccdtools") from None
-    header = _header(metadata.get("ccdtools", "{}"))
+    try:
+        header = json.loads(metadata.get("ccdtools", "{}"))
+    except ValueError:
+        header = None
+    header = header if isinstance(header, dict) else {}
     if header.get("format") != FORMAT or header.get("kind") not in _KINDS:
         raise CheckpointError(path, f"format {header.get('format')!r} of {header.get('kind')!r}", repr(FORMAT))
     shape = header.get("shape")
@@ -93,12 +97,3 @@ def _path(value: Any) -> Path:
     if not isinstance(value, (str, os.PathLike)):
         raise InputError("path", repr(value)[:60], "the path of a file")
     return Path(value)
-
-
-def _header(text: str) -> dict[str, Any]:
-    """Return the header as a dictionary, empty if it is none."""
-    try:
-        header = json.loads(text)
-    except ValueError:
-        return {}
-    return header if isinstance(header, dict) else {}

@@ -9,9 +9,10 @@ import numpy as np
 
 from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number
 from learning.exceptions import InputError
+from learning.tolerances import ROUNDING
 
 __all__ = ["as_bounds", "as_count", "as_floats", "as_generator", "as_lengths", "as_samples", "as_sizes",
-           "check_instance", "check_number"]  # fmt: skip
+           "check_instance", "check_number", "spread"]  # fmt: skip
 Array = np.ndarray
 
 
@@ -65,6 +66,12 @@ def as_bounds(value: Any, name: str, size: int) -> tuple[Array, Array]:
     if not lower.shape == upper.shape == (size,):
         raise InputError(name, f"shapes {lower.shape} and {upper.shape}", f"(lower, upper), each ({size},)")
     return lower, upper
+
+
+def spread(samples: Array, constant: float = 1.0) -> Array:
+    """Return the standard deviation of each column, `constant` where that is rounding."""
+    deviation = samples.std(axis=0)
+    return np.where(deviation > ROUNDING * np.abs(samples).max(axis=0), deviation, constant)
 
 
 def as_samples(inputs: Any, targets: Any) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr, ndtri
 
-from learning.checks import as_samples, check_instance
+from learning.checks import as_samples, check_instance, spread
 from learning.copula import InnovationCopula, log_width, positions
 from learning.exceptions import InputError
 from learning.quantile import QuantileNetwork
@@ -47,8 +47,11 @@ def fit_copula(network: QuantileNetwork, inputs: ArrayLike, targets: ArrayLike) 
     margins = _margins(quantiles, y, x.shape[1])
     for name, value in (("centre", x.mean(axis=0)), ("slope", slope), ("shift", shift)):
         getattr(margins, name).copy_(torch.tensor(value))
-    scores = _standard(margins.scores(quantiles, y))
-    origin, subspace = _subspace(y, _exchanged(margins, quantiles, scores))
+    scores = margins.scores(quantiles, y)
+    deviation = scores.std(axis=0)  # 0 for a constant output
+    scores = (scores - scores.mean(axis=0)) / np.where(deviation > ROUNDING, deviation, np.inf)
+    exchanged = torch.tensor(ndtr(np.roll(scores, len(scores) // 2, axis=0)))  # those half a data set later
+    origin, subspace = _subspace(y, margins.at(torch.tensor(quantiles), exchanged).numpy())
     margins.origin.copy_(torch.tensor(origin))
     margins.subspace.copy_(torch.tensor(subspace))
     margins.factor.copy_(torch.tensor(_root(scores.T @ scores / len(scores))))
@@ -60,8 +63,7 @@ def regression(x: Array, left: Array) -> tuple[Array, Array]:
 
     What is left at an input is the mean + slopeᵀ (input − mean input).
     """
-    deviation = x.std(axis=0)
-    scale = np.where(deviation > ROUNDING * np.abs(x).max(axis=0), deviation, np.inf)
+    scale = spread(x, np.inf)
     shift = left.mean(axis=0)
     slope = np.linalg.lstsq((x - x.mean(axis=0)) / scale, left - shift, rcond=COLLINEAR)[0]
     return slope / scale[:, None], shift
@@ -80,16 +82,11 @@ def _margins(quantiles: Array, targets: Array, inputs: int) -> InnovationCopula:
     copula.probabilities.copy_(torch.tensor(shares))
     copula.widths.copy_(torch.tensor(centres))
     for i in range(outputs):
-        for b, weight in enumerate(_nearness(widths[:, i], centres[:, i])):
+        distinct, index = np.unique(centres[:, i], return_inverse=True)
+        for b, peak in enumerate(np.eye(len(distinct))[index]):  # of a sample's weight at each centre, linear between
+            weight = np.interp(widths[:, i], distinct, peak)
             copula.positions[b, :, i] = torch.tensor(_weighted_quantiles(samples[:, i], weight, shares))
     return copula
-
-
-def _nearness(widths: Array, centres: Array) -> list[Array]:
-    """Return the weight (n,) of every sample at each centre, linear between neighbours."""
-    distinct, index = np.unique(centres, return_inverse=True)
-    hats = [np.interp(widths, distinct, np.eye(len(distinct))[b]) for b in range(len(distinct))]
-    return [hats[b] for b in index]
 
 
 def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
@@ -100,20 +97,13 @@ def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
     return np.interp(shares, at, samples[order])
 
 
-def _exchanged(margins: InnovationCopula, quantiles: Array, scores: Array) -> Array:
-    """Return draws (n, m) with the scores of samples half a data set later."""
-    shares = torch.tensor(ndtr(np.roll(scores, len(scores) // 2, axis=0)))
-    return margins.at(torch.tensor(quantiles), shares).numpy()
-
-
 def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
     """Return mean (m,) and a map (m, m) that narrows draws.
 
     Directions are the principal ones of samples of variance 1; nothing is stretched, and wide ones stay as they are.
     """
     origin = y.mean(axis=0)
-    deviation = y.std(axis=0)
-    scale = np.where(deviation > ROUNDING * np.abs(y).max(axis=0), deviation, np.inf)
+    scale = spread(y, np.inf)
     values, vectors = np.linalg.eigh(np.cov((y - origin).T / scale[:, None]).reshape(len(origin), -1))
     drawn = ((((draws - origin) / scale) @ vectors) ** 2).mean(axis=0)
     narrow = values < NARROW * values.max()
@@ -121,12 +111,6 @@ def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
     kept = np.where(narrow, np.minimum(ratio, 1.0), 1.0)
     finite = np.where(np.isfinite(scale), scale, 1.0)
     return origin, (finite[:, None] * (vectors * kept)) @ vectors.T / finite
-
-
-def _standard(scores: Array) -> Array:
-    """Return scores (n, m) of mean 0 and variance 1; 0 for a constant output."""
-    deviation = scores.std(axis=0)
-    return np.asarray((scores - scores.mean(axis=0)) / np.where(deviation > ROUNDING, deviation, np.inf))
 
 
 def _root(covariance: Array) -> Array:

@@ -27,10 +27,10 @@ from learning.checks import (
     as_sizes,
     check_instance,
     check_number,
+    spread,
 )  # fmt: skip
 from learning.exceptions import InputError
 from learning.networks import FeedForward
-from learning.tolerances import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -213,22 +213,15 @@ def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:
     return np.concatenate(parts)
 
 
-def _spread(samples: Array) -> Array:
-    """Return the standard deviation of each column, 1 if constant."""
-    deviation = samples.std(axis=0)
-    constant = deviation <= ROUNDING * np.abs(samples).max(axis=0)
-    return np.where(constant, 1.0, deviation)
-
-
 def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
     """Write location, spread and range of the data into the network."""
     for name, value in (
         ("input_offset", x.mean(axis=0)),
-        ("input_scale", _spread(x)),
+        ("input_scale", spread(x)),
         ("input_lower", x.min(axis=0)),
         ("input_upper", x.max(axis=0)),
         ("output_offset", y.mean(axis=0)),
-        ("output_scale", _spread(y)),
+        ("output_scale", spread(y)),
     ):
         getattr(network, name).copy_(torch.tensor(value, dtype=torch.float32))
 

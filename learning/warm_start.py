@@ -10,7 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from learning.checks import as_bounds, as_count, as_floats, as_generator, check_instance, check_number  # fmt: skip
+from learning.checks import as_bounds, as_count, as_floats, as_generator, check_instance, check_number, spread
 from learning.exceptions import InputError
 from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
 from learning.tolerances import LEAK, ROUNDING
@@ -93,7 +93,7 @@ def fit_actor_critic(
     agent = ActorCritic(lower, upper, least, largest, config=shape, seed=seed, action_limits=limits)
     known = np.isfinite(v)
     agent.value_offset.fill_(float(np.median(v[known])))
-    agent.value_scale.fill_(_spread(v[known]))
+    agent.value_scale.fill_(float(spread(v[known])))
     X, U, V = (torch.tensor(a, dtype=torch.float32) for a in (x, u, np.nan_to_num(v)))
     K = torch.tensor(known)
     middle, half = (part.expand_as(U) for part in agent.action_range(X))
@@ -135,9 +135,3 @@ def _range(x: Array) -> tuple[Array, Array]:
     upper = x.max(axis=0)
     flat = upper - lower <= ROUNDING * np.maximum(np.abs(lower), np.abs(upper))
     return np.where(flat, lower - 1, lower), np.where(flat, upper + 1, upper)
-
-
-def _spread(values: Array) -> float:
-    """Return the standard deviation of the values, 1 if constant."""
-    deviation = float(np.std(values))
-    return deviation if deviation > ROUNDING * float(np.abs(values).max()) else 1.0
