@@ -230,8 +230,7 @@ class _LocalRows:
 
 def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     """Rows of S and U in coordinates with unit extents of U."""
-    body = U._body
-    assert body is not None
+    body = U._require_point("AdmissibleInputs")
     F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B

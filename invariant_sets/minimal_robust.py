@@ -83,7 +83,7 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     if radius >= 1.0:
         raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
     noise = noise_set.vertices @ E.T
-    centre = noise_set.affine_map(E)._body.centre  # type: ignore[union-attr]
+    centre = noise_set.affine_map(E)._require_point("W").centre
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
     local = A * size / size[:, None]  # in units of the answer's own extent

@@ -149,8 +149,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
         answer = _stay_on_hull(motion, frame.basis, spread, size)
         if isinstance(answer, tuple):
             held = answer[0] @ frame.back
-            nothing = np.zeros((0, X.dim))
-            return X.intersection(Polytope(nothing, np.zeros(0), held, answer[1] + held @ frame.centre))
+            return X.intersection(Polytope(A_eq=held, b_eq=answer[1] + held @ frame.centre))
         if answer is None:
             return None
         motion = answer

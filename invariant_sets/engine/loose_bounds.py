@@ -131,8 +131,7 @@ def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array])
 
     Of a coordinate in which the trajectories have no width nothing is left that could be far away.
     """
-    body = lifted._body
-    assert body is not None
+    body = lifted._require_point("backward_step")
     far = np.abs(X.A) @ body.half_widths[:X.dim] > 0.0
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
