@@ -92,7 +92,10 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     if Q.shape[1] == 0:
         found = _Approximation(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
     else:
-        found = _approximated(Q.T @ local @ Q, pushes @ Q, limits)
+        A_moving = Q.T @ local @ Q
+        solid = Polytope.from_vertices(pushes @ Q).affine_dim == len(A_moving)
+        scaled = _scaled_sum(A_moving, pushes @ Q, limits) if solid else None
+        found = _from_outside(A_moving, pushes @ Q, limits) if scaled is None else scaled
         if found.set is None:
             return no_set(len(A), found.steps, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
         found = replace(found, set=found.set.affine_map(size[:, None] * Q, rest))
@@ -111,15 +114,6 @@ class _Approximation:
     gap: float
     steps: int
     status: Status
-
-
-def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Scaled partial sum where possible, else the set from outside."""
-    if Polytope.from_vertices(W).affine_dim == len(A):
-        found = _scaled_sum(A, W, limits)
-        if found is not None:
-            return found
-    return _from_outside(A, W, limits)
 
 
 def _extent(A: Array, W: Array) -> Array:

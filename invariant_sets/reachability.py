@@ -187,10 +187,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
 
 
 def _units(A: Array, *sets: Polytope) -> Array:
-    """Length (n,) of every coordinate, a power of two.
-
-    Where a step along it would move another coordinate by far more than that is wide, the length is shorter.
-    """
+    """Length (n,) of every coordinate, a power of two; shorter where it moves another by far more than its width."""
     size = np.zeros(sets[0].dim)
     for S in sets:
         if not S.is_empty:

@@ -253,10 +253,7 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
 
 
 def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
-    """Stretch each gap until its outer level is nominal on unseen samples.
-
-    The gaps stay positive, so that calibrated levels cannot cross either.
-    """
+    """Stretch each gap, which stays positive, until its outer level is nominal on unseen samples."""
     if len(x) < 20:
         return
     quantiles = network.predict(x)
