@@ -77,17 +77,7 @@ def convex_hull(points: Array) -> Any:
 
 def hull_volume(points: Array) -> float:
     """Volume of the hull of the points (k, n), joggled if necessary."""
-    if points.shape[1] == 1:
-        return float(np.ptp(points))
-    from scipy.spatial import ConvexHull, QhullError
-
-    reason = ""
-    for options in (None, "QJ"):
-        try:
-            return float(ConvexHull(points, qhull_options=options).volume)
-        except QhullError as error:
-            reason = str(error).splitlines()[0]
-    raise NumericalError("The volume", points.shape, reason)
+    return float(np.ptp(points)) if points.shape[1] == 1 else float(convex_hull(points).volume)
 
 
 def cone_volume(F: Array, g: Array) -> float | None:

@@ -22,7 +22,6 @@ LP_PROXIMAL = 1e-9  # DAQP's proximal steps on a linear program end when one mov
 BOXES = (1e3, 1e6, 1e9, 1e12, 1e15)  # These half widths [-] are tried in turn if a program without a ray is unsolved.
 ACTIVE = 1e-7  # Rows with more than this part of the largest multiplier are active when an answer is recomputed.
 UNEVEN = 1e-3  # A column is scaled if none of its entries reaches this part of the largest entry of its row.
-RAY = 1e-13  # A direction d may rise by this part of |Fᵢ||d| along a row and still counts as a ray.
 STEEP_RAY = 1e-7  # A ray moves by at least this part of its largest entry in the coordinate asked for.
 
 # --- the local box around a set ---------------------------------------------------------------------------------------
@@ -45,7 +44,6 @@ NULL_SPACE = 1e-8  # Singular values below this part of the largest one, for row
 PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part of the sum of its absolute terms.
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------
-ZERO_ROW = 1e-13  # A combination of two unit rows with a smaller norm is nothing but rounding.
 NEEDLE_RADIUS = 1e-7  # No inner point decides which rows are needed if the radius is below this part of the extent.
 BEYOND = 1e-9  # A row further outside than this part of the box of a set cannot touch it.
 
@@ -92,7 +90,6 @@ DOUBTFUL = 1e-12  # A violation above this part of the extent is checked a secon
 WITNESS = 1e-6  # An input that a solver proposes may leave U by this part, and is then moved back into it.
 WITNESS_SOLVER = 1e-11  # The solver that proposes the inputs has this primal tolerance.
 DUAL_RESIDUAL = 1e-11  # Multipliers that miss stationarity, for a unit cost, by less than this bound the optimum.
-FLAT_WIDTH = 1e-9  # A coordinate in which a set is flat is given this part of the largest width.
 
 # --- filters ---------------------------------------------------------------------------------------------------------
 INPUT_SLACK = 1e-8  # A solver's answer may leave U by this part of its half widths.

@@ -21,7 +21,7 @@ from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import (
     DOUBTFUL,
     DUAL_RESIDUAL,
-    FLAT_WIDTH,
+    FLAT,
     INVARIANT,
     LP_PROXIMAL,
     MISSING,
@@ -182,7 +182,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
     else:
         beyond = C.support(F) - g
         extent = 2 * row_norms(C._require_point("the certificate").basis)
-    scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
+    scale = np.abs(F) @ np.maximum(extent, FLAT * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
 
