@@ -67,7 +67,7 @@ class Body:
         """Set {x : x + q in the set for all q in Q}, not `settled`, or None.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
-        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
+        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `FLAT`.
         """
         shape = replace(Q, centre=np.zeros(len(Q.centre)))
         across = self.normals

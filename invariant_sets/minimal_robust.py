@@ -23,7 +23,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
-from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, MOST_SUM_TERMS, SUM_END
+from invariant_sets.tolerances import DRIVEN, GAP, MOST_SUM_TERMS, ROUNDING, SUM_END
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
@@ -140,7 +140,7 @@ def _moving_subspace(A: Array, W: Array) -> Array:
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
     """Scaled partial sum for vertices W; None if no term shrinks."""
     hull = Polytope.from_vertices(W)
-    target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
+    target = max(limits.tol / (1 + limits.tol), ROUNDING)
     partial = hull
     image = W
     status = Status.ITERATION_LIMIT
@@ -169,7 +169,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
             break
     if alpha >= 1:
         return None
-    alpha = max(alpha, 0.0) + LEAST_ALPHA
+    alpha = max(alpha, 0.0) + ROUNDING
     return _Approximation(best.scale(1 / (1 - alpha)), alpha / (1 - alpha), terms, status)
 
 
