@@ -12,7 +12,7 @@ import numpy as np
 from invariant_sets.engine.certificate import tightened_rows
 from invariant_sets.engine.local_problem import LinearSystem, left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
-from invariant_sets.input_intervals import Intervals
+from invariant_sets.input_intervals import nearest_inputs
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import Set, checked_system
@@ -114,7 +114,7 @@ class AdmissibleInputs:
         if rows.slope.shape[1] == 1:
             low, high = rows.interval
             slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
-            values, violation = Intervals(slope, rooms, low, high).nearest(wanted[:, 0])
+            values, violation = nearest_inputs(slope, rooms, low, high, wanted[:, 0])
             v = values[:, None]
             admissible = violation <= INVARIANT
         else:
@@ -191,7 +191,7 @@ class AdmissibleInputFamily:
         rooms = np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM)
         wanted = np.array([one._rows.local(u[None])[0, 0] for one, u in zip(self.filters, proposed)])
         ends = np.array([one._rows.interval for one in self.filters])
-        v, violation = Intervals(self._slope, rooms, ends[:, 0], ends[:, 1]).nearest(wanted)
+        v, violation = nearest_inputs(self._slope, rooms, ends[:, 0], ends[:, 1], wanted)
         u = np.array([one._rows.middle + one._rows.size[:, 0] * value for one, value in zip(self.filters, v)])
         return u, violation <= INVARIANT
 
@@ -230,8 +230,7 @@ class _LocalRows:
 
 def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     """Rows of S and U in coordinates with unit extents of U."""
-    body = U._body
-    assert body is not None
+    body = U._require_point("AdmissibleInputs")
     F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B

@@ -123,16 +123,20 @@ def from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
     return _recomputed(c, A, b, x, info["lam"]) if flag == 1 else None
 
 
-def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optimum | None:
-    """Optimum by HiGHS, recomputed, or None."""
+def highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> tuple[Array, Array] | None:
+    """Minimiser (n,) and multipliers (m,) by HiGHS at its tightest tolerances, or None."""
     from scipy.optimize import linprog
 
     answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
                      options={"primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER,
                               "maxiter": 100 * sum(A.shape)})  # else interior points may not end
-    if answer.status != 0:
-        return None
-    return _recomputed(c, A, b, np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals))
+    return (np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals)) if answer.status == 0 else None
+
+
+def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optimum | None:
+    """Optimum by HiGHS, recomputed, or None."""
+    answer = highs(c, A, b, method)
+    return None if answer is None else _recomputed(c, A, b, *answer)
 
 
 def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:

@@ -50,7 +50,10 @@ def generators(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Generato
         return Generators(np.zeros((1, k)), np.zeros((0, k)), lines)
     dual = np.vstack([(F @ across.T) / g[:, None], np.zeros(len(across))])
     if len(across) == 1:
-        points, rays = _ends(dual[:-1, 0])
+        ends = np.array([value for value in (dual[:-1, 0].max(), dual[:-1, 0].min()) if value != 0.0])
+        ends = ends if len(ends) < 2 or ends[0] * ends[1] < 0 else ends[np.abs(ends).argmax()][None]
+        points = (1 / ends)[:, None]
+        rays = -np.sign(ends)[:, None] if len(ends) == 1 else np.zeros((0, 1))
     else:
         deadline.check_hull(len(dual), dual.shape[1])
         size = np.abs(dual).max()
@@ -61,14 +64,6 @@ def generators(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Generato
         points = merge_points(normal[~far] / offset[~far, None] / size)
         rays = merge_points(normal[far])
     return Generators(points @ across, rays @ across, lines)
-
-
-def _ends(dual: Array) -> tuple[Array, Array]:
-    """Ends (p, 1) and rays (r, 1) of an interval about 0."""
-    ends = np.array([value for value in (dual.max(), dual.min()) if value != 0.0])
-    ends = ends if len(ends) < 2 or ends[0] * ends[1] < 0 else ends[np.abs(ends).argmax()][None]
-    rays = [-np.sign(ends[0])] if len(ends) == 1 else []
-    return (1 / ends)[:, None], np.array(rays).reshape(-1, 1)
 
 
 def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Array, Array, Array]:
@@ -128,11 +123,7 @@ def _spanned(R: Array) -> tuple[Array, Array]:
 
 
 def _solid_rows(points: Array, rays: Array, inner: Array, deadline: Deadline) -> tuple[Array, Array]:
-    """Rows (F, g) of solid conv(points) + cone(rays), innerᵀray < 0.
-
-    The cone over the set, with the points (p, 1) and the rays (r, 0), is cut across by a plane; the hull of the cut has
-    one facet for every facet of the set, and perhaps one at infinity.
-    """
+    """Rows (F, g) of solid conv(points) + cone(rays), innerᵀray < 0."""
     k = points.shape[1]
     if k == 0:
         return np.zeros((0, 0)), np.zeros(0)
@@ -140,6 +131,7 @@ def _solid_rows(points: Array, rays: Array, inner: Array, deadline: Deadline) ->
     if not len(rays):
         F, g, _ = hull_rows(points)
         return F, g
+    # a plane cuts the cone over the set, of (p, 1) and (r, 0): a facet of the cut for each of the set, perhaps one more
     cone = np.vstack([np.column_stack([points, np.ones(len(points))]), np.column_stack([rays, np.zeros(len(rays))])])
     plane = np.append(-inner, 1.0 + (points @ inner).max())
     directions = _spanned(plane[None] / np.linalg.norm(plane))[1]

@@ -16,17 +16,7 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import (
-    CHECKED,
-    EPS,
-    FLAT,
-    MOST_SORTING_FACETS,
-    NULL_SPACE,
-    REDUNDANT,
-    SAME,
-    TINY,
-    TOUCHING,
-)
+from invariant_sets.tolerances import CHECKED, EPS, FLAT, MOST_SORTING_FACETS, NULL_SPACE, REDUNDANT, TINY, TOUCHING
 
 Array = np.ndarray
 
@@ -77,17 +67,7 @@ def convex_hull(points: Array) -> Any:
 
 def hull_volume(points: Array) -> float:
     """Volume of the hull of the points (k, n), joggled if necessary."""
-    if points.shape[1] == 1:
-        return float(np.ptp(points))
-    from scipy.spatial import ConvexHull, QhullError
-
-    reason = ""
-    for options in (None, "QJ"):
-        try:
-            return float(ConvexHull(points, qhull_options=options).volume)
-        except QhullError as error:
-            reason = str(error).splitlines()[0]
-    raise NumericalError("The volume", points.shape, reason)
+    return float(np.ptp(points)) if points.shape[1] == 1 else float(convex_hull(points).volume)
 
 
 def cone_volume(F: Array, g: Array) -> float | None:
@@ -120,7 +100,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
 
 def _holds_all(equations: Array, points: Array) -> bool:
     """Whether all points are inside the facets."""
-    limit = SAME * np.abs(points).max()
+    limit = FLAT * np.abs(points).max()
     step = max(1, 10_000_000 // len(points))
     return all((points @ part[:, :-1].T + part[:, -1]).max() <= limit
                for part in (equations[i:i + step] for i in range(0, len(equations), step)))
@@ -145,25 +125,25 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
     n = F.shape[1]
     if n < 2:
         return np.arange(len(V))
-    tol = max(SAME, doubt)
-    kept = distinct(V, tol) if tol > SAME else np.arange(len(V))
+    tol = max(FLAT, doubt)
+    kept = distinct(V, tol) if tol > FLAT else np.arange(len(V))
     products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
     step = max(1, 10_000_000 // max(len(F), 1))
     touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
     sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NULL_SPACE
-    for i in kept if tol > SAME else kept[~sharp]:
+    for i in kept if tol > FLAT else kept[~sharp]:
         others = kept[kept != i]  # SciPy 1.17 frees twice what it never had where there are none
         if len(others) and nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:
             kept = others
     return kept
 
 
-def merge_points(points: Array, tol: float = SAME) -> Array:
+def merge_points(points: Array, tol: float = FLAT) -> Array:
     """Points without those within `tol` of an earlier one, by coordinates."""
     return np.asarray(points[distinct(points, tol)])
 
 
-def distinct(points: Array, tol: float = SAME) -> Array:
+def distinct(points: Array, tol: float = FLAT) -> Array:
     """Indices of the points not within `tol` of an earlier one.
 
     Copies are neighbours in the order along a fixed generic direction. Only where points that differ are neighbours

@@ -67,7 +67,7 @@ class Body:
         """Set {x : x + q in the set for all q in Q}, not `settled`, or None.
 
         Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
-        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `SAME`.
+        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `FLAT`.
         """
         shape = replace(Q, centre=np.zeros(len(Q.centre)))
         across = self.normals
@@ -137,16 +137,13 @@ def body_of(stated: Stated) -> Body | None:
 
 
 def _solved(stated: Stated, scale: Array) -> Body | None:
-    """`Body` of the stated rows, None if empty.
-
-    Equality rows are eliminated first. Those that hide in the inequalities are added as they show, and all is done
-    again in units that suit the set.
-    """
+    """`Body` of the stated rows, equalities eliminated, None if empty."""
     A, b, E, e, terms, sizes = stated
     n = A.shape[1]
     centre = np.zeros(n)
     hidden = 0
     rescaled = 0
+    # equalities that hide in the inequalities are added as they show, and all is done again in units that suit the set
     while True:  # every pass adds an equality, of which there are n at most, or rescales, three times at most
         hull = eliminated(E, e, sizes, centre, scale)
         if hull is None:
@@ -300,6 +297,8 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     `FLAT`, or by less than `GIVEN` times the terms (n,) of the coordinates, is flat; the hull is then that of some
     coordinates, on which the others depend.
     """
+    from scipy.linalg import qr
+
     n = Y.shape[1]
     lower = Y.min(axis=0)
     upper = Y.max(axis=0)
@@ -314,7 +313,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     free = np.arange(n)
     graph = np.eye(n)
     if not solid.all():
-        free = _pivots(axes[solid])
+        free = np.sort(qr(axes[solid], mode="r", pivoting=True)[1][:int(solid.sum())])  # pivots of the rows
         graph = np.linalg.solve(axes[solid][:, free], axes[solid])
         graph = np.where(np.abs(graph) > CANCELLED, graph, 0.0)
         graph[:, free] = np.eye(len(free))
@@ -329,13 +328,6 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     return Body(centre, unit[:, None] * graph.T * size, F * size / norms[:, None], (g - shift) / norms,
                 (np.abs(g) + np.abs(shift)) / norms, True, free, np.where(moving, half, 0.0),
                 np.maximum(terms, np.abs(centre))), extreme
-
-
-def _pivots(rows: Array) -> Array:
-    """Pivot columns (r,) of independent rows (r, n), in order."""
-    from scipy.linalg import qr
-
-    return np.sort(qr(rows, mode="r", pivoting=True)[1][:len(rows)])
 
 
 def null_space(rows: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from invariant_sets.checked_optima import checked_optimum, from_daqp, optima_at_once, quick_optimum
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.tolerances import BOXES, LP_RESIDUAL, RAY, STEEP_RAY, THIN, UNEVEN
+from invariant_sets.tolerances import BOXES, CANCELLED, LP_RESIDUAL, STEEP_RAY, THIN, UNEVEN
 
 Array = np.ndarray
 
@@ -131,8 +131,8 @@ def ray_along(d: Array, F: Array) -> Array | None:
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
     if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
         return None
-    for ray in (optimum.x, np.where(np.abs(optimum.x) > RAY * np.abs(optimum.x).max(), optimum.x, 0.0)):
-        if (F @ ray <= RAY * (np.abs(F) @ np.abs(ray))).all():
+    for ray in (optimum.x, np.where(np.abs(optimum.x) > CANCELLED * np.abs(optimum.x).max(), optimum.x, 0.0)):
+        if (F @ ray <= CANCELLED * (np.abs(F) @ np.abs(ray))).all():
             return ray
     return None
 

@@ -191,10 +191,7 @@ def _endless(box: LocalBox, lower: Array, upper: Array) -> Array:
 
 
 def _frame(box: LocalBox, lower: Array, upper: Array, unbounded: Array) -> tuple[Array, Array]:
-    """Middle and half width (k,) of the next box.
-
-    A coordinate without an end gets the smallest length at which a row feels it as much as the other coordinates.
-    """
+    """Middle and half width (k,) of the next box; without an end, the least that a row feels like the others."""
     middle = (lower + upper) / 2
     half = np.maximum((upper - lower) / 2, CLOSER)
     if not unbounded.any():

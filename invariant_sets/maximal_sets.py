@@ -23,7 +23,7 @@ from invariant_sets.time_limits import Deadline
 from invariant_sets.tolerances import GAP
 from invariant_sets.validation import as_count, as_matrix, check_tolerance
 
-NO_INPUT = Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
+NO_INPUT = Polytope(A_eq=[[1.0]], b_eq=[0.0])
 
 
 def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = None,

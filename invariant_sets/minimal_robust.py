@@ -23,7 +23,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
-from invariant_sets.tolerances import DRIVEN, GAP, LEAST_ALPHA, MOST_SUM_TERMS, SUM_END
+from invariant_sets.tolerances import DRIVEN, GAP, MOST_SUM_TERMS, ROUNDING, SUM_END
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
@@ -83,7 +83,7 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     if radius >= 1.0:
         raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
     noise = noise_set.vertices @ E.T
-    centre = noise_set.affine_map(E)._body.centre  # type: ignore[union-attr]
+    centre = noise_set.affine_map(E)._require_point("W").centre
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
     local = A * size / size[:, None]  # in units of the answer's own extent
@@ -92,7 +92,10 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     if Q.shape[1] == 0:
         found = _Approximation(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
     else:
-        found = _approximated(Q.T @ local @ Q, pushes @ Q, limits)
+        A_moving = Q.T @ local @ Q
+        solid = Polytope.from_vertices(pushes @ Q).affine_dim == len(A_moving)
+        scaled = _scaled_sum(A_moving, pushes @ Q, limits) if solid else None
+        found = _from_outside(A_moving, pushes @ Q, limits) if scaled is None else scaled
         if found.set is None:
             return no_set(len(A), found.steps, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
         found = replace(found, set=found.set.affine_map(size[:, None] * Q, rest))
@@ -111,15 +114,6 @@ class _Approximation:
     gap: float
     steps: int
     status: Status
-
-
-def _approximated(A: Array, W: Array, limits: Limits) -> _Approximation:
-    """Scaled partial sum where possible, else the set from outside."""
-    if Polytope.from_vertices(W).affine_dim == len(A):
-        found = _scaled_sum(A, W, limits)
-        if found is not None:
-            return found
-    return _from_outside(A, W, limits)
 
 
 def _extent(A: Array, W: Array) -> Array:
@@ -146,7 +140,7 @@ def _moving_subspace(A: Array, W: Array) -> Array:
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
     """Scaled partial sum for vertices W; None if no term shrinks."""
     hull = Polytope.from_vertices(W)
-    target = max(limits.tol / (1 + limits.tol), LEAST_ALPHA)
+    target = max(limits.tol / (1 + limits.tol), ROUNDING)
     partial = hull
     image = W
     status = Status.ITERATION_LIMIT
@@ -175,7 +169,7 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
             break
     if alpha >= 1:
         return None
-    alpha = max(alpha, 0.0) + LEAST_ALPHA
+    alpha = max(alpha, 0.0) + ROUNDING
     return _Approximation(best.scale(1 / (1 - alpha)), alpha / (1 - alpha), terms, status)
 
 

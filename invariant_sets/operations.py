@@ -19,7 +19,7 @@ from invariant_sets.interior_form import Body, body_of, support
 from invariant_sets.polyhedron import Polyhedron
 from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PRODUCT_ROUNDING
-from invariant_sets.validation import as_floats, as_matrix, as_vector, check_finite, shown
+from invariant_sets.validation import as_matrix, as_number, as_vector, shown
 
 Array = np.ndarray
 AnySet = TypeVar("AnySet", bound=Polyhedron)
@@ -235,12 +235,8 @@ class SetOperations(Polyhedron):
 
     def scale(self, factor: float) -> Self:
         """Set {factor·x : x in P}; factor 0 gives {0}."""
-        value = as_floats("factor", factor)
-        if value.ndim != 0:
-            raise InputError("factor", f"shape {value.shape}", "a number", "Use affine_map for a matrix.")
-        check_finite(value, "factor")
+        k = as_number("factor", factor, expected="a finite number; affine_map takes a matrix")
         n = self.dim
-        k = float(value)
         if self.is_empty:
             return type(self).empty(n)
         if k == 0.0:
@@ -289,8 +285,7 @@ def _touching(kind: type[AnySet], D: Array, values: Array) -> AnySet:
 
 def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
     """Points, rays and lines of a nonempty set."""
-    body = P._body
-    assert body is not None
+    body = P._require_point("generators")
     if body.bounded:
         return Generators(P.vertices, np.zeros((0, P.dim)), np.zeros((0, P.dim)))
     found = generators(body.F, body.g, deadline)

@@ -15,7 +15,7 @@ from invariant_sets.maximal_sets import as_limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import Set, as_set_or_numbers, checked_system
-from invariant_sets.tolerances import FELT, GAP, MEMBERSHIP, NEIGHBOUR_MARGIN, TINY
+from invariant_sets.tolerances import GAP, MARGIN, MEMBERSHIP, TINY, TOUCHING
 from invariant_sets.validation import (
     as_batch,
     as_count,
@@ -102,7 +102,8 @@ class ParametricSet:
         p = as_vector(p, "p") + 0.0  # −0 and 0 are one design
         key = p.tobytes()
         if key not in self._results:
-            self._results[key] = result = self._compute(p)
+            warm = self._warm(p) if self.warm_start else None
+            self._results[key] = result = self._cold(p) if warm is None else warm
             # below so many steps a cold start is quicker than one from a neighbour
             if result.iterations > 20 and result.status is Status.CONVERGED:
                 self._slow.append((p, result))
@@ -224,15 +225,6 @@ class ParametricSet:
 
     # --- one design -----------------------------------------------------------------------------------------
 
-    def _compute(self, p: Array) -> SetResult:
-        """Result at an unknown design, from a neighbour where that helps."""
-        neighbour = self._neighbour(p) if self.warm_start else None
-        if neighbour is not None:
-            warm = self._warm(p, *neighbour)
-            if warm is not None:
-                return warm
-        return self._cold(p)
-
     def _cold(self, p: Array, guess: Polytope | None = None) -> SetResult:
         """Result computed from X, or from X and a guess."""
         p = frozen(p)  # one array for three functions of the caller's
@@ -243,25 +235,23 @@ class ParametricSet:
         system = checked_system(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), E, self.W)
         return largest_invariant_set(Task(*system, self._limits()), guess)
 
-    def _neighbour(self, p: Array) -> tuple[SetResult, float] | None:
-        """Nearest known slow result, and its relative distance in p."""
+    def _warm(self, p: Array) -> SetResult | None:
+        """Result from an inflated slow neighbour; None without one, or if its rows are felt."""
         near = [(float(np.abs(p - q).max() / max(np.abs(p).max(), TINY)), k) for k, (q, _) in enumerate(self._slow)
                 if len(q) == len(p)]
         distance, k = min(near, default=(np.inf, 0))
-        return (self._slow[k][1], distance) if distance <= 0.02 else None
-
-    def _warm(self, p: Array, neighbour: SetResult, distance: float) -> SetResult | None:
-        """Result from an inflated neighbour; None if its rows are felt."""
-        around = neighbour.outer
+        if distance > 0.02:
+            return None
+        around = self._slow[k][1].outer
         if around.affine_dim < around.dim or not around.is_bounded:
             return None
         middle = around.vertices.mean(axis=0)
         room = around.b - around.A @ middle
-        limit = around.b + min(0.2, 10 * distance + NEIGHBOUR_MARGIN) * room
+        limit = around.b + min(0.2, 10 * distance + MARGIN) * room
         result = self._cold(p, Polytope(around.A, limit))
         if result.status is not Status.CONVERGED or result.set.is_empty:
             return None
-        felt = result.outer.support(around.A) >= limit - FELT * room
+        felt = result.outer.support(around.A) >= limit - TOUCHING * room
         return None if felt.any() else result
 
 

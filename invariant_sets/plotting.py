@@ -67,6 +67,8 @@ def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None
     ax, coordinates, **style
         As in `plot_polytope`.
     """
+    from matplotlib import colormaps
+
     family = _listed(sets, "sets")
     for member in family:
         _check_drawable(member, "sets")
@@ -79,10 +81,14 @@ def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None
     dim = min(3, family[0].dim if coordinates is None else len(family[0]._coordinates(coordinates)))
     ax = _axes(dim) if ax is None else ax
     artists = []
-    colours = _family_colours(numbers)
+    spread = np.ptp(numbers) or 1.0
+    colours = colormaps["viridis"](0.85 * (numbers - numbers.min()) / spread)[:, :3]  # visible on white
     for k in sorted(range(len(family)), key=lambda k: -family[k].volume):
         if not family[k].is_empty:
-            chosen = {**_fill(colours[k], dim), "label": names[k], **style}
+            fill: dict[str, Any] = {"facecolor": (*colours[k], 0.15)}  # translucent in space, opaque in the plane
+            if dim < 3:
+                fill = {"facecolor": tuple(0.75 + 0.25 * colours[k]), "zorder": 1}
+            chosen = {"edgecolor": colours[k], **fill, "label": names[k], **style}
             artists.append(plot_polytope(family[k], ax=ax, coordinates=coordinates, **chosen))
             if dim < 3:
                 outline = {"facecolor": "none", "edgecolor": colours[k], **style, "zorder": 2}
@@ -96,21 +102,6 @@ def _listed(values: Any, name: str) -> list[Any]:
         return list(values)
     except TypeError:
         raise InputError(name, type(values).__name__, "one entry a set, in a list") from None
-
-
-def _family_colours(numbers: Array) -> Array:
-    """One colour a number, (k, 3), visible on white."""
-    from matplotlib import colormaps
-
-    spread = np.ptp(numbers) or 1.0
-    return np.asarray(colormaps["viridis"](0.85 * (numbers - numbers.min()) / spread)[:, :3])
-
-
-def _fill(colour: Array, dim: int) -> dict[str, Any]:
-    """Style of one member, opaque in plane, translucent in space."""
-    if dim == 3:
-        return {"facecolor": (*colour, 0.15), "edgecolor": colour}
-    return {"facecolor": tuple(0.75 + 0.25 * colour), "edgecolor": colour, "zorder": 1}
 
 
 def _check_drawable(P: Any, name: str) -> None:

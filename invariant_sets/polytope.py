@@ -127,11 +127,8 @@ class Polytope(SetOperations):
 
 
 def _hit_and_run(body: Body, n: int, rng: np.random.Generator) -> Array:
-    """Sample of n points (n, k) in coordinates y, one chain each.
-
-    All chains start at the inner point y = 0 and take 20·k steps, in directions drawn with the covariance that a
-    shorter run has found: without that a slanted body mixes slowly. Assumes a bounded body.
-    """
+    """Sample of n points (n, k) in coordinates y, one chain each from y = 0."""
+    # directions have the covariance that a shorter run has found: without that a slanted body mixes slowly
     k = body.F.shape[1]
     shape: Array = np.eye(k)
     for _ in range(2):

@@ -16,8 +16,8 @@ import numpy as np
 from invariant_sets.equalities import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import largest_ball, minimise
-from invariant_sets.time_limits import NO_DEADLINE, Deadline, SizeLimitReached
-from invariant_sets.tolerances import BEYOND, CHEAP_HULL_DIM, CUT, FEW_ROWS, MOST_ROWS, NEEDLE_RADIUS, SILENT, ZERO_ROW
+from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
+from invariant_sets.tolerances import BEYOND, CANCELLED, CHEAP_HULL_DIM, CUT, FEW_ROWS, MOST_ROWS, NEEDLE_RADIUS, SILENT
 
 Array = np.ndarray
 
@@ -88,7 +88,7 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
 def _combined(high: Array, above: Array, low: Array, below: Array) -> Array:
     """Combinations of `high` with `low` rows that cancel the last coefficient."""
     if len(high) * len(low) > MOST_ROWS:
-        raise SizeLimitReached(f"an elimination with {len(high)} times {len(low)} rows")
+        raise LimitReached(f"an elimination with {len(high)} times {len(low)} rows")
     larger = np.maximum(above[:, None], below[None, :])
     first = below[None, :] / larger
     second = above[:, None] / larger
@@ -101,9 +101,9 @@ def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
     R = rows[:, :-1]
     r = rows[:, -1]
     norms = np.linalg.norm(R, axis=1)
-    zero = norms <= ZERO_ROW
+    zero = norms <= CANCELLED
     if zero.any():
-        if (r[zero] < -1e3 * ZERO_ROW * (1.0 + np.abs(r).max())).any():
+        if (r[zero] < -1e3 * CANCELLED * (1.0 + np.abs(r).max())).any():
             return np.zeros((1, R.shape[1])), np.array([-1.0])
         R = R[~zero]
         r = r[~zero]

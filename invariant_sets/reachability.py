@@ -19,6 +19,7 @@ from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
 from invariant_sets.exceptions import NumericalError
+from invariant_sets.maximal_sets import NO_INPUT
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
@@ -186,10 +187,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
 
 
 def _units(A: Array, *sets: Polytope) -> Array:
-    """Length (n,) of every coordinate, a power of two.
-
-    Where a step along it would move another coordinate by far more than that is wide, the length is shorter.
-    """
+    """Length (n,) of every coordinate, a power of two; shorter where it moves another by far more than its width."""
     size = np.zeros(sets[0].dim)
     for S in sets:
         if not S.is_empty:
@@ -270,7 +268,7 @@ def _with_inputs(A: Any, B: Any, U: Any) -> tuple[Any, Any, Any]:
     if B is not None or U is not None:
         return A, B, U
     A = checked_state_matrix(A)
-    return A, np.zeros((len(A), 1)), Polytope(np.zeros((0, 1)), np.zeros(0), np.ones((1, 1)), np.zeros(1))
+    return A, np.zeros((len(A), 1)), NO_INPUT
 
 
 def _whole_space(S: Polytope) -> Polytope:

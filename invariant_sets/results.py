@@ -109,6 +109,6 @@ def status_of(limit: LimitReached) -> Status:
 
 def no_set(nx: int, iterations: int, outer: Polytope | None = None, status: Status = Status.EMPTY) -> SetResult:
     """Result with the empty set; `outer` too unless given."""
-    nothing = Polytope(np.zeros((1, nx)), [-1.0])
+    nothing = Polytope.empty(nx)
     gap = 0.0 if status is Status.EMPTY else np.inf
     return SetResult(nothing, nothing if outer is None else outer, status, iterations, Certificate(np.inf, gap, 0))

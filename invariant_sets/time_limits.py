@@ -20,15 +20,11 @@ from invariant_sets.tolerances import MOST_HULL_FACETS, SECONDS_PER_FACET
 
 
 class LimitReached(InvariantSetsError):
-    """Cap that a computation met; it becomes a status."""
+    """Cap that a computation met, on rows or facets if no other; it becomes a status."""
 
 
 class TimeLimitReached(LimitReached):
     """Time limit reached, or due before the next step ends."""
-
-
-class SizeLimitReached(LimitReached):
-    """More rows or facets needed than fit."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class Deadline:
         """Raise `LimitReached` for a hull too large for time or memory."""
         facets = hull_facets(points, dim)
         if facets > MOST_HULL_FACETS:
-            raise SizeLimitReached(f"a hull of {points} points in {dim} dimensions has about {facets:.0e} facets")
+            raise LimitReached(f"a hull of {points} points in {dim} dimensions has about {facets:.0e} facets")
         if facets * SECONDS_PER_FACET > self.left:
             raise TimeLimitReached(f"a hull of {points} points in {dim} dimensions takes longer than is left")
 

@@ -4,9 +4,8 @@
 """
 
 # --- what a set is ---------------------------------------------------------------------------------------------------
-FLAT = 1e-9  # A set thinner than this part of the extent is flat; one that misses feasibility by more is empty.
-SAME = 1e-9  # Vertices and rows closer than this part of the extent are one.
-ROUNDING = 1e-12  # The data of a row may be wrong by this part of |bᵢ| + |Aᵢ||x| after a computation in doubles.
+FLAT = 1e-9  # What is thinner than this part of the extent is flat, what is closer is one, what misses by more is not.
+ROUNDING = 1e-12  # Data may be wrong by this part of the sum of their absolute terms after a computation in doubles.
 PLACE = 4e-15  # Coordinates of a point may be wrong by this part of the sum of absolute terms that it was solved from.
 GIVEN = 1e-15  # A coordinate of a point that the caller states may be wrong by this part of its own size.
 CANCELLED = 1e-13  # A sum smaller than this part of the sum of its absolute terms is zero, its terms have cancelled.
@@ -22,7 +21,6 @@ LP_PROXIMAL = 1e-9  # DAQP's proximal steps on a linear program end when one mov
 BOXES = (1e3, 1e6, 1e9, 1e12, 1e15)  # These half widths [-] are tried in turn if a program without a ray is unsolved.
 ACTIVE = 1e-7  # Rows with more than this part of the largest multiplier are active when an answer is recomputed.
 UNEVEN = 1e-3  # A column is scaled if none of its entries reaches this part of the largest entry of its row.
-RAY = 1e-13  # A direction d may rise by this part of |Fᵢ||d| along a row and still counts as a ray.
 STEEP_RAY = 1e-7  # A ray moves by at least this part of its largest entry in the coordinate asked for.
 
 # --- the local box around a set ---------------------------------------------------------------------------------------
@@ -40,12 +38,11 @@ CLOSED = 1e-10  # Multipliers whose rows sum to less than this part of the absol
 REDUNDANT = 1e-11  # A row that cuts off less than this part of the extent is redundant.
 CHECKED = 1e-7  # Vertices and linear programs must agree to this part of the extent in five and more dimensions.
 EPS = 4e-16  # Entries below this part of a unit row are rounding.
-TOUCHING = 1e-7  # A vertex closer to a row than this part of the extent lies on its face.
+TOUCHING = 1e-7  # A vertex closer to a row than this part of the extent lies on its face, a set touches the row.
 NULL_SPACE = 1e-8  # Singular values below this part of the largest one, for rows of order one, span the null space.
 PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part of the sum of its absolute terms.
 
 # --- projections and redundant rows ----------------------------------------------------------------------------------
-ZERO_ROW = 1e-13  # A combination of two unit rows with a smaller norm is nothing but rounding.
 NEEDLE_RADIUS = 1e-7  # No inner point decides which rows are needed if the radius is below this part of the extent.
 BEYOND = 1e-9  # A row further outside than this part of the box of a set cannot touch it.
 
@@ -69,7 +66,7 @@ LEAST_RIGHT = 1e-3  # A cut is compared with a right-hand side of at least this 
 UNRESOLVED = 1e-6  # A set that Qhull cannot resolve is flat if its radius is below this part of the extent.
 SMALL = 0.1  # A set that began with width two is rescaled below this width.
 CENTRAL = 1e-9  # Rows closer to the equilibrium than this part of the extent pass through it.
-CLOSED_LOOP_MARGIN = 1e-9  # A closed loop is asked to contract by this part per step, against rounding.
+MARGIN = 1e-9  # A closed loop contracts, and a neighbour's set is inflated, by at least this part, against rounding.
 SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # These parts in turn are taken off an outer set that has not converged.
 CONTRACTIONS = (1e-3, 1e-2, 0.1)  # These contractions per step are tried in turn where the outer set has not converged.
 GAP_ROUNDING = 1e-6  # A gap may exceed `tol` by this part of it.
@@ -80,10 +77,7 @@ SERIES_END = 1e-17  # A series over the unstable modes ends, with a bound on its
 EDGE = 1e-9  # Edges of the sum over the unstable modes below this part of the longest one give no facet.
 DRIVEN = 1e-9  # A disturbance does not move directions that it moves by less than this part of the largest move.
 SUM_END = 1e-13  # A sum of supports ends at terms smaller than this part of it.
-LEAST_ALPHA = 1e-12  # A partial sum is scaled up by at least this part, against rounding.
 USEFUL_INPUTS = 1e-6  # The box of the useful inputs is enlarged by this part of its width.
-NEIGHBOUR_MARGIN = 1e-9  # A neighbour's set is inflated by at least this part of its room.
-FELT = 1e-7  # A set closer to a row than this part of the row's room is taken to touch it.
 
 # --- certificates ----------------------------------------------------------------------------------------------------
 INVARIANT = 1e-9  # A set counts as invariant, an input as admissible, if a successor leaves by this part of the extent.
@@ -92,7 +86,6 @@ DOUBTFUL = 1e-12  # A violation above this part of the extent is checked a secon
 WITNESS = 1e-6  # An input that a solver proposes may leave U by this part, and is then moved back into it.
 WITNESS_SOLVER = 1e-11  # The solver that proposes the inputs has this primal tolerance.
 DUAL_RESIDUAL = 1e-11  # Multipliers that miss stationarity, for a unit cost, by less than this bound the optimum.
-FLAT_WIDTH = 1e-9  # A coordinate in which a set is flat is given this part of the largest width.
 
 # --- filters ---------------------------------------------------------------------------------------------------------
 INPUT_SLACK = 1e-8  # A solver's answer may leave U by this part of its half widths.

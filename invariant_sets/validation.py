@@ -9,8 +9,8 @@ import numpy as np
 from ccdtools_ground.door import as_count, as_floats, as_generator, as_number, check_finite, frozen, shown
 from invariant_sets.exceptions import InputError
 
-__all__ = ["as_batch", "as_bounds", "as_count", "as_floats", "as_generator", "as_matrix", "as_vector", "check_finite",
-           "check_tolerance", "frozen", "shown"]  # fmt: skip
+__all__ = ["as_batch", "as_bounds", "as_count", "as_floats", "as_generator", "as_matrix", "as_number", "as_vector",
+           "check_finite", "check_tolerance", "frozen", "shown"]  # fmt: skip
 Array = np.ndarray
 
 

@@ -54,7 +54,8 @@ def fit_copula(network: QuantileNetwork, inputs: ArrayLike, targets: ArrayLike) 
     origin, subspace = _subspace(y, margins.at(torch.tensor(quantiles), exchanged).numpy())
     margins.origin.copy_(torch.tensor(origin))
     margins.subspace.copy_(torch.tensor(subspace))
-    margins.factor.copy_(torch.tensor(_root(scores.T @ scores / len(scores))))
+    values, vectors = np.linalg.eigh(scores.T @ scores / len(scores))
+    margins.factor.copy_(torch.tensor((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T))
     return margins
 
 
@@ -98,10 +99,7 @@ def _weighted_quantiles(samples: Array, weight: Array, shares: Array) -> Array:
 
 
 def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
-    """Return mean (m,) and a map (m, m) that narrows draws.
-
-    Directions are the principal ones of samples of variance 1; nothing is stretched, and wide ones stay as they are.
-    """
+    """Return mean (m,) and a map (m, m) that narrows draws along the narrow principal directions of samples."""
     origin = y.mean(axis=0)
     scale = spread(y, np.inf)
     values, vectors = np.linalg.eigh(np.cov((y - origin).T / scale[:, None]).reshape(len(origin), -1))
@@ -111,9 +109,3 @@ def _subspace(y: Array, draws: Array) -> tuple[Array, Array]:
     kept = np.where(narrow, np.minimum(ratio, 1.0), 1.0)
     finite = np.where(np.isfinite(scale), scale, 1.0)
     return origin, (finite[:, None] * (vectors * kept)) @ vectors.T / finite
-
-
-def _root(covariance: Array) -> Array:
-    """Return the symmetric square root of a positive semidefinite matrix."""
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

@@ -275,12 +275,3 @@ def scaled(latent: Tensor, action_range: tuple[Tensor, Tensor], *, leak: float =
         clipped = clipped + leak * (latent - clipped)
     middle, half = action_range
     return middle + half * clipped
-
-
-def descend(optimiser: torch.optim.Optimizer, loss: Tensor, most: float = float("inf")) -> None:
-    """One step on a loss, its gradient clipped to a norm of at most `most`."""
-    optimiser.zero_grad()
-    loss.backward()
-    if most < float("inf"):
-        nn.utils.clip_grad_norm_([parameter for group in optimiser.param_groups for parameter in group["params"]], most)
-    optimiser.step()

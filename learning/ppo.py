@@ -19,7 +19,7 @@ from tqdm import trange
 
 from learning.checks import as_count, check_instance, check_number
 from learning.exceptions import InputError
-from learning.networks import ActorCritic, descend
+from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect
 
 
@@ -224,13 +224,20 @@ class PPO:
                 surrogate, value_loss, divergence = ppo_loss(agent, part, config)
                 divergences.append(divergence.item())
                 if actor and divergences[-1] < 1.5 * config.kl_limit:
-                    descend(self.actor_optimiser, surrogate, config.max_gradient)
-                descend(self.critic_optimiser, value_loss, config.max_gradient)
+                    self._step(self.actor_optimiser, surrogate, agent.actor_parameters())
+                self._step(self.critic_optimiser, value_loss, list(agent.value_network.parameters()))
             kl = float(np.mean(divergences))
             passes += 1
             if actor and kl > config.kl_limit:
                 break
         return UpdateStatistics(kl, 1.0 - residual / variance if variance > 0 else float("nan"), passes)
+
+    def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor, parameters: list[nn.Parameter]) -> None:
+        """One step on a loss, its gradient clipped in norm."""
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(parameters, self.config.max_gradient)
+        optimiser.step()
 
 
 def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:

@@ -30,7 +30,7 @@ from learning.checks import (
     spread,
 )  # fmt: skip
 from learning.exceptions import InputError
-from learning.networks import FeedForward, descend
+from learning.networks import FeedForward
 
 Array = NDArray[np.float64]
 
@@ -237,7 +237,10 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
     for step in trange(1, config.steps + 1, desc="quantiles", disable=not progress, leave=False):
         i = torch.from_numpy(rng.integers(0, len(X), min(config.batch, len(X))))
         loss = (pinball(Y[i], network(X[i]), config.levels) / network.output_scale).sum()
-        descend(optimiser, loss, 1.0)
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
         schedule.step()
         if len(Xv) and (step % 50 == 0 or step == config.steps):
             with torch.no_grad():
@@ -250,10 +253,7 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
 
 
 def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
-    """Stretch each gap until its outer level is nominal on unseen samples.
-
-    The gaps stay positive, so that calibrated levels cannot cross either.
-    """
+    """Stretch each gap, which stays positive, until its outer level is nominal on unseen samples."""
     if len(x) < 20:
         return
     quantiles = network.predict(x)

@@ -12,7 +12,7 @@ from tqdm import trange
 
 from learning.checks import as_bounds, as_count, as_floats, as_generator, check_instance, check_number, spread
 from learning.exceptions import InputError
-from learning.networks import ActionLimits, ActorCritic, NetworkConfig, descend, scaled
+from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
 from learning.tolerances import LEAK, ROUNDING
 
 Array = NDArray[np.float64]
@@ -106,7 +106,9 @@ def fit_actor_critic(
         value_error = (agent.value(X[i]) - V[i])[K[i]] / agent.value_scale
         value_loss = torch.nn.functional.smooth_l1_loss(value_error, torch.zeros_like(value_error), reduction="sum")
         loss = error.square().sum(-1).mean() + value_loss / len(i)
-        descend(optimiser, loss)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
         schedule.step()
     return agent
 

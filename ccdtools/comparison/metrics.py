@@ -58,22 +58,13 @@ def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
         If they are no mapping of names to numbers.
     """
     lost = bool(run.diverged.all())
-    found = as_mapping("metrics", metrics(run if lost else _kept(run)), EXPECTED)
+    found = as_mapping("metrics", metrics(run if lost else _part(run, ~run.diverged, slice(None))), EXPECTED)
     for name, value in found.items():
         if not name.strip() or len(name.splitlines()) > 1:
             raise InputError("metrics", f"the name {shown(name)}", "names of one line")
         if isinstance(value, bool | str) or np.ndim(value) != 0 or not np.isreal(value):
             raise InputError("metrics", f"{shown(value)} for {name}", "a number each")
     return {name: float("nan") if lost else float(value) for name, value in found.items()}
-
-
-def _kept(run: Trajectory) -> Trajectory:
-    """Runs that did not diverge."""
-    kept = ~run.diverged
-    if kept.all():
-        return run
-    names = ("states", "inputs", "disturbances", "diverged_at")
-    return replace(run, **{name: getattr(run, name)[kept] for name in names})
 
 
 @dataclass(frozen=True)

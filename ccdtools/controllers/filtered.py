@@ -126,12 +126,7 @@ class Filtered(Around):
         u = wanted.copy()
         if known.any():
             u[known], admissible = self.admissible.project(rows[known], wanted[known])
-            changed = (np.abs(u[known] - wanted[known]) > CHANGED_INPUT * self._range).any(axis=1)
+            lower, upper = self.admissible.U.bounding_box()
+            changed = (np.abs(u[known] - wanted[known]) > CHANGED_INPUT * (upper - lower)).any(axis=1)
             self._counter.add(changed, admissible)
         return u.reshape(shape)
-
-    @property
-    def _range(self) -> Array:
-        """Range of each input over U, (nu,)."""
-        lower, upper = self.admissible.U.bounding_box()
-        return np.asarray(upper - lower)

@@ -87,7 +87,10 @@ class Driver:
         """Inputs (n, nu) at sample k for states (n, nx)."""
         if not self.needs and self.batched:
             return self.copies[0](x)
-        y = self._measured(k, x)
+        y = None
+        if "output" in self.needs:
+            sensor = self.surroundings.output
+            y = x if sensor is None else sensor(k, x, self.last)
         if self.batched:
             return self.copies[0](x, **self._signals(k, y, slice(None)))
         return np.stack([
@@ -98,13 +101,6 @@ class Driver:
     def remember(self, u: Array) -> None:
         """Keep the inputs (n, nu) that were applied."""
         self.last = u
-
-    def _measured(self, k: int, x: Array) -> Array | None:
-        """Outputs (n, ny), if the controller needs them."""
-        if "output" not in self.needs:
-            return None
-        sensor = self.surroundings.output
-        return x if sensor is None else sensor(k, x, self.last)
 
     def _signals(self, k: int, y: Array | None, run: int | slice) -> dict[str, Any]:
         """Keyword arguments of one call, for one run or all."""

@@ -83,7 +83,11 @@ class Measurement(Immutable):
         """Measurement with its noise drawn for all runs and steps."""
         if not self.random:
             return self
-        return replace(self, noise=_drawn(self.noise, runs, steps, as_generator("rng", rng)))
+        drawn = as_floats("output.noise", self.noise.sample(runs, steps, as_generator("rng", rng)))
+        if drawn.ndim != 3:
+            raise InputError("output.noise", f"a sample of shape {drawn.shape}", f"({runs}, {steps}, ny)")
+        _check_noise(drawn, runs, steps)
+        return replace(self, noise=finite("output.noise", drawn))
 
     def first(self, runs: int, steps: int) -> Measurement:
         """Measurement with drawn noise cut to the first runs and steps."""
@@ -146,15 +150,6 @@ def _as_noise(value: Any) -> Any:
         got = "a negative standard deviation" if noise.ndim == 1 and noise.size else f"shape {noise.shape}"
         raise InputError("output.noise", got, expected)
     return frozen(noise[None] if noise.ndim == 2 else noise)
-
-
-def _drawn(noise: Any, runs: int, steps: int, rng: np.random.Generator) -> Array:
-    """Sample of noise (runs, steps, ny)."""
-    drawn = as_floats("output.noise", noise.sample(runs, steps, rng))
-    if drawn.ndim != 3:
-        raise InputError("output.noise", f"a sample of shape {drawn.shape}", f"({runs}, {steps}, ny)")
-    _check_noise(drawn, runs, steps)
-    return frozen(finite("output.noise", drawn))
 
 
 def _check_noise(noise: Array, runs: int, steps: int) -> None:

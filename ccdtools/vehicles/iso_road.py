@@ -84,7 +84,11 @@ class ISORoad(Drives):
 
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:
         """One drive on a fresh road, (steps, nw)."""
-        time, speed = self._speeds(steps, rng)
+        duration = steps * self.dt
+        if isinstance(self.speed, str):
+            time, speed = generate_speed(duration, rng=rng, driver=self.speed, dt=self.dt)
+        else:
+            time, speed = np.array([0.0, duration]), np.full(2, float(self.speed))
         wheelbase = self.wheelbase or 0.0
         length = float(np.trapezoid(speed, time)) + wheelbase + 2 * self.spacing
         distance, elevation = generate_profile(
@@ -100,13 +104,6 @@ class ISORoad(Drives):
         ]
         speeds = np.stack(felt, axis=-1)
         return self.dt * (np.cumsum(speeds, axis=0) - 0.5 * speeds) if self.heights else speeds
-
-    def _speeds(self, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Times [s] and speeds [m/s] of one drive."""
-        duration = steps * self.dt
-        if isinstance(self.speed, str):
-            return generate_speed(duration, rng=rng, driver=self.speed, dt=self.dt)
-        return np.array([0.0, duration]), np.full(2, float(self.speed))
 
 
 def _from(start: float, distance: Array, elevation: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.disturbances.disturbance import check_draw
 from ccdtools.exceptions import InputError
-from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY
+from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY, road_roughness
 
 Array: TypeAlias = NDArray[np.float64]
 Driver: TypeAlias = Literal["mild", "aggressive"]
@@ -142,8 +142,6 @@ FEATURES = {
 }
 GAP = (5.0, 45.0)  # The plain road between two obstacles is this long [m].
 
-# ISO 8608: displacement spectrum G(n) = G(n₀) (n/n₀)⁻², n in cycles per metre; the middle of class C.
-ROUGHNESS = 256e-6  # [m³]
 CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounded
 
 
@@ -182,7 +180,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
 def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
     """First-order noise dz = −α z ds + σ dW, with spectrum 2σ² / (α² + (2πn)²)."""
     alpha = 2 * np.pi * CUTOFF_FREQUENCY
-    sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(ROUGHNESS / 2)
+    sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(road_roughness("C") / 2)
     decay = math.exp(-alpha * spacing)
     gain = sigma * math.sqrt((1 - decay**2) / (2 * alpha))
     noise = gain * rng.standard_normal(samples)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
+from invariant_sets.checked_optima import highs
 from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError
@@ -20,10 +21,9 @@ from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import (
     DOUBTFUL,
     DUAL_RESIDUAL,
-    FLAT_WIDTH,
+    FLAT,
     INVARIANT,
     LP_PROXIMAL,
-    LP_SOLVER,
     MISSING,
     PLACE,
     PROGRAMS_PER_CHECK,
@@ -68,8 +68,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
         return Certificate(0.0, np.inf, 0)
     if not C.is_bounded:
         return _violation_at_facets(system, C, U, (F, g), deadline)
-    body = U._body
-    assert body is not None
+    body = U._require_point("the certificate")
     slope = F @ system.B @ body.basis
     room = g - C.vertices @ (F @ system.A).T - F @ system.B @ body.centre
     terms = np.abs(C.vertices) @ (np.abs(F) @ np.abs(system.A)).T + np.abs(F) @ np.abs(system.B) @ body.terms
@@ -140,11 +139,8 @@ def _checked_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
 
 def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
     """Minimiser by HiGHS at its tightest tolerances, or None."""
-    from scipy.optimize import linprog
-
-    answer = linprog(cost, A_ub=rows, b_ub=right, bounds=(None, None), method="highs-ds", options={
-        "primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER})
-    return np.asarray(answer.x) if answer.status == 0 else None
+    answer = highs(cost, rows, right)
+    return None if answer is None else answer[0]
 
 
 def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
@@ -185,8 +181,8 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
         extent = np.ptp(C.vertices, axis=0)
     else:
         beyond = C.support(F) - g
-        extent = 2 * row_norms(C._body.basis)  # type: ignore[union-attr]
-    scale = np.abs(F) @ np.maximum(extent, FLAT_WIDTH * extent.max(initial=0.0))
+        extent = 2 * row_norms(C._require_point("the certificate").basis)
+    scale = np.abs(F) @ np.maximum(extent, FLAT * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
 
@@ -196,10 +192,8 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
     """
-    state = X._body
-    inputs = U._body
-    assert state is not None
-    assert inputs is not None
+    state = X._require_point("the certificate")
+    inputs = U._require_point("the certificate")
     F, g = C._relative_rows
     T, t = tightened_rows(C, system.disturbances)
     k = state.basis.shape[1]
@@ -256,16 +250,15 @@ def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
 def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows,
                          deadline: Deadline) -> Certificate:
     """Violation of the target's predecessor rows by C."""
-    body = U._body
-    assert body is not None
+    body = U._require_point("the certificate")
     F, g = target
-    N = C._body.basis  # type: ignore[union-attr]
-    centre = C._body.centre  # type: ignore[union-attr]
+    state = C._require_point("the certificate")
+    N = state.basis
     rows = np.vstack([np.hstack([F @ system.A @ N, F @ system.B @ body.basis]),
                       np.hstack([np.zeros((len(body.g), N.shape[1])), body.F])])
-    right = np.append(g - F @ (system.A @ centre + system.B @ body.centre), body.g)
+    right = np.append(g - F @ (system.A @ state.centre + system.B @ body.centre), body.g)
     R, r = project_rows(rows, right, N.shape[1], deadline=deadline)
     if not len(r):
         return Certificate(0.0, np.inf, 0)
-    values = np.array([-minimise(-row, C._body.F, C._body.g)[0] for row in R])  # type: ignore[union-attr]
+    values = np.array([-minimise(-row, state.F, state.g)[0] for row in R])
     return Certificate(float(((values - r) / 2.0).max()), np.inf, len(r))

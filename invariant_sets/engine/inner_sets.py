@@ -19,7 +19,7 @@ from invariant_sets.engine.recursion import Limits, Outcome, Predecessor, Region
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.projection import eliminate_last, project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CENTRAL, CHEAP_HULL_DIM, CLOSED_LOOP_MARGIN, CONTRACTIONS, SHRUNK
+from invariant_sets.tolerances import CENTRAL, CHEAP_HULL_DIM, CONTRACTIONS, MARGIN, SHRUNK
 
 Array = np.ndarray
 
@@ -154,9 +154,9 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
         """Rows of the states that the feedback takes into the target."""
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
-        return F @ closed, g * (1 - CLOSED_LOOP_MARGIN) - reach
+        return F @ closed, g * (1 - MARGIN) - reach
 
-    ended = iterate(seed, backwards, limits, stop=CLOSED_LOOP_MARGIN)
+    ended = iterate(seed, backwards, limits, stop=MARGIN)
     if not ended.converged or ended.region.shape is not Shape.SOLID:
         return None
     return Candidate(ended.region.tidy(limits.deadline), ended.iterations, K)

@@ -153,7 +153,7 @@ def _flattened(X: Polytope, widest: Array) -> Polytope:
     if not gone.any():
         return X
     middle = lower[gone] / 2 + upper[gone] / 2
-    return X.intersection(Polytope(np.zeros((0, X.dim)), np.zeros(0), np.eye(X.dim)[gone], middle))
+    return X.intersection(Polytope(A_eq=np.eye(X.dim)[gone], b_eq=middle))
 
 
 def _start(problem: LocalProblem, X: Polytope) -> Region:
@@ -288,10 +288,8 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
 def _nothing(task: Task, iterations: int) -> SetResult:
     """Empty result, uncertified where an equilibrium exists."""
     nx = task.X.dim
-    nu = task.U.dim
     if task.system.disturbances is None and not task.X.is_empty and not task.U.is_empty:
-        still = Polytope(np.zeros((0, nx + nu)), np.zeros(0),
-                         np.hstack([np.eye(nx) - task.system.A, -task.system.B]), np.zeros(nx))
+        still = Polytope(A_eq=np.hstack([np.eye(nx) - task.system.A, -task.system.B]), b_eq=np.zeros(nx))
         if not task.X.cartesian_product(task.U).intersection(still).is_empty:
             return no_set(nx, iterations, task.X, Status.NOT_CERTIFIED)
     return no_set(nx, iterations)

@@ -149,8 +149,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
         answer = _stay_on_hull(motion, frame.basis, spread, size)
         if isinstance(answer, tuple):
             held = answer[0] @ frame.back
-            nothing = np.zeros((0, X.dim))
-            return X.intersection(Polytope(nothing, np.zeros(0), held, answer[1] + held @ frame.centre))
+            return X.intersection(Polytope(A_eq=held, b_eq=answer[1] + held @ frame.centre))
         if answer is None:
             return None
         motion = answer
@@ -169,12 +168,8 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
 
 def _stay_on_hull(motion: Motion, basis: Array, spread: Array | None,
                   size: Array) -> Motion | tuple[Array, Array] | None:
-    """Motion under the inputs that keep the state on the hull of `basis`, or why there are none.
-
-    Equalities rows y = values come where y has to meet them before any input can, None where no y can. `spread` (k, n)
-    are the vertices of the disturbance about its mean, `size` (n,) what counts as one in each coordinate of x. A
-    disturbance that leaves the hull leaves nothing.
-    """
+    """Motion that stays on the hull of `basis`, or equalities (rows, values) that y has to meet before, or None."""
+    # `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) is one in each coordinate of x
     normal = normals(basis)
     P = normal @ motion.states
     Q = normal @ motion.inputs
@@ -250,10 +245,8 @@ def _lifted(problem: LocalProblem) -> Rows:
 
 
 def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: LinearSystem) -> LocalProblem | None:
-    """Problem about an equilibrium; None if a bounded one has none.
-
-    A nonempty compact convex control invariant set holds an equilibrium (Kakutani's theorem on x ↦ successors).
-    """
+    """Problem about an equilibrium; None if a bounded one has none."""
+    # a nonempty compact convex control invariant set holds an equilibrium: Kakutani's theorem on x ↦ successors
     k = problem.dynamics.A.shape[0]
     full = problem.frame.basis.shape[0] == k
     point = _origin(problem, system) if full else None

@@ -65,24 +65,23 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
         system, U = _independent_inputs(system, U, np.where(goal.half_widths > 0.0, goal.half_widths, 1.0))
     nu = U.dim
     moves, drift = _moves(system, X.dim if target is None else 1)
-    lifted = _trajectories(moves, drift, X, U, X if target is None else target)
+    goals = [X] * (len(moves) - 2) + [X if target is None else target]
+    lifted = reduce(Polytope.cartesian_product, [U] * len(goals), X)  # (x, u₀, …) of whole trajectories
+    for M, c, after in zip(moves[1:], drift[1:], goals):
+        lifted = lifted.intersection(after.preimage(M, c))
     if lifted.is_empty:
         return system, X, U
     eye = np.eye(lifted.dim)[X.dim:X.dim + nu]
     upper = lifted.support(eye)
     lower = -lifted.support(-eye)
     room = BOX_ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
-    return system, _felt(X, lifted, moves[:-1], drift[:-1]), _cut(U, Polytope.from_bounds(lower - room, upper + room))
+    cut = U.intersection(Polytope.from_bounds(lower - room, upper + room))
+    useful = cut if cut._body is None else Polytope._of(cut._body.rows, body=cut._body)  # the rows that are felt
+    return system, _felt(X, lifted, moves[:-1], drift[:-1]), useful
 
 
 def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Polytope:
-    """X cut to where bounded inputs can hold the unstable modes.
-
-    Raises
-    ------
-    NumericalError
-        The rest is so thin beside X that nothing could be said of it.
-    """
+    """X cut to where bounded inputs can hold the unstable modes; `NumericalError` if next to nothing is left."""
     from scipy.linalg import matrix_balance
 
     A, (units, _) = matrix_balance(system.A, permute=False, separate=True)
@@ -117,22 +116,9 @@ def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
     return moves, drift
 
 
-def _trajectories(moves: list[Array], drift: list[Array], X: Polytope, U: Polytope, target: Polytope) -> Polytope:
-    """Set of (x, u₀, …) with states in X and the last in `target`."""
-    steps = len(moves) - 1
-    lifted = reduce(Polytope.cartesian_product, [U] * steps, X)
-    for M, c, after in zip(moves[1:], drift[1:], [X] * (steps - 1) + [target]):
-        lifted = lifted.intersection(after.preimage(M, c))
-    return lifted
-
-
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
-    """X without the rows that no trajectory comes near.
-
-    Of a coordinate in which the trajectories have no width nothing is left that could be far away.
-    """
-    body = lifted._body
-    assert body is not None
+    """X without the rows that no trajectory comes near; what has no width has nothing far away."""
+    body = lifted._require_point("backward_step")
     far = np.abs(X.A) @ body.half_widths[:X.dim] > 0.0
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
@@ -149,13 +135,6 @@ def _independent_inputs(system: LinearSystem, U: Polytope, width: Array) -> tupl
         return system, U
     moves = width[:, None] * left[:, :rank]
     return replace(system, B=moves), U.affine_map(values[:rank, None] * vt[:rank])
-
-
-def _cut(P: Polytope, box: Polytope) -> Polytope:
-    """P cut by a box, by the rows that are felt."""
-    cut = P.intersection(box)
-    body = cut._body
-    return cut if body is None else Polytope._of(body.rows, body=body)
 
 
 def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) -> tuple[Array, Array, Array]:

@@ -46,9 +46,9 @@ class Step:
     points: int
 
     @property
-    def holds(self) -> bool:
-        """Whether the set is right to the certificates' tolerance."""
-        return max(self.violation, self.missing) <= INVARIANT
+    def worst(self) -> float:
+        """Larger of violation and missing."""
+        return max(self.violation, self.missing)
 
 
 def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
@@ -63,7 +63,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
     system, X, U = without_loose_bounds(system, X, U, tight)
     lifted = tight.preimage(np.hstack([system.A, system.B])).intersection(X.cartesian_product(U))
     if lifted.is_empty:
-        return Step(Polytope(np.zeros((1, n)), [-1.0]), 0.0, 0.0, 0)
+        return Step(Polytope.empty(n), 0.0, 0.0, 0)
     if lifted.affine_dim < lifted.dim:
         longer = _without_far_ends(system, S, X, U, lifted, deadline)
         if longer is not None:
@@ -82,9 +82,9 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
             step = Step(P, check.violation, _too_small(P, lifted, n, deadline), check.points)
         except NumericalError:
             continue
-        if step.holds:
+        if step.worst <= INVARIANT:
             return step
-        if best is None or max(step.violation, step.missing) < max(best.violation, best.missing):
+        if best is None or step.worst < best.worst:
             best = step
     return Step(X, np.inf, 0.0, 0) if best is None else best
 
@@ -131,8 +131,7 @@ def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
     """Projection of the lifted set on x, by Fourier–Motzkin elimination."""
-    body = lifted._body
-    assert body is not None
+    body = lifted._require_point("backward_step")
     if body.basis.shape[1] < lifted.dim:
         return lifted.projection(np.arange(n)).minimal()
     reach = np.full(lifted.dim, HALF_BOX if body.bounded else np.inf)
@@ -156,8 +155,7 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
 
 def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
     """Largest relative reach of the lifted set beyond facets of P."""
-    body = lifted._body
-    assert body is not None
+    body = lifted._require_point("backward_step")
     F, g = P._relative_rows
     worst = 0.0
     for i, f in enumerate(F):
@@ -193,10 +191,8 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
 
 def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
     """Largest relative distance of the image's vertices from A R ⊕ moves."""
-    start = R._body
-    move = moves._body
-    assert start is not None
-    assert move is not None
+    start = R._require_point("forward_step")
+    move = moves._require_point("forward_step")
     n = len(system.A)
     k = start.basis.shape[1]
     q = move.basis.shape[1]

@@ -40,12 +40,6 @@ class Trajectories:
     U: Polytope
     steps: int
 
-    @property
-    def entries(self) -> int:
-        """Matrix size of a linear program over all steps."""
-        rows = self.steps * (len(self.U.b) + len(self.between.b) + 2 * len(self.between.b_eq))
-        return rows * (self.first.dim + self.steps * self.U.dim)
-
 
 def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
     """Hull of extreme states at time `at` (0 or N), or None.
@@ -55,9 +49,10 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
     One linear program a point, in the coordinates of the bodies of x₀ and U. Every point belongs to a trajectory that
     respects all sets, so their hull is inside the set of all such states.
     """
-    if trajectories.entries > 2_000_000:  # a larger linear program takes more than a second
-        return None
     steps = trajectories.steps
+    rows_a_step = len(trajectories.U.b) + len(trajectories.between.b) + 2 * len(trajectories.between.b_eq)
+    if steps * rows_a_step * (trajectories.first.dim + steps * trajectories.U.dim) > 2_000_000:  # more than a second
+        return None
     states = (trajectories.first, *[trajectories.between] * (steps - 1), trajectories.last)
     first = trajectories.first._body
     inputs = trajectories.U._body
