@@ -44,8 +44,8 @@ class OptimalControlProblem:
     risk : "sum", "worst" or "spread"
         Whether costs of scenarios are summed with their weights, or the largest counts; or their mean and `spread`
         times their standard deviation. Where a cheap scenario would be made dearer to bring it nearer to the others, it
-        counts as dear as that would be, and is left alone (the monotone hull of the measure). A large `spread` comes to
-        the worst case, with a kink that stops solvers: say "worst".
+        counts as dear as that would be, and is left alone (the monotone hull of the measure). It is the worst case, and
+        solved as such, where w (1 + spread²) ≥ 1 for the least part w that a weight has in their sum.
     spread : float
     p_names, p_constraint_names : sequence of str, optional
         What conflicts and advice call the parameters and the values of `p_constraints`: "p1", "p_constraints 1", …

@@ -16,7 +16,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import SHAKEN, VANISHING
+from mpc.tolerances import SHAKEN, SPREAD_ROUNDING, VANISHING
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class NonlinearProgram:
     parameters : slice
         Of p among the unknowns.
     costs : slice
-        Of the largest cost of a scenario, or the costs of all, among the unknowns; empty where they are summed.
+        Of the largest cost of a scenario, or the costs of all and their spread, among the unknowns; empty for a sum.
     derivatives : Derivatives
         Values and derivatives of f and g as functions of v.
     """
@@ -201,11 +201,17 @@ def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
 
 
 def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
-    """Scenario costs at unknowns (n,): the largest or each."""
+    """Scenario costs at unknowns (n,): the largest, or each and then their spread."""
     count = len(program.parts)
     g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()
-    each: Array = g[:count] + v[program.costs]
-    return each if program.costs.stop - program.costs.start > 1 else each.max(keepdims=True)
+    own = v[program.costs]
+    each: Array = g[:count] + own[:count]
+    if len(own) == 1:
+        return np.atleast_1d(each.max())
+    parts = program.problem.weights / program.problem.weights.sum()
+    about = each - parts @ each
+    spread = np.sqrt(parts @ about**2 + SPREAD_ROUNDING * (parts @ each**2))
+    return np.concatenate([each, [spread]])
 
 
 def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:

@@ -19,7 +19,7 @@ from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_o
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
-from mpc.tolerances import SPREAD_ROUNDING, TINY
+from mpc.tolerances import SPREAD_ROUNDING
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -149,29 +149,36 @@ class _Assembly:
         self.pieces.append(Piece(function, np.vstack(each), data, rows, factors))
 
     def _costs_of_scenarios(self) -> slice:
-        """Append the unknown costs of scenarios that are not summed."""
+        """Append the unknown costs of scenarios that are not summed, and their spread where it counts.
+
+        The spread is the s of least (variance/s + s)/2: a root in the cost has a kink where all costs are equal.
+        """
         problem, count = self.problem, len(self.problem.phases)
-        many = count if problem.risk == "spread" else 1
-        if problem.risk == "sum" or count == 1:
-            many = 0
+        weights = problem.weights
+        worst = problem.risk == "worst" or weights.min() * (1 + problem.spread**2) >= weights.sum()
+        many = 0 if problem.risk == "sum" or count == 1 else 1 if worst else count
         first = self._unknown(np.full(many, -np.inf), np.full(many, np.inf), np.zeros(many))
         if not many:
             return slice(first, first)
+        if not worst:
+            self._unknown(np.zeros(1), np.full(1, np.inf), np.ones(1))
         named = [f"cost of scenario {k + 1}" for k in range(count)]
         self._rows("cost of a scenario", -1, named, 0.0, -np.inf, 0.0, 1.0)
         places = np.broadcast_to(np.arange(first, first + many), (1, count))
         self._piece(lambda z, data: [z], {"z": places}, 1 + np.arange(count)[None], factors=-np.ones(1))
 
         def objective(z: Any, data: Any) -> list[Any]:
-            if many == 1:
+            if worst:
                 return [z]
-            parts = ca.DM(problem.weights / problem.weights.sum())
+            z, spread = z[:-1], z[-1]
+            parts = ca.DM(weights / weights.sum())
             mean = ca.dot(parts, z)
-            variance = ca.dot(parts, (z - mean) ** 2)
-            return [mean + problem.spread * ca.sqrt(variance + SPREAD_ROUNDING * ca.dot(parts, z**2) + TINY)]
+            variance = ca.dot(parts, (z - mean) ** 2) + SPREAD_ROUNDING * ca.dot(parts, z**2)
+            return [mean + problem.spread / 2 * (variance / spread + spread)]
 
-        self._piece(objective, {"z": first + np.arange(many)}, np.zeros(1, dtype=int))
-        return slice(first, first + many)
+        unknowns = many + (not worst)
+        self._piece(objective, {"z": first + np.arange(unknowns)}, np.zeros(1, dtype=int))
+        return slice(first, first + unknowns)
 
     def _rows_of_intervals(self, k: int, layout: Layout) -> tuple[slice, slice, ca.Function]:
         """Append the constraints of a phase's intervals; return their places and their function."""

@@ -125,6 +125,21 @@ def test_mean_and_spread_of_scenarios_are_made_least(spread, unit):
     assert held.p_gradient[0] == pytest.approx((measure(20.1) - measure(19.9)) / 0.2, rel=1e-3)
 
 
+@pytest.mark.parametrize(("weights", "spread"), [((1, 1, 1), 2**0.5), ((1, 1, 1), 30.0), ((2, 1, 1), 3**0.5)])
+def test_a_spread_that_one_scenario_bears_alone_is_the_worst_case(weights, spread):
+    phases = [pushed(m) for m in (1.0, 2.0, 4.0)]
+    risks = [{"risk": "worst"}, {"risk": "spread", "spread": spread, "weights": weights},
+             {"risk": "spread", "spread": 0.99 * spread, "weights": weights}]  # fmt: skip
+    worst, same, nearly = (
+        solve(build(OptimalControlProblem(phases, p_bounds=(0, 60), linked=False, **risk), Radau(3), 12))
+        for risk in risks
+    )
+    assert same.solved
+    assert same.cost == pytest.approx(worst.cost, rel=1e-9)
+    assert nearly.cost <= worst.cost * (1 + 1e-6)
+    assert nearly.cost == pytest.approx(worst.cost, rel=0.02)
+
+
 def moved(**options):
     """One state that goes where it is pushed, at the least ∫u²."""
     return Phase(dynamics=lambda u: u, states=1, inputs=1, stage_cost=lambda u: u**2, **options)
