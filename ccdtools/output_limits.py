@@ -119,18 +119,20 @@ class OutputLimits(Immutable):
         name = self.names[i] if len(self.names) else f"y{i + 1}"
         return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
 
-    def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
-        """States of X that keep these limits, linearised at rest, where they are of the state alone."""
-        nx = X.dim
+    def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
+        """Half-spaces F x ≤ g of state-only outputs at a design, linearised at rest."""
         value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
         index, sign, bound, unit = self._sides(len(value))
         F = sign[:, None] * J[index] / unit[:, None]
         g = (bound - sign * value[index, 0]) / unit
         known = np.isfinite(F).all(axis=1) & np.isfinite(g)
         alone = known & (F[:, nx:] == 0).all(axis=1) & (F[:, :nx] != 0).any(axis=1) & (g > 0)
-        if not alone.any():
-            return X
-        return Polytope(np.vstack([X.A, F[alone, :nx]]), np.concatenate([X.b, g[alone]]), X.A_eq, X.b_eq)
+        return F[alone, :nx], g[alone]
+
+    def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
+        """States of X that keep these limits, where linear in the state alone."""
+        F, g = self.half_spaces(X.dim, nu, p)
+        return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
 
     def _sides(self, ny: int) -> tuple[Any, Array, Array, Array]:
         """Output, sign, bound and unit of every finite limit: sign · y ≤ bound."""

@@ -22,19 +22,19 @@ as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
 _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
 
 
+def array_fields(kind: type) -> dict[str, type]:
+    """Names of a dataclass's fields that are arrays, and their types."""
+    kinds: dict[Any, type] = {"Array": np.float64, "Ints": np.int64}
+    return {field.name: kinds[field.type] for field in fields(kind) if field.type in kinds}
+
+
 @dataclass(frozen=True, eq=False)
 class ReadOnly:
     """Dataclass whose arrays are read-only copies, also once it is unpickled; what it has cached is not pickled."""
 
     def __post_init__(self) -> None:
-        for name, kind in self.arrays().items():
+        for name, kind in array_fields(type(self)).items():
             object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=kind, order="C")))
-
-    @classmethod
-    def arrays(cls) -> dict[str, type]:
-        """Names of the fields that are arrays, and their types."""
-        kinds: dict[Any, type] = {"Array": np.float64, "Ints": np.int64}
-        return {field.name: kinds[field.type] for field in fields(cls) if field.type in kinds}
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import frozen
 from mpc.checks import (
     Array,
     as_array,
@@ -133,7 +134,7 @@ class MPCProblem:
     def stage_weight(self) -> Array:
         """Weight [Q S; S' R] of a stage (nx + nu, nx + nu)."""
         S = np.zeros((self.nx, self.nu)) if self.S is None else self.S
-        return np.block([[self.Q, S], [S.T, self.R]])
+        return frozen(np.block([[self.Q, S], [S.T, self.R]]))
 
     @property
     def limits(self) -> Limits:

@@ -299,8 +299,9 @@ class DesignSpace(Immutable):
         array = as_floats(argument, p)
         array = array.reshape(1) if array.ndim == 0 else array
         if array.ndim > 2 or array.shape[-1] != self.dim:
-            names = ", ".join(self.names) or "no design parameters"
-            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({names})")
+            if not self.dim:
+                raise InputError(argument, shown(p), "nothing, because there are no design parameters")
+            raise InputError(argument, f"shape {array.shape}", f"{self.dim} values ({', '.join(self.names)})")
         return array
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -260,10 +259,10 @@ def sampling_time(system: Any, dt: float | None) -> float:
     """Sampling time [s] of a `control.StateSpace`, its own or that of a continuous one."""
     if not system.dt:
         if dt is None:
-            cure = "The system is continuous; to simulate it, sample it first: system.sample(dt)."
+            cure = "The system is continuous: give dt, or sample it first with system.sample(dt)."
             raise InputError("dt", "nothing", "a sampling time [s]", cure)
         return as_positive("dt", dt, unit="s")
     own = as_positive("dt", 1.0 if system.dt is True else float(system.dt), unit="s")
-    if dt is not None and not math.isclose(own, as_positive("dt", dt, unit="s")):
+    if dt is not None and not np.isclose(own, as_positive("dt", dt, unit="s")):
         raise InputError("dt", dt, f"{own} or nothing", f"The system is sampled at {own} s.")
     return own

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mpc.checks import Array, Ints
+from mpc.checks import Array, Ints, array_fields
 from mpc.exceptions import InputError
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.piecewise_law import PiecewiseLaw
@@ -37,7 +37,11 @@ def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     partition = law.partition
     members = np.array([i for active in partition.active_sets for i in active], dtype=np.int64)
     parts = {"qp": problem, "partition": partition, "tree": law.tree}
-    data = {f"{prefix}_{name}": getattr(part, name) for prefix, part in parts.items() for name in part.arrays()}
+    data = {
+        f"{prefix}_{name}": getattr(part, name)
+        for prefix, part in parts.items()
+        for name in array_fields(type(part))
+    }
     data |= {"law": law.law, "law_number": law.law_number, "members": members}
     data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1]}
     data["member_counts"] = np.array([len(active) for active in partition.active_sets], dtype=np.int64)
@@ -193,7 +197,7 @@ def _within(indices: np.ndarray[Any, Any], count: int) -> bool:
 def _assemble(text: dict[str, Any], data: Arrays) -> Parts:
     """Parts of the law from checked arrays."""
     problem = ParametricQP(
-        **{name: data[f"qp_{name}"] for name in ParametricQP.arrays()},
+        **{name: data[f"qp_{name}"] for name in array_fields(ParametricQP)},
         c=float(text["constant_cost"]), nu=int(text["nu"]),
         parameters=tuple((str(name), int(size)) for name, size in text["parameters"]),
         labels=tuple(Constraint(str(kind), int(step), int(row)) for kind, step, row in text["labels"]),
@@ -203,8 +207,8 @@ def _assemble(text: dict[str, Any], data: Arrays) -> Parts:
         problem=problem, status=MPQPStatus[text["status"]], solve_time=float(text["solve_time"]),
         uncovered=int(text.get("uncovered", 0)),
         active_sets=tuple(tuple(part.tolist()) for part in np.split(data["members"], ends)[:-1]),
-        **{name: data[f"partition_{name}"] for name in Partition.arrays()},
+        **{name: data[f"partition_{name}"] for name in array_fields(Partition)},
     )  # fmt: skip
-    arrays = {name: data[f"tree_{name}"] for name in SearchTree.arrays()}
+    arrays = {name: data[f"tree_{name}"] for name in array_fields(SearchTree)}
     tree = SearchTree(**arrays, status=TreeStatus[text["tree_status"]])
     return partition, tree, data["law"], data["law_number"], (data["input_H"], data["input_h"])

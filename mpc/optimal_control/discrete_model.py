@@ -91,21 +91,27 @@ class DiscreteModel:
         """Derivatives (nx, nw) of the next state by w."""
         return self._by_disturbance(x, u, w, p)[0].T
 
-    def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> tuple[Array, Array]:
-        """Second derivatives of λ'f by (x, u), (N, nx + nu, nx + nu), and by (x, u) and p, (N, nx + nu, np)."""
+    def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
+        """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u)."""
         N, n = len(inputs), states.shape[1] + inputs.shape[1]
-        curvature, mixed = self._curvature(states, inputs, w, p, costates)
-        return curvature.reshape(N, n, n), mixed.reshape(N, -1 if mixed.size else 0, n).transpose(0, 2, 1)
+        return self._second[0](states, inputs, w, p, costates)[0].reshape(N, n, n)
+
+    def mixed(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
+        """Second derivatives (N, nx + nu, np) of λ'f by (x, u) and p."""
+        N, n = len(inputs), states.shape[1] + inputs.shape[1]
+        found = self._second[1](states, inputs, w, p, costates)[0]
+        return found.reshape(N, -1 if found.size else 0, n).transpose(0, 2, 1)
 
     @cached_property
-    def _curvature(self) -> Buffered:
-        """Function of second derivatives, built on demand."""
+    def _second(self) -> tuple[Buffered, Buffered]:
+        """Functions of second derivatives by (x, u), and by these and p, built on demand."""
         columns = list(symbols_of(self.step).values())
         costate = type(columns[0]).sym("costate", self.step.numel_out(0))
         curvature, slope = ca.hessian(ca.dot(costate, self.step(*columns)), ca.vertcat(*columns[:2]))
         second = [ca.densify(curvature), ca.densify(ca.jacobian(slope, columns[3]))]
-        function = ca.Function("curvature", [*columns, costate], second, {"cse": True})
-        return Buffered(function.map("curvature_along", "serial", self.horizon, [3], []))
+        functions = [ca.Function("curvature", [*columns, costate], [part], {"cse": True}) for part in second]
+        along = [Buffered(one.map("curvature_along", "serial", self.horizon, [3], [])) for one in functions]
+        return along[0], along[1]
 
     @cached_property
     def _by_parameters(self) -> Buffered:
@@ -116,12 +122,16 @@ class DiscreteModel:
 
     def at_rest(self, p: Array) -> tuple[Array, Array]:
         """Derivatives ∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) at rest."""
-        x, u, w, own = symbols_of(self.step).values()
-        mixed = [ca.jacobian(ca.vec(matrix), own) for matrix in self.derivatives(x, u, w, own)[1:]]
-        found = ca.Function("at_rest", [x, u, w, own], mixed)(0, 0, 0, p)
-        dA, dB = (np.asarray(ca.densify(value), dtype=float) for value in found)
-        nx, nu = x.numel(), u.numel()
+        dA, dB = (np.asarray(ca.densify(value), dtype=float) for value in self._at_rest(0, 0, 0, p))
+        nx, nu = self.step.numel_in(0), self.step.numel_in(1)
         return dA.reshape((nx, nx, len(p)), order="F"), dB.reshape((nx, nu, len(p)), order="F")
+
+    @cached_property
+    def _at_rest(self) -> ca.Function:
+        """Function of derivatives of A and B by p, built on demand."""
+        x, u, w, p = symbols_of(self.step).values()
+        mixed = [ca.jacobian(ca.vec(matrix), p) for matrix in self.derivatives(x, u, w, p)[1:]]
+        return ca.Function("at_rest", [x, u, w, p], mixed)
 
     def along(self, states: Array, inputs: Array, w: Array, p: Array) -> Array:
         """Next states (N, nx) along states, inputs and signals."""
@@ -180,7 +190,8 @@ class AlongSignals:
 
     def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
         """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
-        return self.model.curvature(states, inputs, self.w, self.p, costates)
+        at = (states, inputs, self.w, self.p, costates)
+        return self.model.curvature(*at), self.model.mixed(*at)
 
 
 def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:

@@ -153,7 +153,7 @@ class NonlinearMPC:
     def _planner(self) -> Planner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
-        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
+        return Planner.of(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"
@@ -173,7 +173,7 @@ class NonlinearMPC:
         """Controller for other parameters p (np,), with the same model."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
-        for name in ("linear", "_planner", "steady_solver"):
+        for name in ("linear", "_planner", "_steady_solver"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "p", value)
         _ = other._planner
@@ -195,7 +195,7 @@ class NonlinearMPC:
 
     def __getstate__(self) -> dict[str, Any]:
         """State with the model as CasADi stores it."""
-        kept = {name: value for name, value in self.__dict__.items() if name != "steady_solver"}
+        kept = {name: value for name, value in self.__dict__.items() if name != "_steady_solver"}
         return kept | {"step": self.model.step}
 
     def solve(
@@ -254,7 +254,7 @@ class NonlinearMPC:
         return sensitivity_of(self.linear, derivatives, changes, plan, given)
 
     @cached_property
-    def steady_solver(self) -> ca.Function:
+    def _steady_solver(self) -> ca.Function:
         """Solver for steady states of the model in X and U."""
         return steady_solver(self.linear, self.model)
 

@@ -122,7 +122,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         unit = max(float(np.linalg.norm(self.C * size[:nx])), np.finfo(float).tiny) ** 2
         squares, slope = (self.C.T @ self.C).ravel() / unit, self.C.T @ r / unit
         data = np.concatenate([squares, slope, self.disturbance, self.mpc.p])
-        solver = self.mpc.steady_solver
+        solver = self.mpc._steady_solver
         least = np.where(np.arange(solver.numel_out("g")) < nx, 0.0, -np.inf)
         found = solver(x0=0, p=data, lbg=least, ubg=0)
         return np.asarray(found["x"]).ravel() * size if solver.stats()["success"] else otherwise

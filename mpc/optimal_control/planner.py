@@ -61,21 +61,19 @@ class Planner:
     iterations: int | None
     most: int
     time_limit: float
+    programs: Sequential
+    gain: Array
 
-    @cached_property
-    def programs(self) -> Sequential:
-        """Quadratic programs along plans."""
-        return Sequential(self.law, self.model)
-
-    @cached_property
-    def _gain(self) -> Array:
-        """Gain (nu, nx) of the linear law."""
-        return gain_at_rest(self.law)
+    @classmethod
+    def of(cls, law: LinearMPC, model: DiscreteModel, p: Array, iterations: int | None, most: int,
+           time_limit: float) -> Planner:  # fmt: skip
+        """Planner with the quadratic programs along plans and the gain (nu, nx) of the linear law."""
+        return cls(law, model, p, iterations, most, time_limit, Sequential(law, model), gain_at_rest(law))
 
     @property
     def _gains(self) -> Array:
         """Gains (N, nu, nx) of the linear law along a plan."""
-        return np.tile(self._gain, (self.law.horizon, 1, 1))
+        return np.tile(self.gain, (self.law.horizon, 1, 1))
 
     @cached_property
     def _limits(self) -> tuple[Array, Array, Array] | None:
@@ -123,7 +121,7 @@ class Planner:
         """Plan one sample later, with the linear law's last input."""
         error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
-        u = self._admissible(-effort[-1] - self._gain @ (end + error[-1]), plan.inputs[-1])
+        u = self._admissible(-effort[-1] - self.gain @ (end + error[-1]), plan.inputs[-1])
         after = finite(self.model.next(end, u, self.signal(given)[-1], self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 

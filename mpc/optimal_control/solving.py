@@ -50,7 +50,8 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     start : Solution, optional
         Where to start from, of any mesh of the same phases.
     p : (np,) array, optional
-        Parameters to hold at these values, within their bounds: nothing is built anew.
+        Parameters to hold at these values, within their bounds: nothing is built anew. The program of the solution
+        holds them, too.
     tolerance : float
         Of the solver, on scaled unknowns.
     max_iterations : int

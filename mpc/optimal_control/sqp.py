@@ -109,7 +109,7 @@ class Sequential:
         curved = _diagonal(2 * deviating) if self._separate else self._hessian(G, F)
         program = self._program(states + drift, inputs + lead, G, F, curved, given)
         if costates is not None:
-            bent, _ = self.model.curvature(states[:-1], inputs, w, p, costates[1:])
+            bent = self.model.curvature(states[:-1], inputs, w, p, costates[1:])
             program = _bent(program, np.concatenate([G[:-1], F], axis=1), bent, np.hstack([drift[:-1], lead]))
         z, multipliers, relaxed, solved = self._solve(program, dear, relaxed)
         moved, change = drift + G @ z, lead + F @ z

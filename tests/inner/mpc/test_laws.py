@@ -158,7 +158,7 @@ def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():
     )  # fmt: skip
     partition = solve_mpqp(problem, Polytope.from_bounds([-0.2], [0.2]))
     assert partition.status is MPQPStatus.COMPLETE
-    explicit = ExplicitMPC.from_partition(partition)
+    explicit = ExplicitMPC.from_partition(partition, method="sequential")
     for theta in np.linspace(-0.19, 0.19, 20):
         law = partition.law[int(explicit.locate([theta]))]
         np.testing.assert_allclose(law @ [theta, 1.0], [0.0, 0.0, np.clip(theta, 0.0, 0.01)], atol=1e-9)
