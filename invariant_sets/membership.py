@@ -7,7 +7,7 @@ import numpy as np
 Array = np.ndarray
 
 
-def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float) -> Array:
+def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, reach: Array | None) -> Array:
     """Whether A x <= b + max(slack, rounding (|b| + |A||x|)), (k,) bools.
 
     Parameters
@@ -18,24 +18,47 @@ def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float) 
         Rows, and by how much each may be violated wherever the point lies.
     rounding : float
         Part of |b| + |A||x| by which the row may be violated besides.
+    reach : (n,) array, optional
+        No point that satisfies the rows has larger coordinates |x|; None if that is not known.
     """
     if not len(b):
         return np.asarray(np.isfinite(points).all(axis=1))
-
-    def limit(size: Array) -> Array:
-        """Limits (m,) or (k, m) of the rows at sizes |x| (n,) or (k, n)."""
-        terms = np.abs(b) + size @ np.abs(A).T
-        return np.asarray(b + np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0)))
-
     inside = np.ones(len(points), bool)
-    least = limit(np.zeros(A.shape[1]))[:, None]  # wherever the point lies
+    least = (b + np.maximum(slack, rounding * np.abs(b)))[:, None]  # the limit wherever the point lies
+    most = None if reach is None else b + _allowed(A, b, slack, rounding, reach)
+    settled = most is not None and bool((most <= least[:, 0]).all())
     for start in range(0, len(points), 8192):
-        part = points[start:start + 8192]  # its products with all rows stay in the cache
-        values = A @ part.T
-        within = np.less_equal(values, least).all(axis=0)
-        if not within.all():  # a point is asked itself where the largest of all would be let in
-            largest = np.nan_to_num(np.abs(part), nan=0.0, posinf=0.0).max(axis=0)
-            near = np.less_equal(values, limit(largest)[:, None]).all(axis=0) & ~within
-            within[near] = np.less_equal(values[:, near].T, limit(np.abs(part[near]))).all(axis=1)
-        inside[start:start + 8192] = within
+        part = slice(start, start + 8192)  # its products with all rows stay in the cache
+        if settled:
+            np.less_equal(A @ points[part].T, least).all(axis=0, out=inside[part])
+        else:
+            inside[part] = _hold_there(points[part], A, b, slack, rounding, most)
     return inside
+
+
+def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float, most: Array | None) -> Array:
+    """Whether points (k,) satisfy the rows with the rounding at each."""
+    values = A @ points.T
+    if most is None:
+        most = b + _allowed(A, b, slack, rounding, _largest(points))
+    least = b + np.maximum(slack, rounding * np.abs(b))
+    answer: Array = np.less_equal(values, least[:, None]).all(axis=0)
+    near = np.flatnonzero(np.less_equal(values, most[:, None]).all(axis=0) & ~answer)
+    if len(near):
+        limit = b + _allowed(A, b, slack, rounding, np.abs(points[near]))
+        answer[near] = np.less_equal(values[:, near].T, limit).all(axis=1)
+    return answer
+
+
+def _largest(points: Array) -> Array:
+    """Largest finite |x| (n,) of the points (k, n)."""
+    size = np.abs(points)
+    largest: Array = size[np.isfinite(size).all(axis=1)].max(axis=0, initial=0.0)
+    return largest
+
+
+def _allowed(A: Array, b: Array, slack: Array, rounding: float, size: Array) -> Array:
+    """Allowed violation (m,) or (k, m) at sizes |x| (n,) or (k, n)."""
+    terms = np.abs(b) + size @ np.abs(A).T
+    allowed: Array = np.maximum(slack, rounding * np.where(np.isfinite(terms), terms, 0.0))
+    return allowed

@@ -299,7 +299,7 @@ class Polyhedron:
         A, b = self._one_sided
         slack = np.maximum.reduce([tol * self._ranges, (tol > 0) * self._missed, min(tol, ROUNDING) * self._all_terms])
         with np.errstate(invalid="ignore", over="ignore"):
-            inside = rows_hold(points, A, b, slack, min(tol, ROUNDING))
+            inside = rows_hold(points, A, b, slack, min(tol, ROUNDING), self._reach)
         return bool(inside[0]) if single else inside
 
     def __contains__(self, x: Any) -> bool:
