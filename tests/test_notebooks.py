@@ -7,7 +7,7 @@ import nbformat
 import pytest
 
 NOTEBOOKS = sorted(Path(__file__).parents[1].joinpath("notebooks").glob("*.ipynb"))
-SIZE = re.compile(r"\b(\d+)(?= nodes| hyperplanes| bytes| multiply-adds| comparisons)|(?<=depth )(\d+)")  # of a search tree
+SIZE = re.compile(r"\b(\d+)(?= nodes| hyperplanes| bytes| multiply-adds| comparisons)|(?<=depth )(\d+)")
 NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d*)?(?:e[-+]?\d+)?")
 TIME = re.compile(r"[\d.]+ m?s\b")  # another one each time
 
