@@ -213,6 +213,7 @@ SPREAD_ROUNDING = 1e-12  # Part of the squared costs added to their variance: th
 # ---- optimal control: meshes ----
 HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
 LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a solution may have [-]
+OBSTACLE_DOUBLINGS = 11  # Doublings of its depth beyond which an obstacle must go on: 1/1000 of a radius [-]
 COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
 COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
 COST_ROUNDING = 1e-6  # Error of the cost, in sizes of the cost or of its slope, that is rounding [-]

@@ -14,7 +14,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import CLOSER_LOOKS, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, VANISHING
+from mpc.tolerances import CLOSER_LOOKS, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, OBSTACLE_DOUBLINGS, VANISHING
 
 
 class Missed(NamedTuple):
@@ -133,10 +133,11 @@ def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
     places = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
     beyond = _beyond(phase, p, places)
     relative = beyond.reshape(m, N, LIMIT_CHECKS).max(axis=2) / sizes
-    rows, first = _peaks(beyond, LIMIT_PASSED / 10 * sizes.repeat(LIMIT_CHECKS, axis=1))
+    rows, first = _peaks(beyond)
     value, place, local = _closer(phase, p, rows, places[first])
     k = np.minimum(place.astype(int), N - 1)
-    np.maximum.at(relative, (rows, k), value / np.minimum(sizes[rows, k], local))
+    of_size = np.where(value > LIMIT_PASSED / 10 * sizes[rows, k], value / np.minimum(sizes[rows, k], local), 0.0)
+    np.maximum.at(relative, (rows, k), np.maximum(of_size, _of_obstacles(phase, p, place, rows, value)))
     worst = relative.argmax(axis=1)
     seen = beyond.reshape(m, N, LIMIT_CHECKS)[np.arange(m), worst]
     depth, when = np.maximum(seen.max(axis=1), 0.0), worst + (seen.argmax(axis=1) + 0.5) / LIMIT_CHECKS
@@ -147,8 +148,8 @@ def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
     return Excess(depth, _time(phase, when), intervals[np.arange(m), worst], intervals.max(axis=0), names)
 
 
-def _peaks(beyond: Array, floor: Array) -> tuple[Any, Any]:
-    """Limits and places of local violation maxima that may exceed `floor` (m, n).
+def _peaks(beyond: Array) -> tuple[Any, Any]:
+    """Limits and places of local maxima (m, n) that may be violations.
 
     Of a cone and of a parabola the maximum lies above its sample by no more than the larger drop to a neighbour.
     """
@@ -156,7 +157,7 @@ def _peaks(beyond: Array, floor: Array) -> tuple[Any, Any]:
     with np.errstate(invalid="ignore"):  # where a limit is no number it counts as infinite
         behind, ahead = beyond - around[:, :-2], beyond - around[:, 2:]
     peak = (behind >= 0) & (ahead >= 0) & ((ahead > 0) | (np.arange(beyond.shape[1]) == beyond.shape[1] - 1))
-    rows, places = np.nonzero(peak & (beyond + 2 * np.maximum(behind, ahead) > floor))
+    rows, places = np.nonzero(peak & (beyond + 2 * np.maximum(behind, ahead) > 0))
     return rows, places
 
 
@@ -184,16 +185,51 @@ def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Ar
 
 def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
     """Change (n,) of limits `rows` over the extents; zero for bounded states."""
-    count = len(phase.part.functions.path_names)
     found = np.zeros(len(places))
-    own = np.flatnonzero(rows < count)
+    own = np.flatnonzero(rows < len(phase.part.functions.path_names))
+    if len(own):
+        extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
+        steep = np.abs(_path_slopes(phase, p, places[own], rows[own])) @ extents
+        found[own] = np.where(np.isfinite(steep), steep, 0.0)
+    return found
+
+
+def _path_slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
+    """Slopes (n, nx + nu) of the violations of path limits `rows` (n,) by states and inputs."""
+    part, functions = phase.part.phase, phase.part.functions
+    x, u, times = _along(phase, places)
+    each = np.arange(len(places))
+    slopes = evaluated(functions.path_slopes, part, x, u, times, p).reshape(len(places), -1, len(functions.path_names))
+    value = evaluated(functions.path, part, x, u, times, p)[each, rows]
+    low, high = (side[rows] for side in functions.path_bounds)
+    return slopes[each, :, rows] * np.where(value - high >= low - value, 1.0, -1.0)[:, None]
+
+
+def _of_obstacles(phase: PhaseSolution, p: Array, places: Array, rows: Any, passed: Array) -> Array:
+    """Relative violations (n,) of obstacles that are thinner than 2^OBSTACLE_DOUBLINGS times the depth.
+
+    Depth and thickness are those along the state or input for which the obstacle is thickest beside the depth, so that
+    units do not matter. Zero for all other limits.
+    """
+    found = np.zeros(len(places))
+    own = np.flatnonzero((rows < len(phase.part.functions.path_names)) & (passed > 0) & np.isfinite(passed))
     if not len(own):
         return found
     x, u, times = _along(phase, places[own])
-    extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
-    slopes = np.abs(evaluated(phase.part.functions.path_slopes, phase.part.phase, x, u, times, p))
-    steep = np.einsum("nim,i->nm", slopes.reshape(len(own), -1, count), extents)[np.arange(len(own)), rows[own]]
-    found[own] = np.where(np.isfinite(steep), steep, 0.0)
+    at = np.hstack([x, u])
+    factors = 2.0 ** np.arange(1, OBSTACLE_DOUBLINGS + 1)
+    doublings = np.zeros(len(own))
+    for axis, slope in enumerate(_path_slopes(phase, p, places[own], rows[own]).T):
+        with np.errstate(divide="ignore", over="ignore"):
+            ahead = passed[own] / slope
+        ahead[~np.isfinite(ahead)] = 0.0
+        deeper = at.repeat(len(factors), axis=0)
+        deeper[:, axis] += np.outer(ahead, factors - 1).ravel()
+        seen = _path_violations(phase, p, deeper[:, : x.shape[1]], deeper[:, x.shape[1] :], times.repeat(len(factors)))
+        inside = seen[rows[own].repeat(len(factors)), np.arange(len(deeper))].reshape(len(own), -1) > 0
+        doublings = np.maximum(doublings, np.where(ahead == 0, 0, inside.cumprod(axis=1).sum(axis=1)))
+    thin = doublings < OBSTACLE_DOUBLINGS
+    found[own[thin]] = LIMIT_PASSED * 2.0 ** (OBSTACLE_DOUBLINGS - doublings[thin])
     return found
 
 
@@ -223,15 +259,11 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
     own = _bounded(phase)
     low, high = (side[own, None] for side in part.phase.x_bounds)
     of_states: Array = np.maximum(x.T[own] - high, low - x.T[own])
-    path = part.functions.path
-    if path is None:
+    if part.functions.path is None:
         return of_states
-    low, high = (side[:, None] for side in part.functions.path_bounds)
 
     def of_path(inputs: Array) -> Array:
-        values = evaluated(path, part.phase, x, inputs, times, p).T
-        values = np.maximum(values - high, low - values)
-        return np.where(np.isnan(values), np.inf, values)
+        return _path_violations(phase, p, x, inputs, times)
 
     passed = of_path(u)
     if isinstance(scheme, Collocation):
@@ -241,6 +273,14 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
         between = of_path(np.einsum("nj,nji->ni", lines, phase.stages.inputs[k]))
         passed = np.maximum(np.minimum(passed, between), passed * h / phase.duration)
     return np.vstack([passed, of_states])
+
+
+def _path_violations(phase: PhaseSolution, p: Array, x: Array, u: Array, times: Array) -> Array:
+    """Violations (m, n) of the path limits at states, inputs and times; infinite where a limit is no number."""
+    low, high = (side[:, None] for side in phase.part.functions.path_bounds)
+    values = evaluated(phase.part.functions.path, phase.part.phase, x, u, times, p).T
+    values = np.maximum(values - high, low - values)
+    return np.where(np.isnan(values), np.inf, values)
 
 
 def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:

@@ -168,3 +168,16 @@ def test_a_limit_that_is_no_number_between_the_points_is_passed_there():
     assert found.status is OptimalControlStatus.LIMITS_PASSED
     assert found.path_excess[0].value[0] == np.inf
     assert found.path_excess[0].time[0] == pytest.approx(0.522, abs=1e-3)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3])
+def test_the_depth_in_a_small_disc_counts_in_its_own_radius(unit):
+    radius, centre = 0.004, np.array([1, 0.001])
+    phase = Phase(
+        lambda u: u, 2, 2, start=[0, 0], end=[2 * unit, 0], stage_cost=lambda u: ca.sumsqr(u / unit),
+        path=lambda x: radius**2 - ca.sumsqr(x / unit - ca.DM(centre)),
+    )  # fmt: skip
+    found = solve(build(phase, meshes=[np.r_[0, 0.25, np.linspace(0.497, 0.503, 49), 0.75, 1]]))
+    away = np.linalg.norm(found.x(np.linspace(0.49, 0.51, 100_001)) / unit - centre, axis=1)
+    depth = 1 - away.min() / radius
+    assert found.status is (OptimalControlStatus.LIMITS_PASSED if depth > 1e-3 else OptimalControlStatus.SOLVED)
