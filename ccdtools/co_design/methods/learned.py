@@ -137,13 +137,11 @@ def _result(
 ) -> LearnedCoDesign:
     """Winner of the race, with the others' outcomes."""
     winner = ascents[0]
-    space = task.problem.design
     best = winner.region.settled(winner.best.v)
     assert winner.status is not None
     return LearnedCoDesign(
         design=best, agent=winner.best.agent, method=task.method, status=winner.status,
         objective=winner.best.score, criterion=f"{measure(task.judge.risk)} return of the policy on fixed scenarios",
-        active_bounds=space.active_bounds(best), active_constraints=space.active_constraints(best),
         evaluations=sum(ascent.iterations for ascent in ascents), history=History.of(winner.rows),
         limits=winner.best.limits, valleys=_with_ends(found, ascents, design), gradients=winner.check,
         gains=_gains(task, winner, agent, design), convergence=winner.convergence(),

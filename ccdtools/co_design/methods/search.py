@@ -20,12 +20,11 @@ from tqdm import tqdm
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, shown
-from ccdtools.co_design.design_controllers import controller_of
+from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.black_box import BlackBox, Evaluation, Value
-from ccdtools.co_design.methods.laws import LQR, mpc_law
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
@@ -128,8 +127,7 @@ class Search:
             cure = "LQR and MPC here are those of the tangent at rest; nested LQR tries the secant, too."
             raise InputError("of", got, "a return at some design", cure)
         design = space.settled(box.best_v)
-        bounds = space.active_bounds(design)
-        held = bounds or space.active_constraints(design)
+        held = space.active_bounds(design) or space.active_constraints(design)
         status = CoDesignStatus.BUDGET_SPENT
         if settled:
             status = CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
@@ -141,9 +139,7 @@ class Search:
         controller = controller_of("lqr", problem, design) if loop is None else loop.law.controller(problem, design)
         return CoDesignResult(
             design=design, controller=controller, method=self.name, status=status, objective=-box.best[1],
-            criterion=f"return of {words}", active_bounds=bounds,
-            active_constraints=space.active_constraints(design), evaluations=len(box.rows), limits=outcome,
-            history=History.of(box.rows),
+            criterion=f"return of {words}", evaluations=len(box.rows), limits=outcome, history=History.of(box.rows),
         )  # fmt: skip
 
 

@@ -39,9 +39,9 @@ def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkey
             looked.append(v)
             return super().__call__(v)
 
-        def within_limits(self, v):
+        def first_point(self, v):
             looked.append(v)
-            return super().within_limits(v)
+            return super().first_point(v)
 
     monkeypatch.setattr("ccdtools.co_design.methods.trajectory_cost.TrajectoryCost", Counted)
     found = codesigned(weak(illustrative), cc.Nested("trajectory", runs=1, starts=3), design=[0.5])
