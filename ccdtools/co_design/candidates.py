@@ -42,20 +42,15 @@ class SetBudget:
     Attributes
     ----------
     option : {"auto", "lqr", "none"}
-    time_limit : float or None
+    seconds : float
         For all sets, as work of a usual processor [s].
     progress : bool
         Show progress bars.
     """
 
     option: str
-    time_limit: float | None
+    seconds: float = np.inf
     progress: bool = False
-
-    @property
-    def seconds(self) -> float:
-        """Time limit [s], infinite if there is none."""
-        return np.inf if self.time_limit is None else self.time_limit
 
 
 @dataclass(frozen=True)

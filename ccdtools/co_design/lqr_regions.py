@@ -112,17 +112,13 @@ class LQRRegions:
         """Saturated LQR inputs (k, nu) of states (k, nx) at designs `runs`."""
         return np.clip(-times(self.K[runs], x), _own(self.lower, runs, 1), _own(self.upper, runs, 1))
 
-    def step(self, x: Array, u: Array, runs: Indices) -> Array:
-        """Nominal next states (k, nx)."""
+    def step(self, x: Array, u: Array, runs: Any, w: Array | None = None) -> Array:
+        """Next states (k, nx) at designs `runs`, nominal ones without disturbances (k, nw)."""
         if self.sampled is not None:
-            return np.asarray(self.sampled.advance(x, u, np.zeros(self.sampled.nw), self.designs[runs]))
-        return times(self.A[runs], x) + times(self.B[runs], u)
-
-    def disturbed(self, x: Array, u: Array, w: Array) -> Array:
-        """Next states (n, nx) under disturbances (n, nw), one design per run."""
-        if self.sampled is not None:
-            return np.asarray(self.sampled.advance(x, u, w, self.designs))
-        return times(self.A, x) + times(self.B, u) + times(self.E, w)
+            drive = np.zeros(self.sampled.nw) if w is None else w
+            return np.asarray(self.sampled.advance(x, u, drive, self.designs[runs]))
+        after = times(self.A[runs], x) + times(self.B[runs], u)
+        return after if w is None else after + times(self.E[runs], w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
         """Approximate largest scales (k,) in [0, 1] with scale · x in the region.
