@@ -12,6 +12,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.descent import Cost, DesignPoint, descend
 from ccdtools.co_design.landscape import valleys
+from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
 from ccdtools.co_design.status import CoDesignStatus
@@ -64,6 +65,14 @@ class DesignCost(ABC):
         """Add a row to the history: return and spread at a design (np,), and share of lost runs."""
         count = len(self.rows) + 1
         self.rows.append((count, count * samples, p, value, std, lost))
+
+    def measured(self, v: Array) -> tuple[float, float]:
+        """Cost at a point without slope or history, and violation of the limits."""
+        return self(v)[0], 0.0
+
+    def limits(self, v: Array) -> LimitsOutcome | None:
+        """Violation of the limits at a point that `measured` has found, if they were priced."""
+        return None
 
     def worth_a_start(self, v: Array) -> bool:
         """True if a cheap evaluation allows a search from a point."""

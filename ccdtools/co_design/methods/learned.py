@@ -14,6 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
+from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
@@ -23,7 +24,6 @@ from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.method_pairs import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History, Valley
 from ccdtools.co_design.risk import check_followed, measure

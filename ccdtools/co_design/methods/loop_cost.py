@@ -18,10 +18,10 @@ from ccdtools.co_design.descent import DesignPoint, descend
 from ccdtools.co_design.design_controllers import LQR, DesignLaw
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
 from ccdtools.co_design.episodes import Episode, Law, simulated
-from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.risk_intervals import of_kept_runs
+from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.tolerances import (
     COST_STEP,
     NEGLIGIBLE_GAIN,
@@ -117,6 +117,23 @@ class LoopCost(DesignCost):
         if self.penalty is not None and self._priced and not bool(seen.diverged.any()):
             cost = cost + self.penalty.cost(seen, point)
         return cost
+
+    def measured(self, v: Array) -> tuple[float, float]:
+        """Cost and limit violation at a point, without slope; the tolerance of the limits follows."""
+        try:
+            if self.penalty is None:
+                return self.plain(self.seen(v)), 0.0
+            seen, self.penalty = self.updated(self.penalty, v)
+        except NotStabilisableError:
+            return np.inf, 0.0
+        return self.plain(seen), self.penalty.violation(seen)
+
+    def limits(self, v: Array) -> LimitsOutcome | None:
+        """Violation of the limits at a point, whose tolerance is extrapolated on the way; None without a price."""
+        if self.penalty is None:
+            return None
+        seen, penalty = self.updated(StateLimitPenalty(self.problem), v)
+        return penalty.outcome(seen)
 
     def updated(self, penalty: StateLimitPenalty, v: Array) -> tuple[Episode, StateLimitPenalty]:
         """Episodes at a point, and the penalty afterwards."""
