@@ -88,61 +88,53 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     return Episode(total, ~running, depth / steps, peak, outside / steps)
 
 
-def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> Progress:
+def _segment(
+    step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor, expected: bool = True
+) -> Progress:  # fmt: skip
     """Progress after the steps of `w` (n, T, nw).
 
-    No run is expected to diverge: whether one did is looked up at the end, and only then is the segment computed again
-    with each run frozen where it was lost. A gradient must not pass through states of 1e30.
+    It is `expected` that no run diverges: whether one did is looked up at the end, and only then is the segment
+    computed again with each run frozen where it was lost. A gradient must not pass through states of 1e30.
     """
     x, e, running, total, depth, peak, outside = before
-    if not bool(running.all()):
-        return _guarded(step, law, w, depths, *before)
+    guarded = not expected or not bool(running.all())
     drive = step.drive(w)
     states: list[Tensor] = []
     inputs: list[Tensor] = []
     penalties: list[Tensor] = []
+    going: list[Tensor] = []
     for k in range(w.shape[1]):
         u = law(x)
-        x, e, penalty = step.advance(x, e, u, drive[:, k])
+        x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        if guarded:
+            x_next = torch.where(running[:, None], x_next, x)
+            e_next = torch.where(running[:, None], e_next, e)
+            going.append(running)
+            running = running & ~step.left(x_next.detach())
+        x = x_next
+        e = e_next
         states.append(x)
         inputs.append(u)
         penalties.extend(penalty)
     visited = torch.stack(states)
-    if bool(step.left(visited.detach()).any()):
-        return _guarded(step, law, w, depths, *before)
+    if not guarded and bool(step.left(visited.detach()).any()):
+        return _segment(step, law, w, depths, *before, expected=False)
+
+    def counted(values: Tensor) -> Tensor:
+        """Values (T, n) of steps, zero once a run is lost, in double precision."""
+        return (torch.where(torch.stack(going), values, 0.0) if guarded else values).double()
+
     applied = torch.stack(inputs)
     looks_back = step.problem.objective.looks_back or step.problem.output_limits is not None
     present = torch.cat([before[0][None], visited[:-1]]) if looks_back else visited
-    rewards = step.rewards(visited, applied, present)
-    total = total + rewards.double().sum(0)
+    total = total + counted(step.rewards(visited, applied, present)).sum(0)
     if penalties:
-        total = total - torch.stack(penalties).double().sum(0)
+        total = total - counted(torch.stack(penalties)).sum(0)
     if not depths:
         return x, e, running, total, depth, peak, outside
-    own = step.outside(visited, applied, present).double()
+    own = counted(step.outside(visited, applied, present))
     peak = torch.maximum(peak, own.amax(0))
     return x, e, running, total, depth + own.sum(0), peak, outside + (own > 0).sum(0)
-
-
-def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> Progress:
-    """Guarded `_segment`, with each run frozen beyond the divergence limit."""
-    drive = step.drive(w)
-    x, e, running, total, depth, peak, outside = before
-    for k in range(w.shape[1]):
-        u = law(x)
-        x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
-        present = x
-        x = torch.where(running[:, None], x_next, x)
-        e = torch.where(running[:, None], e_next, e)
-        reward = step.rewards(x[None], u[None], present[None])[0] - sum(penalty)
-        total = total + torch.where(running, reward, 0.0).double()
-        if depths:
-            own = torch.where(running, step.outside(x[None], u[None], present[None])[0].double(), 0.0)
-            depth = depth + own
-            peak = torch.maximum(peak, own)
-            outside = outside + (own > 0)
-        running = running & ~step.left(x.detach())
-    return x, e, running, total, depth, peak, outside
 
 
 def mean_law(agent: ActorCritic, p: Tensor) -> Law:
