@@ -1,3 +1,4 @@
+from ccdtools.co_design.closed_loop import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.codesign import codesign as codesign
 from ccdtools.co_design.compare_methods import compare_methods as compare_methods
 from ccdtools.co_design.configuration import CoDesignConfig as CoDesignConfig
@@ -10,7 +11,6 @@ from ccdtools.co_design.design_controllers import (
 from ccdtools.co_design.design_sensitivity import design_sensitivity as design_sensitivity
 from ccdtools.co_design.expert import expert_dataset as expert_dataset, feasible_sets as feasible_sets
 from ccdtools.co_design.least_depth import least_depth as least_depth
-from ccdtools.co_design.method_pairs import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.methods.learned import Learned as Learned
 from ccdtools.co_design.methods.nested import Nested as Nested
 from ccdtools.co_design.methods.search import Search as Search

@@ -25,7 +25,9 @@ def front_door(
     def load(name: str) -> Any:
         """Object of a public name, or a module of the package."""
         if name in homes:
-            return getattr(import_module(homes[name]), name)
+            value = getattr(import_module(homes[name]), name)
+            setattr(sys.modules[package], name, value)  # found at once from now on
+            return value
         if not name.startswith("_"):
             if find_spec(f"{package}.{name}") is not None:
                 return import_module(f"{package}.{name}")

@@ -1,3 +1,4 @@
+from ccdtools.co_design.closed_loop import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.configuration import CoDesignConfig as CoDesignConfig
 from ccdtools.co_design.custom_objective import CustomObjective as CustomObjective, output_objective as output_objective
 from ccdtools.co_design.design_controllers import (
@@ -12,7 +13,6 @@ from ccdtools.co_design.expert import (
     feasible_sets as feasible_sets,
 )
 from ccdtools.co_design.learned_result import LearnedCoDesign as LearnedCoDesign
-from ccdtools.co_design.method_pairs import closed_loop_returns as closed_loop_returns
 from ccdtools.co_design.methods.learned import Learned as Learned
 from ccdtools.co_design.methods.nested import Nested as Nested
 from ccdtools.co_design.methods.search import Search as Search

@@ -36,7 +36,7 @@ from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import HistoryRow
-from ccdtools.co_design.risk_intervals import of_kept_runs
+from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import (
     FEW_PARAMETERS,

@@ -42,20 +42,15 @@ class SetBudget:
     Attributes
     ----------
     option : {"auto", "lqr", "none"}
-    time_limit : float or None
+    seconds : float
         For all sets, as work of a usual processor [s].
     progress : bool
         Show progress bars.
     """
 
     option: str
-    time_limit: float | None
+    seconds: float = np.inf
     progress: bool = False
-
-    @property
-    def seconds(self) -> float:
-        """Time limit [s], infinite if there is none."""
-        return np.inf if self.time_limit is None else self.time_limit
 
 
 @dataclass(frozen=True)
@@ -207,14 +202,11 @@ class _Pool:
     def contains(self, x: Array, runs: Indices) -> Mask:
         """Whether x[i] lies in the set of runs[i], (k,)."""
         within = self.X.contains(x, self.p[runs]) if isinstance(self.X, DesignLimits) else self.X.contains(x)
-        inside = within & self.regions.stabilised[runs]
-        own = [self.sets[i] for i in runs]
-        known = np.array([S is not None for S in own], dtype=bool)
-        for k, S in enumerate(own):
-            inside[k] = inside[k] and (S is None or S.contains(x[k]))
+        inside = within & self.may_begin(x, runs)
+        unknown = np.array([self.sets[i] is None for i in runs], dtype=bool)
         if self.by_region:
-            inside[~known] &= self.regions.contains(x[~known], runs[~known])
-        return inside
+            inside[unknown] &= self.regions.contains(x[unknown], runs[unknown])
+        return np.asarray(inside)
 
     def may_begin(self, x0: Array, runs: Indices) -> Mask:
         """True if the expert can start at x0[i], within X_fea where known."""

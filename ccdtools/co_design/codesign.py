@@ -111,8 +111,11 @@ def codesign(
     frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0
     measured_elsewhere = callable(getattr(chosen, "of", None))
     settling = Settling(getattr(chosen, "judge", None) or problem, scenarios, not (frozen or measured_elsewhere))
-    described = problem.design.describe(result.design)
-    return replace(settling.checked(result), seconds=seconds, described=described)
+    return replace(
+        settling.checked(result), seconds=seconds, described=space.describe(result.design),
+        active_bounds=space.active_bounds(result.design),
+        active_constraints=space.active_constraints(result.design),
+    )  # fmt: skip
 
 
 def as_method(method: str | Method, **learning: Any) -> Method:

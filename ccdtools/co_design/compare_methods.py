@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_instance, shown
+from ccdtools.co_design.closed_loop import closed_loop_returns, scenarios_of
 from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_names import ALL, as_method_names
-from ccdtools.co_design.method_pairs import MethodRow, Pairs, closed_loop_returns, scenarios_of
+from ccdtools.co_design.method_pairs import MethodRow, paired_row
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.methods.nested import NAMES as INNER, Nested
 from ccdtools.co_design.methods.search import LIBRARIES, Search
@@ -95,35 +96,37 @@ def compare_methods(
         raise InputError("each", shown(each), "a function of a MethodComparison")
     run = partial(_run, problem, seed, first, bool(progress) and jobs == 1)
     ends: dict[str, CoDesignResult | str] = {}
-    pairs: dict[str, Pairs] = {}
+    seen: dict[Any, Any] = {}
     found = as_they_end(
         run, list(chosen.values()), jobs=as_jobs(jobs), label="methods", names=list(chosen), progress=shown_at_all
     )
     for name, end in zip(chosen, found):
         ends[name] = end
         if each is not None and len(ends) < len(chosen):
-            each(_compared(problem, seed, ends, reference, pairs))
-    comparison = _compared(problem, seed, ends, reference, pairs)
+            each(_compared(problem, seed, ends, reference, seen))
+    comparison = _compared(problem, seed, ends, reference, seen)
     if each is not None:
         each(comparison)
     return comparison
 
 
 def _compared(
-    problem: CoDesignProblem, seed: int, ends: Mapping[str, CoDesignResult | str], reference: str,
-    known: dict[str, Pairs],
-) -> MethodComparison:  # fmt: skip
-    """Comparison of the ended methods; `known` keeps measurements per reference."""
+    problem: CoDesignProblem, seed: int, ends: Mapping[str, CoDesignResult | str], reference: str, seen: dict[Any, Any]
+) -> MethodComparison:
+    """Comparison of the ended methods; `seen` keeps measurements of LQR."""
     results = {name: end for name, end in ends.items() if isinstance(end, CoDesignResult)}
     if reference not in results and results:
         reference = next(iter(results))
-    if results and reference not in known:
-        known[reference] = Pairs(problem, seed, results[reference])
     rows = [
-        MethodRow(name=name, refused=end) if isinstance(end, str) else known[reference].row(name, end)
+        MethodRow(name=name, refused=end) if isinstance(end, str)
+        else paired_row(problem, seed, name, end, results[reference], seen)
         for name, end in ends.items()
-    ]
-    size = known[reference].size if results else np.nan
+    ]  # fmt: skip
+    size = np.nan
+    if results:
+        found = results[reference]
+        assert found.closed_loop is not None
+        size = float(problem.made_by_control(found.closed_loop.summary.mean, found.design)) or 1.0
     return MethodComparison(rows=tuple(rows), reference=reference, size=size, problem=problem, seed=seed)
 
 
@@ -156,28 +159,25 @@ def named_methods(methods: Any, agent: ActorCritic | None = None) -> dict[str, M
     if isinstance(methods, Mapping):
         if not all(isinstance(name, str) and name for name in methods):
             raise InputError("methods", shown(methods), "a mapping of names to methods")
-        chosen = {name: _named(one, agent) if isinstance(one, str) else as_method(one) for name, one in methods.items()}
+        chosen = {
+            name: known_methods(agent)[as_method_names([one])[0]] if isinstance(one, str) else as_method(one)
+            for name, one in methods.items()
+        }
     else:
         names = ALL if methods == "all" else (methods,) if isinstance(methods, str) else methods
         if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
             raise InputError("methods", shown(methods), '"all", a list of names, or a mapping of names to methods')
-        chosen = {name: _named(name, agent) for name in as_method_names(names)}
+        every = known_methods(agent)
+        chosen = {name: every[name] for name in as_method_names(names)}
     if not chosen:
         raise InputError("methods", "none", "at least one method")
     return chosen
 
 
-def known_methods() -> dict[str, Method]:
-    """Every named method with its usual settings."""
-    searches = [Search(library) for library in LIBRARIES]
-    programs = [Simultaneous(unknowns) for unknowns in UNKNOWNS]
-    learners = [Learned(by=by) for by in LEARNING]
-    every: list[Any] = [Sequential(), *(Nested(inner) for inner in INNER), *programs, *searches, *learners]
+def known_methods(agent: ActorCritic | None = None) -> dict[str, Method]:
+    """Every named method with its usual settings; those that learn start at `agent`."""
+    every: list[Any] = [
+        Sequential(), *(Nested(inner, agent=agent if inner == "rl" else None) for inner in INNER),
+        *map(Simultaneous, UNKNOWNS), *map(Search, LIBRARIES), *(Learned(by=by, agent=agent) for by in LEARNING),
+    ]  # fmt: skip
     return {method.name: method for method in every}
-
-
-def _named(name: str, agent: ActorCritic | None) -> Method:
-    """Method of a name."""
-    found = known_methods()[as_method_names([name])[0]]
-    learns = isinstance(found, Learned) or (isinstance(found, Nested) and found.inner == "rl")
-    return replace(found, agent=agent) if learns else found  # type: ignore[type-var]

@@ -7,15 +7,16 @@ Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import EXACT
@@ -24,27 +25,50 @@ Cost = Callable[[Array], tuple[float, Callable[[], Array]]]
 """Point (np,) of the unit box → cost, and a function that returns its slope (np,); infinite where there is none."""
 
 
+@dataclass(frozen=True, eq=False)
+class DesignPoint:
+    """Best feasible point of the unit box that a search has found.
+
+    Attributes
+    ----------
+    v : (np,) array
+    cost : float
+    slope : (np,) array
+        Of the cost, per unit-box length.
+    size : float
+        Part of the return that control makes: what gains are compared with.
+    spent : bool
+        Whether the evaluations ran out.
+    violation : float
+        Excess over the tolerance of the limits.
+    penalty : StateLimitPenalty or None
+        What leaving the limits cost.
+    limits : LimitsOutcome or None
+    active : mapping
+        Slopes (np,) of the violations of active limits, by name.
+    """
+
+    v: Array
+    cost: float
+    slope: Array
+    size: float = 1.0
+    spent: bool = False
+    violation: float = 0.0
+    penalty: StateLimitPenalty | None = None
+    limits: LimitsOutcome | None = None
+    active: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def order(self) -> tuple[float, float]:
+        """Violation, then cost; the best point has least."""
+        return (self.violation, self.cost)
+
+
 class SpentError(Exception):
     """Raised when no evaluation is left, or more of them are of no use."""
 
 
-@dataclass(frozen=True, eq=False)
-class Descent:
-    """End of a local search."""
-
-    v: Array  # (np,): the best feasible point of the unit box that was evaluated
-    cost: float
-    slope: Array  # (np,): of the cost there, per unit-box length
-    spent: bool = False  # whether the evaluations ran out
-
-
-def compressed(relative: float) -> float:
-    """Relative cost, logarithmic beyond `COMPRESS_ABOVE`."""
-    high = relative > COMPRESS_ABOVE
-    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)
-
-
-def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> Descent:
+def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluations: int) -> DesignPoint:
     """Least cost found from a feasible unit-box point.
 
     Fixed entries and whole numbers are held.
@@ -71,39 +95,31 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
         return watched.ended()
     with suppress(SpentError):
         for _ in range(3):  # searches follow one another while they gain
-            before = watched.best.cost
-            minimize(watched.value, watched.best.v[free], jac=watched.slope, method="SLSQP",
+            begin, before, _ = watched.best
+            minimize(watched.value, begin[free], jac=watched.slope, method="SLSQP",
                      bounds=[(0.0, 1.0)] * int(free.sum()), constraints=constraints,
                      options={"maxiter": evaluations, "ftol": 1e-10})  # fmt: skip
-            if not watched.best.cost < before - GAINED * size:
+            if not watched.best[1] < before - GAINED * size:
                 break
     return watched.ended()
 
 
-@dataclass(frozen=True, eq=False)
-class _Looked:
-    """Evaluated point of the unit box."""
-
-    v: Array
-    cost: float
-    slope: Callable[[], Array]
-
-
 class _Watched:
-    """Relative cost of free entries z that remembers its last and its best point."""
+    """Relative cost of free entries z that remembers its last and its best point, with cost and slope."""
 
     def __init__(self, cost: Cost, space: DesignSpace, v: Array, size: float, evaluations: int) -> None:
         self._cost = cost
-        self._space = space
+        self._allowed = space.allowed
         self._size = size
         self._left = evaluations
         self._spent = False
-        self._start = self._last = self.best = _Looked(v, np.inf, lambda: np.zeros(len(v)))
+        self._last: tuple[Array, float, Callable[[], Array]] = (np.full(len(v), np.nan), np.inf, lambda: v)
+        self.best: tuple[Array, float, Callable[[], Array]] = (v, np.inf, lambda: np.zeros(len(v)))
 
     def point(self, z: Array) -> Array:
         """Whole point with the free entries `z`."""
-        v = self._start.v.copy()
-        v[self._space.allowed.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
+        v = self.best[0].copy()
+        v[self._allowed.free] = np.where(z < AT_BOUND, 0.0, np.where(z > 1 - AT_BOUND, 1.0, z))
         return v
 
     def value(self, z: Array) -> float:
@@ -115,28 +131,35 @@ class _Watched:
             If that would be an evaluation too many.
         """
         v = self.point(z)
-        if self._last is self._start or not np.array_equal(v, self._last.v):
+        if not np.array_equal(v, self._last[0]):
             if not self._left:
                 self._spent = True
                 raise SpentError
             self._left -= 1
             cost, slope = self._cost(v)
-            self._last = _Looked(v, cost, cache(slope))
-            if cost < self.best.cost and self._space.allowed.violation(v) <= EXACT:
+            self._last = (v, cost, cache(slope))
+            if cost < self.best[1] and self._allowed.violation(v) <= EXACT:
                 self.best = self._last
-        relative = self._last.cost / self._size
+        relative = self._last[1] / self._size
         return compressed(relative) if np.isfinite(relative) else LOST_COST
 
     def slope(self, z: Array) -> Array:
         """Slope of the cost by free entries, zero where there is none."""
         self.value(z)
-        relative = self._last.cost / self._size
+        relative = self._last[1] / self._size
         if not np.isfinite(relative):
             return np.zeros(len(z))
-        own = self._last.slope()[self._space.allowed.free] / self._size
+        own = self._last[2]()[self._allowed.free] / self._size
         own = own * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0)
         return own if np.isfinite(own).all() else np.zeros(len(z))
 
-    def ended(self) -> Descent:
+    def ended(self) -> DesignPoint:
         """Best point, with its slope."""
-        return Descent(self.best.v, self.best.cost, self.best.slope(), self._spent)
+        v, cost, slope = self.best
+        return DesignPoint(v, cost, slope(), self._size, self._spent)
+
+
+def compressed(relative: float) -> float:
+    """Relative cost, logarithmic beyond `COMPRESS_ABOVE`."""
+    high = relative > COMPRESS_ABOVE
+    return COMPRESS_ABOVE * (1 + float(np.log(relative / COMPRESS_ABOVE))) if high else float(relative)

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
+from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.controllers import Controller, LinearFeedback
+from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
-from mpc import LinearMPC, LQRSensitivity, NotStabilisableError, lqr, lqr_sensitivity
+from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
 
 if TYPE_CHECKING:
     from mpc.optimal_control import NonlinearMPC
@@ -40,11 +44,11 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
     return LinearFeedback(K, *problem.input_bounds_at(p))
 
 
-def regulator_of(problem: CoDesignProblem, p: Array) -> LQRSensitivity:
-    """LQR of a design (np,), with derivatives of gain and cost."""
+def regulator_data(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
+    """Model and weights at a design (np,), with derivatives, for `lqr_sensitivity`."""
     A, B, _ = problem.model.matrices(p)
     dA, dB, _ = problem.model.derivatives(p)
-    return lqr_sensitivity(A, B, **problem.weights(p).keywords(), dA=dA, dB=dB, **weight_changes(problem, p))
+    return {"A": A, "B": B, **problem.weights(p).keywords(), "dA": dA, "dB": dB, **weight_changes(problem, p)}
 
 
 def weight_changes(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
@@ -128,3 +132,60 @@ def undisturbed_step(model: Model) -> ca.Function:
     names = ["x", "u", "p"]
     x, u, p = (kind.sym(name, step.size1_in(i)) for name, i in zip(names, (0, 1, 3)))
     return ca.Function("step", [x, u, p], [step(x, u, ca.DM.zeros(model.nw), p)], names, ["value"])
+
+
+@dataclass(frozen=True, eq=False)
+class DesignLaw:
+    """Control law for every design.
+
+    Attributes
+    ----------
+    words : str
+    controller : callable
+        Problem and design (np,) → controller.
+    exact : callable, optional
+        Problem and design tensor (np,) → the same law, differentiable by state and design; by default the controller is
+        made anew at every design and asked at every state.
+    """
+
+    words: str
+    controller: Callable[[CoDesignProblem, Array], Controller]
+    exact: Callable[[CoDesignProblem, Tensor], Callable[[Tensor], Tensor]] | None = None
+
+    def on_line(self, problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:
+        """Controller of a design (np,) as a law; a lost run is given no program to solve."""
+        controller = self.controller(problem, p.detach().numpy())
+
+        def law(x: Tensor) -> Tensor:
+            """Inputs."""
+            states = x.detach().numpy()
+            lost = (np.abs(states) > problem.limit).any(axis=1)
+            return x.new_tensor(controller(np.where(lost[:, None], 0.0, states)))
+
+        return law
+
+
+def _clipped(problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:
+    """Law u = clip(−K(p) x), K(p) by each design's Riccati equation, with its exact slope."""
+    at = p.detach()
+    if p.requires_grad:
+        found = lqr_sensitivity(**regulator_data(problem, at.numpy()))
+        K = torch.tensor(found.K) + torch.einsum("uxp,p->ux", torch.tensor(found.dK), p - at)
+    else:
+        K = torch.tensor(saturated_lqr(problem, at.numpy()).K)
+    low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in problem.input_bounds_at(p))
+    return lambda x: torch.clamp(-x @ K.T, low, high)
+
+
+PASSIVE = DesignLaw(
+    "the passive plant", lambda problem, p: Passive(problem.model.nu),
+    lambda problem, p: lambda x: x.new_zeros(len(x), problem.model.nu),
+)  # fmt: skip
+LQR = DesignLaw("saturated LQR", saturated_lqr, _clipped)
+
+
+def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:
+    """MPC of every design, on line; nonlinear by one real-time iteration per sample and run."""
+    made = nonlinear_mpc if nonlinear else linear_mpc
+    words = f"{'nonlinear' if nonlinear else 'linear'} MPC (N = {horizon})"
+    return DesignLaw(words, lambda problem, p: made(problem, p, horizon=horizon))

@@ -128,11 +128,6 @@ class Slope:
         return cls(level, level, np.ones(size), level, level)
 
     @classmethod
-    def measured(cls, differences: Differences, v: Tensor) -> Slope:
-        """Slope by differences at a unit-box point."""
-        return cls.of(differences.about(v, differences.step(v)), v)
-
-    @classmethod
     def of(cls, by_run: Tensor, v: Tensor) -> Slope:
         """Slope from every run's slopes (n, np) at a point."""
         both = np.stack([by_run.mean(0).numpy(), standard_error(by_run).numpy()])

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_instance, as_vector
-from ccdtools.co_design.design_controllers import HORIZON, regulator_of, undisturbed_step, weight_changes
+from ccdtools.co_design.design_controllers import HORIZON, regulator_data, undisturbed_step, weight_changes
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus
+from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
 
 CONTROLLERS = ("lqr", "mpc", "nmpc")
 
@@ -113,7 +113,7 @@ def design_sensitivity(
     changes = weight_changes(problem, p)
     weights = problem.weights(p).keywords()
     if controller == "lqr":
-        found = regulator_of(problem, p)
+        found = lqr_sensitivity(**regulator_data(problem, p))
         return DesignSensitivity(
             names, p, x, found.cost(x), found.cost_by_state(x), found.cost_by_parameters(x), found.input_by_state,
             found.input_by_parameters(x), SensitivityStatus.SMOOTH, found,

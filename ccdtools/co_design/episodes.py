@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,6 +24,8 @@ from ccdtools.co_design.tolerances import HELD_SAMPLES, LONGEST_SEGMENT
 from learning.networks import ActorCritic, scaled
 
 Law = Callable[[Tensor], Tensor]
+Progress = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
+"""States, model errors and runs that go on, and sums of returns, depths, largest depths and samples outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +38,6 @@ class Episode:
     depth: Tensor  # (n,)
     peak: Tensor  # (n,)
     outside: Tensor  # (n,): fraction of the steps that end outside X; without a gradient, zero unless asked for
-
-
-class _Progress(NamedTuple):
-    """States, model errors and sums of n episodes after a segment."""
-
-    x: Tensor
-    e: Tensor
-    running: Tensor
-    total: Tensor
-    depth: Tensor
-    peak: Tensor
-    outside: Tensor
 
 
 def episode(
@@ -75,88 +64,77 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     steps = w.shape[1] - warm_up
     nothing = torch.zeros(len(x0), dtype=torch.float64)
     running = torch.ones(len(x0), dtype=torch.bool)
-    progress = _Progress(x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
+    progress: Progress = (x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
     recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD_SAMPLES
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
 
-    def advanced(progress: _Progress, w: Tensor) -> _Progress:
+    def advanced(progress: Progress, w: Tensor) -> Progress:
         """Progress after the steps of `w` (n, T, nw)."""
         for part in w.split(length, dim=1):
             if recomputed:
-                tensors = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False)
+                progress = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False)
             else:
-                tensors = _segment(step, law, part, depths, *progress)
-            progress = _Progress(*tensors)
+                progress = _segment(step, law, part, depths, *progress)
         return progress
 
     if warm_up:
-        progress = advanced(progress, w[:, :warm_up])
-        total = torch.where(progress.running, nothing, progress.total)  # lost runs keep their cost
-        progress = progress._replace(total=total, depth=nothing, peak=nothing, outside=nothing)
-    progress = advanced(progress, w[:, warm_up:])
-    final = step.final_rewards(progress.x)
-    total = progress.total if final is None else progress.total + torch.where(progress.running, final, 0.0).double()
+        x, e, running, total, *_ = advanced(progress, w[:, :warm_up])
+        total = torch.where(running, nothing, total)  # lost runs keep their cost
+        progress = (x, e, running, total, nothing, nothing, nothing)
+    x, _, running, total, depth, peak, outside = advanced(progress, w[:, warm_up:])
+    final = step.final_rewards(x)
+    total = total if final is None else total + torch.where(running, final, 0.0).double()
     total = total - step.problem.objective.cost_of_design(step.p, steps)
-    return Episode(total, ~progress.running, progress.depth / steps, progress.peak, progress.outside / steps)
+    return Episode(total, ~running, depth / steps, peak, outside / steps)
 
 
-def _segment(step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor) -> tuple[Tensor, ...]:
+def _segment(
+    step: Stepper, law: Law, w: Tensor, depths: bool, *before: Tensor, expected: bool = True
+) -> Progress:  # fmt: skip
     """Progress after the steps of `w` (n, T, nw).
 
-    No run is expected to diverge: whether one did is looked up at the end, and only then is the segment computed again
-    with each run frozen where it was lost. A gradient must not pass through states of 1e30.
+    It is `expected` that no run diverges: whether one did is looked up at the end, and only then is the segment
+    computed again with each run frozen where it was lost. A gradient must not pass through states of 1e30.
     """
-    progress = _Progress(*before)
-    if not bool(progress.running.all()):
-        return _guarded(step, law, w, depths, progress)
+    x, e, running, total, depth, peak, outside = before
+    guarded = not expected or not bool(running.all())
     drive = step.drive(w)
-    x = progress.x
-    e = progress.e
     states: list[Tensor] = []
     inputs: list[Tensor] = []
     penalties: list[Tensor] = []
+    going: list[Tensor] = []
     for k in range(w.shape[1]):
         u = law(x)
-        x, e, penalty = step.advance(x, e, u, drive[:, k])
+        x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
+        if guarded:
+            x_next = torch.where(running[:, None], x_next, x)
+            e_next = torch.where(running[:, None], e_next, e)
+            going.append(running)
+            running = running & ~step.left(x_next.detach())
+        x = x_next
+        e = e_next
         states.append(x)
         inputs.append(u)
         penalties.extend(penalty)
     visited = torch.stack(states)
-    if bool(step.left(visited.detach()).any()):
-        return _guarded(step, law, w, depths, progress)
+    if not guarded and bool(step.left(visited.detach()).any()):
+        return _segment(step, law, w, depths, *before, expected=False)
+
+    def counted(values: Tensor) -> Tensor:
+        """Values (T, n) of steps, zero once a run is lost, in double precision."""
+        return (torch.where(torch.stack(going), values, 0.0) if guarded else values).double()
+
     applied = torch.stack(inputs)
     looks_back = step.problem.objective.looks_back or step.problem.output_limits is not None
-    present = torch.cat([progress.x[None], visited[:-1]]) if looks_back else visited
-    rewards = step.rewards(visited, applied, present)
-    total = progress.total + rewards.double().sum(0)
+    present = torch.cat([before[0][None], visited[:-1]]) if looks_back else visited
+    total = total + counted(step.rewards(visited, applied, present)).sum(0)
     if penalties:
-        total = total - torch.stack(penalties).double().sum(0)
+        total = total - counted(torch.stack(penalties)).sum(0)
     if not depths:
-        return x, e, progress.running, total, progress.depth, progress.peak, progress.outside
-    depth = step.outside(visited, applied, present).double()
-    peak = torch.maximum(progress.peak, depth.amax(0))
-    return x, e, progress.running, total, progress.depth + depth.sum(0), peak, progress.outside + (depth > 0).sum(0)
-
-
-def _guarded(step: Stepper, law: Law, w: Tensor, depths: bool, progress: _Progress) -> tuple[Tensor, ...]:
-    """Guarded `_segment`, with each run frozen beyond the divergence limit."""
-    drive = step.drive(w)
-    x, e, running, total, depth, peak, outside = progress
-    for k in range(w.shape[1]):
-        u = law(x)
-        x_next, e_next, penalty = step.advance(x, e, u, drive[:, k])
-        present = x
-        x = torch.where(running[:, None], x_next, x)
-        e = torch.where(running[:, None], e_next, e)
-        reward = step.rewards(x[None], u[None], present[None])[0] - sum(penalty)
-        total = total + torch.where(running, reward, 0.0).double()
-        if depths:
-            own = torch.where(running, step.outside(x[None], u[None], present[None])[0].double(), 0.0)
-            depth = depth + own
-            peak = torch.maximum(peak, own)
-            outside = outside + (own > 0)
-        running = running & ~step.left(x.detach())
-    return x, e, running, total, depth, peak, outside
+        return x, e, running, total, depth, peak, outside
+    own = counted(step.outside(visited, applied, present))
+    peak = torch.maximum(peak, own.amax(0))
+    return x, e, running, total, depth + own.sum(0), peak, outside + (own > 0).sum(0)
 
 
 def mean_law(agent: ActorCritic, p: Tensor) -> Law:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
 from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
-from ccdtools.co_design.expert_loops import ExpertLoops, follow
+from ccdtools.co_design.expert_loops import expert_law, follow
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED, SET_SECONDS
 from ccdtools.design_limits import DesignLimits
@@ -178,7 +178,7 @@ def expert_dataset(
     gamma = as_share("gamma", gamma)
     horizon = as_count("horizon", horizon)
     designs = None if designs is None else min(samples, as_count("designs", designs))
-    limit = None if time_limit is None else as_positive("time_limit", time_limit, unit="s")
+    limit = np.inf if time_limit is None else as_positive("time_limit", time_limit, unit="s")
     if echo is not None and not callable(echo):
         raise InputError("echo", shown(echo), "a function that takes a line of text, or None")
     option = "auto" if isinstance(sets, ParametricSet) else as_choice("sets", sets, SETS)
@@ -186,14 +186,14 @@ def expert_dataset(
     with telling(echo, "the expert's data"):
         family = sets if isinstance(sets, ParametricSet) else limited(feasible_sets(problem), budget)
         begin = starts(problem, family, samples, designs, budget, rng)
-        loops = ExpertLoops(problem, begin, expert, horizon, progress=progress)
-        states, actions, values = follow(problem, loops, gamma, rng, progress=progress)
+        law = expert_law(problem, begin, expert, horizon, progress=progress)
+        states, actions, values = follow(problem, begin, law, gamma, rng, progress=progress)
     known = (np.abs(states) <= IMITATED * problem.state_scale).all(axis=2)  # NaN is not
     designs_of_all = np.broadcast_to(begin.p, (*states.shape[:2], begin.p.shape[1]))
     inputs = np.concatenate([states, designs_of_all], axis=2)
     lost = float(np.isnan(values[0, : begin.candidates]).mean())
     counts = begin.counts
-    if counts is not None and isinstance(problem.model, SampledModel):
+    if isinstance(problem.model, SampledModel):
         leaving = _leaving(problem.model, begin, states[0], actions[0])
         counts = replace(counts, local=True, leaving=leaving)
     return ExpertData(inputs[known], actions[known], values[known], begin.acceptance, lost, counts)

@@ -2,47 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 
-from ccdtools.arrays import Array, Indices, Mask
+from ccdtools.arrays import Array
 from ccdtools.co_design.candidates import Starts
+from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK, VALUE_TAIL, VISITS
-from ccdtools.controllers.controllers import Controller
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
-from mpc import LinearMPC
+
+Law = Callable[[Array], Array]
 
 
 def follow(
-    problem: CoDesignProblem, loops: ExpertLoops, gamma: float, rng: np.random.Generator, *, progress: bool = False
-) -> tuple[Array, Array, Array]:
+    problem: CoDesignProblem, starts: Starts, law: Law, gamma: float, rng: np.random.Generator, *,
+    progress: bool = False,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Closed loops on the problem's model and disturbances, recorded at `VISITS`.
 
     States (v, n, nx), inputs (v, n, nu) and discounted returns (v, n) of v visits; NaN where a run has diverged.
     """
-    x = loops.starts.x
+    x = starts.x
     steps = VISITS[-1] + VALUE_TAIL
     w = problem.driving(len(x), steps, rng)
-    updated = None if problem.discrepancy is None else UpdatedSteps(problem, loops.starts.p)
+    step = _stepped(problem, starts)
     rewards = np.empty((steps, len(x)))
     visited = []
     actions = []
     for k in counted(range(steps), "expert's closed loops", total=steps, progress=progress):
-        u = loops.inputs(x)
+        u = law(x)
         if k in VISITS:
             visited.append(x)
             actions.append(u)
         before = x
-        x, penalty = updated(x, u, w[:, k]) if updated else (loops.starts.regions.disturbed(x, u, w[:, k]), 0.0)
+        x, penalty = step(x, u, w[:, k])
         x = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, np.nan)
-        earned = problem.objective.rewards(x, u, before, loops.starts.p) - penalty
+        earned = problem.objective.rewards(x, u, before, starts.p) - penalty
         rewards[k] = np.where(np.isnan(x).any(axis=1), np.nan, earned)
     future = rewards[-VALUE_TAIL // 4 :].mean(axis=0) / (1 - gamma)  # stationary by then
     values = []
@@ -53,8 +54,32 @@ def follow(
     return np.array(visited), np.array(actions), np.array(values[::-1])
 
 
-class ExpertLoops:
-    """Filtered LQR, or MPC, at the designs of the starts.
+def _stepped(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array, Array], tuple[Array, Any]]:
+    """Step to next states (n, nx) and penalties (n,), of a model with learned error where there is one.
+
+    It is NaN where the state is: a lost run takes its step from the origin, so that no draw is looked up at NaN.
+    """
+    if problem.discrepancy is None:
+        return lambda x, u, w: (starts.regions.step(x, u, slice(None), w), 0.0)
+    stepper = Stepper.at(problem, torch.tensor(starts.p, dtype=torch.float32))
+    e = torch.zeros(len(starts.p), problem.model.nx)
+
+    @torch.no_grad()
+    def updated(x: Array, u: Array, w: Array) -> tuple[Array, Array]:
+        """Next states and penalties under errors or draws (n, nx)."""
+        nonlocal e
+        running = np.isfinite(x).all(axis=1, keepdims=True)
+        state, applied = (torch.tensor(np.where(running, a, 0.0), dtype=torch.float32) for a in (x, u))
+        x_next, e, (penalty,) = stepper.advance(state, e, applied, torch.tensor(w, dtype=torch.float32))
+        return np.where(running, x_next.double().numpy(), np.nan), penalty.double().numpy()
+
+    return updated
+
+
+def expert_law(
+    problem: CoDesignProblem, starts: Starts, expert: str, horizon: int, *, progress: bool = False
+) -> Law:  # fmt: skip
+    """Inputs (n, nu) of filtered LQR, or of MPC, at the designs of the starts; NaN where the state is.
 
     Parameters
     ----------
@@ -65,132 +90,63 @@ class ExpertLoops:
         Of the MPC experts.
     progress : bool
     """
+    if expert == "lqr":
+        kept = SetFilters(problem, starts)
+        return lambda x: kept.filtered(x, starts.regions.inputs(x, np.arange(len(x))))
+    made = [linear_mpc(problem, p, horizon=horizon) for p in starts.p]
+    label = f"{expert} of every design"
+    laws: Any = counted(made, label, total=len(made), progress=progress)
+    controllers = [law.explicit() if expert == "explicit" else law for law in laws]
 
-    def __init__(
-        self, problem: CoDesignProblem, starts: Starts, expert: str, horizon: int, *, progress: bool = False
-    ) -> None:
-        self.starts = starts
-        self.filters = SetFilters(problem, starts)
-        self.controllers: list[Controller] | None = None
-        if expert != "lqr":
-            weights = [problem.weights(p).keywords() for p in starts.p]
-            kept = [problem.kept_by_mpc(p) for p in starts.p]
-            applied = [problem.input_limits(p) for p in starts.p]
-            models = zip(starts.regions.A, starts.regions.B, weights, kept, applied)
-            laws = [LinearMPC(A, B, **own, horizon=horizon, X=X, U=U) for A, B, own, X, U in models]
-            made: Any = counted(laws, f"{expert} of every design", total=len(laws), progress=progress)
-            self.controllers = [law.explicit() if expert == "explicit" else law for law in made]
-
-    def inputs(self, x: Array) -> Array:
-        """Expert's inputs (n, nu); NaN where the state is."""
-        if self.controllers is None:
-            u = self.starts.regions.inputs(x, np.arange(len(x)))
-            return self.filters.filtered(x, u)
-        u = np.full((len(x), self.starts.regions.B.shape[2]), np.nan)
+    def planned(x: Array) -> Array:
+        """Inputs (n, nu) of every run's MPC."""
+        u = np.full((len(x), problem.model.nu), np.nan)
         for i in np.flatnonzero(np.isfinite(x).all(axis=1)):
-            u[i] = self.controllers[i](x[i])
+            u[i] = controllers[i](x[i])
         return u
 
-
-class UpdatedSteps:
-    """Steps of a model with learned error, one design per run."""
-
-    def __init__(self, problem: CoDesignProblem, p: Array) -> None:
-        self._step = Stepper.at(problem, torch.tensor(p, dtype=torch.float32))
-        self._e = torch.zeros(len(p), problem.model.nx)
-
-    @torch.no_grad()
-    def __call__(self, x: Array, u: Array, w: Array) -> tuple[Array, Array]:
-        """Next states (n, nx) and penalties (n,) under errors or draws (n, nx).
-
-        NaN where the state is: a lost run takes its step from the origin, so that no draw is looked up at NaN.
-        """
-        running = np.isfinite(x).all(axis=1, keepdims=True)
-        state, applied = (torch.tensor(np.where(running, a, 0.0), dtype=torch.float32) for a in (x, u))
-        drawn = torch.tensor(w, dtype=torch.float32)
-        x_next, self._e, (penalty,) = self._step.advance(state, self._e, applied, drawn)
-        return np.where(running, x_next.double().numpy(), np.nan), penalty.double().numpy()
+    return planned
 
 
 class SetFilters:
-    """Filters that keep each run's next nominal state in its known X_fea.
-
-    Runs of one design share a filter, and products of all rows with all states are formed in pieces: with 300 facets
-    and 1000 runs they would not fit otherwise.
-    """
+    """Filters that keep each run's next nominal state in its known X_fea; runs of one design share a filter."""
 
     def __init__(self, problem: CoDesignProblem, starts: Starts) -> None:
         self.problem = problem
-        self.scale = problem.state_scale
         self.model = starts.regions
-        guarded = [i for i, S in enumerate(starts.sets) if S is not None and not S.is_empty]
-        groups: dict[int, list[int]] = {}
-        for i in guarded:
-            groups.setdefault(id(starts.sets[i]), []).append(i)
-        self.groups = [np.array(runs) for runs in groups.values()]
-        self.sets: list[Polytope] = [S for runs in self.groups if (S := starts.sets[runs[0]]) is not None]
+        sets = {i: S for i, S in enumerate(starts.sets) if S is not None and not S.is_empty}
+        self.runs = np.array(list(sets), dtype=int)
+        self.sets: list[Polytope] = list(sets.values())
         self._filters: dict[int, AdmissibleInputs] = {}
+        rows = max((len(S.b) for S in self.sets), default=0)
+        F = np.zeros((len(self.runs), rows, problem.model.nx))  # rows scaled to X, those beyond a set's own always kept
+        self._limits = np.ones((len(self.runs), rows))
+        for k, S in enumerate(self.sets):
+            size = np.abs(S.A) @ problem.state_scale
+            F[k, : len(S.b)] = S.A / size[:, None]
+            self._limits[k, : len(S.b)] = S.b / size
+        self._states = F @ self.model.A[self.runs]
+        self._inputs = F @ self.model.B[self.runs]
 
     def filtered(self, x: Array, u: Array) -> Array:
         """Inputs (n, nu), if needed the nearest that stay in the set."""
         u = u.copy()
-        for piece in self._pieces:
-            runs = piece.runs
-            after = piece.states @ x[runs].swapaxes(1, 2) + piece.inputs @ u[runs].swapaxes(1, 2)
-            leaving = (after > piece.limits[:, :, None]).any(axis=1)  # NaN is not
-            leaving &= piece.first & np.isfinite(x[runs]).all(axis=2)
-            for g in np.flatnonzero(leaving.any(axis=1)):
-                chosen = runs[g][leaving[g]]
-                chosen = chosen[self.sets[piece.begin + int(g)].contains(x[chosen], LED_BACK)]
-                if len(chosen) == 0:
-                    continue
-                u[chosen] = self._filter(piece.begin + int(g)).project(x[chosen], u[chosen])[0]
+        after = self._states @ x[self.runs, :, None] + self._inputs @ u[self.runs, :, None]
+        leaving = (after[..., 0] > self._limits).any(axis=1)  # NaN is not
+        shared: dict[int, list[int]] = {}
+        for k in np.flatnonzero(leaving & np.isfinite(x[self.runs]).all(axis=1)):
+            shared.setdefault(id(self.sets[k]), []).append(int(k))
+        for members in shared.values():
+            S = self.sets[members[0]]
+            chosen = self.runs[members]
+            chosen = chosen[S.contains(x[chosen], LED_BACK)]
+            if len(chosen):
+                u[chosen] = self._filter(S, chosen[0]).project(x[chosen], u[chosen])[0]
         return u
 
-    def _filter(self, g: int) -> AdmissibleInputs:
-        """Filter that keeps states of group g in their set."""
-        if g not in self._filters:
-            i = self.groups[g][0]
-            U = self.problem.input_limits(self.model.designs[i])
-            self._filters[g] = AdmissibleInputs(self.model.A[i], self.model.B[i], self.sets[g], U)
-        return self._filters[g]
-
-    @cached_property
-    def _pieces(self) -> list[_Piece]:
-        """Groups, as many at once as fit."""
-        if not self.groups:
-            return []
-        rows = max(len(S.b) for S in self.sets)
-        members = max(len(runs) for runs in self.groups)
-        width = rows * (self.model.A.shape[1] + self.model.B.shape[2] + 1 + members)
-        step = max(1, 2**21 // width)  # 16 MiB
-        return [self._piece(begin, min(begin + step, len(self.groups))) for begin in range(0, len(self.groups), step)]
-
-    def _piece(self, begin: int, end: int) -> _Piece:
-        """Groups `begin` to `end`, rows scaled to X."""
-        groups = self.groups[begin:end]
-        rows = max(len(S.b) for S in self.sets[begin:end])
-        members = max(len(runs) for runs in groups)
-        F = np.zeros((len(groups), rows, len(self.scale)))
-        limits = np.ones((len(groups), rows))
-        runs = np.array([np.resize(own, members) for own in groups])
-        first = np.arange(members) < np.array([len(own) for own in groups])[:, None]
-        for g, S in enumerate(self.sets[begin:end]):
-            size = np.abs(S.A) @ self.scale
-            F[g, : len(S.b)] = S.A / size[:, None]
-            limits[g, : len(S.b)] = S.b / size
-        A = self.model.A[runs[:, 0]]
-        B = self.model.B[runs[:, 0]]
-        return _Piece(begin, runs, first, F @ A, F @ B, limits)
-
-
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """Padded groups of runs (g, r), first occurrences, and rows on x, u and right."""
-
-    begin: int
-    runs: Indices
-    first: Mask
-    states: Array
-    inputs: Array
-    limits: Array
+    def _filter(self, S: Polytope, run: int) -> AdmissibleInputs:
+        """Filter that keeps states of a run's design in its set."""
+        if id(S) not in self._filters:
+            U = self.problem.input_limits(self.model.designs[run])
+            self._filters[id(S)] = AdmissibleInputs(self.model.A[run], self.model.B[run], S, U)
+        return self._filters[id(S)]

@@ -130,8 +130,6 @@ class FeasibleSlope(Slope):
 
 def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) -> Slope:
     """Slope at a unit-box point, where the region has room."""
-    if region.whole_box:
-        return Slope.measured(differences, v)
     by_run = region.masked(differences.about(v, differences.step(v)))
     limits = region.space.allowed.limits
     if limits is None:

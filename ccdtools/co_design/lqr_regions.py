@@ -37,11 +37,10 @@ class LQRRegions:
         Model of each design.
     K : (n, nu, nx) array
         LQR gains, u = −K x; NaN where a design cannot be stabilised.
-    lower, upper : (nu,) or (n, nu) arrays
-        Input bounds, of each design where they depend on it.
-    rows : (m, nx) or (n, m, nx) array
-        X as {x : rows x <= 1}, of each design where it depends on it; None where 0 is not inside X or U, so that no
-        region is known.
+    lower, upper : (n, nu) arrays
+        Input bounds.
+    rows : (n, m, nx) array or None
+        X as {x : rows x <= 1}; None where 0 is not inside X or U, so that no region is known.
     shapes : (n, nx, nx) array
         M with x'Mx <= 1 inside X and without clipping, invariant under LQR. Of a model that is not linear, a tenth
         of the ellipsoid of its linearisation in every direction: there it is as good as linear.
@@ -66,23 +65,24 @@ class LQRRegions:
         """Regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
         K = lqr_gains(problem, A, B, designs)
-        lower, upper = problem.input_bounds_at(np.asarray(designs, dtype=float))
-        rows = _unit_rows(problem, designs)
+        designs = np.asarray(designs, dtype=float)
+        bounds = problem.input_bounds_at(designs)
+        lower, upper = (np.broadcast_to(bound, (len(designs), problem.model.nu)) for bound in bounds)
+        rows = _unit_rows(problem, designs) if (lower < 0).all() and (upper > 0).all() else None
         shapes = np.full_like(A, np.inf)
         if rows is not None:
             for i in np.flatnonzero(np.isfinite(K).all(axis=(1, 2))):
-                least, largest = (_own(bound, i, 1)[:, None] for bound in (lower, upper))
-                limits = np.vstack([_own(rows, i, 2), -K[i] / largest, -K[i] / least])
+                limits = np.vstack([rows[i], -K[i] / upper[i][:, None], -K[i] / lower[i][:, None]])
                 shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
         sampled = problem.model if isinstance(problem.model, SampledModel) else None
         shapes = shapes if sampled is None else shapes / NEARLY_LINEAR**2
-        return cls(A, B, E, K, lower, upper, rows, shapes, np.asarray(designs, dtype=float), sampled)
+        return cls(A, B, E, K, lower, upper, rows, shapes, designs, sampled)
 
     def of_runs(self, runs: Indices) -> LQRRegions:
         """Regions of some of the designs."""
-        parts: dict[str, Any] = {name: getattr(self, name)[runs] for name in ("A", "B", "E", "K", "shapes", "designs")}
-        parts |= {"lower": _own(self.lower, runs, 1), "upper": _own(self.upper, runs, 1)}
-        return replace(self, rows=None if self.rows is None else _own(self.rows, runs, 2), **parts)
+        names = ("A", "B", "E", "K", "lower", "upper", "shapes", "designs")
+        parts: dict[str, Any] = {name: getattr(self, name)[runs] for name in names}
+        return replace(self, rows=None if self.rows is None else self.rows[runs], **parts)
 
     @property
     def stabilised(self) -> Mask:
@@ -96,8 +96,7 @@ class LQRRegions:
             return inside
         left = np.flatnonzero(self.stabilised[runs])
         for _ in range(2000):  # a longer loop counts as outside
-            beyond = x[left] @ self.rows.T if self.rows.ndim == 2 else times(self.rows[runs[left]], x[left])
-            within = (beyond <= 1 + ON_LIMIT).all(axis=1)
+            within = (times(self.rows[runs[left]], x[left]) <= 1 + ON_LIMIT).all(axis=1)
             arrived = within & (_quadratic(self.shapes[runs[left]], x[left]) <= 1)
             inside[left[arrived]] = True
             going = within & ~arrived
@@ -110,19 +109,15 @@ class LQRRegions:
 
     def inputs(self, x: Array, runs: Indices) -> Array:
         """Saturated LQR inputs (k, nu) of states (k, nx) at designs `runs`."""
-        return np.clip(-times(self.K[runs], x), _own(self.lower, runs, 1), _own(self.upper, runs, 1))
+        return np.clip(-times(self.K[runs], x), self.lower[runs], self.upper[runs])
 
-    def step(self, x: Array, u: Array, runs: Indices) -> Array:
-        """Nominal next states (k, nx)."""
+    def step(self, x: Array, u: Array, runs: Any, w: Array | None = None) -> Array:
+        """Next states (k, nx) at designs `runs`, nominal ones without disturbances (k, nw)."""
         if self.sampled is not None:
-            return np.asarray(self.sampled.advance(x, u, np.zeros(self.sampled.nw), self.designs[runs]))
-        return times(self.A[runs], x) + times(self.B[runs], u)
-
-    def disturbed(self, x: Array, u: Array, w: Array) -> Array:
-        """Next states (n, nx) under disturbances (n, nw), one design per run."""
-        if self.sampled is not None:
-            return np.asarray(self.sampled.advance(x, u, w, self.designs))
-        return times(self.A, x) + times(self.B, u) + times(self.E, w)
+            drive = np.zeros(self.sampled.nw) if w is None else w
+            return np.asarray(self.sampled.advance(x, u, drive, self.designs[runs]))
+        after = times(self.A[runs], x) + times(self.B[runs], u)
+        return after if w is None else after + times(self.E[runs], w)
 
     def reach(self, x: Array, runs: Indices) -> Array:
         """Approximate largest scales (k,) in [0, 1] with scale · x in the region.
@@ -169,18 +164,10 @@ def _quadratic(M: Array, x: Array) -> Array:
     return values
 
 
-def _own(value: Array, of: Any, usual: int) -> Array:
-    """Rows for a design, or the whole array if shared."""
-    return value[of] if value.ndim > usual else value
-
-
 def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
-    """Rows of X with right-hand side 1; None where 0 is not well inside X and U."""
-    lower, upper = problem.input_bounds_at(np.asarray(designs, dtype=float))
-    if not (lower < 0).all() or not (upper > 0).all():
-        return None
+    """Rows (n, m, nx) of X with right-hand side 1; None where 0 is not well inside X."""
     if isinstance(problem.X, DesignLimits):
-        least, largest = (bound / problem.state_scale for bound in problem.X.bounds(np.asarray(designs, dtype=float)))
+        least, largest = (bound / problem.state_scale for bound in problem.X.bounds(designs))
         if not (least < -ON_LIMIT).all() or not (largest > ON_LIMIT).all():
             return None
         eye = np.eye(problem.model.nx) / problem.state_scale
@@ -188,7 +175,8 @@ def _unit_rows(problem: CoDesignProblem, designs: Array) -> Array | None:
     room = problem.X.b / (np.abs(problem.X.A) @ problem.state_scale)
     if len(problem.X.b_eq) or not (room > ON_LIMIT).all():
         return None
-    return np.asarray(problem.X.A / problem.X.b[:, None])
+    rows = problem.X.A / problem.X.b[:, None]
+    return np.broadcast_to(rows, (len(designs), *rows.shape))
 
 
 def _ellipsoid(closed: Array, limits: Array, scale: Array) -> Array:

@@ -11,10 +11,11 @@ import numpy as np
 
 from ccdtools.arrays import Immutable
 from ccdtools.checks import writable_path
+from ccdtools.co_design.closed_loop import ClosedLoopReturns
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.tolerances import MORE_LOST, OUTSIDE_SHARE, OWN_OBJECTIVE, SAME_PLACE, SAME_RETURN
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference

@@ -20,9 +20,8 @@ from ccdtools.checks import (
     has_method,
     shown,
 )
-from ccdtools.co_design.idle_entries import check_every_entry_acts
+from ccdtools.co_design.idle_entries import acting_together, check_every_entry_acts
 from ccdtools.co_design.objective import Objective, Weights, as_objective
-from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
@@ -49,33 +48,6 @@ class Scenarios(Protocol):
         ...
 
 
-class ErrorModel(Protocol):
-    """Learned error of a twin's model, a `Discrepancy`."""
-
-    @property
-    def noise(self) -> str:
-        """Addition to the median: none, quantiles or replayed."""
-        ...
-
-    @property
-    def weight(self) -> Array:
-        """Penalty (nx, nx) on the width of the quantiles."""
-        ...
-
-    @property
-    def transport(self) -> Any:
-        """Transport of errors between designs, a `Transport` or None."""
-        ...
-
-    def advance(self, e: Any, x: Any, u: Any, p: Any, w: Any) -> tuple[Any, Any]:
-        """Next errors (n, nx) and penalties (n,), torch tensors."""
-        ...
-
-    def double(self) -> ErrorModel:
-        """This error model in double precision."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class FixedStart(Immutable):
     """Starts from one state `x0` (nx,), with fresh disturbances."""
@@ -95,6 +67,20 @@ class FixedStart(Immutable):
         """Raise an `InputError` if the start lies outside X."""
         if not X.contains(self.x0):
             raise InputError("scenarios.x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+
+    def check_for(self, problem: CoDesignProblem) -> None:
+        """Raise an `InputError` if no design has the start within X(p) and the limits of outputs."""
+        self.check_within(widest(problem.X))
+        designs = problem.design.spread()
+        starts = np.tile(self.x0, (len(designs), 1))
+        if isinstance(problem.X, DesignLimits) and not problem.X.contains(starts, designs).any():
+            got = f"{self.x0.tolist()}, which is outside X at every design"
+            raise InputError("scenarios.x0", got, "a state within X at some design")
+        if problem.output_limits is not None:
+            broken = problem.output_limits.broken_at(self.x0, problem.model.nu, designs)
+            if all(broken):
+                got = f"{self.x0.tolist()}, where {broken[0]} whatever the input and the design"
+                raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,7 +136,7 @@ class CoDesignProblem(Immutable):
     objective: Objective
     scenarios: Scenarios
     steps: int = 100
-    discrepancy: ErrorModel | None = None
+    discrepancy: Any = None
     limit_tolerance: str | tuple[float, float] = "mpc"
     warm_up: int = 0
     risk: Risk = MEAN
@@ -236,32 +222,12 @@ class CoDesignProblem(Immutable):
         x0, w = (np.shape(array) for array in drawn)
         if x0 != (1, self.model.nx):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
-        if isinstance(self.scenarios, FixedStart | RandomStarts):
-            self.scenarios.check_within(widest(self.X))
-        self._check_start_room()
-        self._check_start_outputs()
+        if callable(getattr(self.scenarios, "check_for", None)):
+            self.scenarios.check_for(self)  # type: ignore[attr-defined]
         replayed = self.discrepancy is not None and self.discrepancy.noise == "replayed"
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
-
-    def _check_start_room(self) -> None:
-        """Raise an `InputError` if no design has the fixed start within X(p)."""
-        if not isinstance(self.X, DesignLimits) or not isinstance(self.scenarios, FixedStart):
-            return
-        designs = self.design.spread()
-        if not self.X.contains(np.tile(self.scenarios.x0, (len(designs), 1)), designs).any():
-            got = f"{self.scenarios.x0.tolist()}, which is outside X at every design"
-            raise InputError("scenarios.x0", got, "a state within X at some design")
-
-    def _check_start_outputs(self) -> None:
-        """Raise an `InputError` if the start breaks an output limit whatever design and input."""
-        if self.output_limits is None or not isinstance(self.scenarios, FixedStart):
-            return
-        broken = self.output_limits.broken_at(self.scenarios.x0, self.model.nu, self.design.spread())
-        if all(broken):
-            got = f"{self.scenarios.x0.tolist()}, where {broken[0]} whatever the input and the design"
-            raise InputError("scenarios.x0", got, "a state within the limits of the outputs")
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.
@@ -282,6 +248,11 @@ class CoDesignProblem(Immutable):
     def __repr__(self) -> str:
         updated = "" if self.discrepancy is None else f", error model with {self.discrepancy.noise} noise"
         return f"CoDesignProblem({self.model!r}, {self.steps} steps{updated})"
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of the model and of entries of the design that act only together."""
+        return tuple(filter(None, (getattr(self.model, "jump", ""), acting_together(self))))
 
     @property
     def design(self) -> DesignSpace:

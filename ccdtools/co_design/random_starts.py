@@ -10,6 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_floats, has_method, shown
+from ccdtools.design_limits import widest
 from ccdtools.disturbances.combinations import Combination, Stacked, Sum, as_chances
 from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
@@ -82,6 +83,10 @@ class RandomStarts(Immutable):
         if isinstance(self.x0, np.ndarray):
             return np.asarray(self.x0[rng.choice(len(self.x0), runs, p=self.weights)])
         return np.asarray(self.x0.sample(runs, 1, rng)[:, 0])
+
+    def check_for(self, problem: Any) -> None:
+        """Raise an `InputError` if a start may lie outside X at every design."""
+        self.check_within(widest(problem.X))
 
     def check_within(self, X: Polytope) -> None:
         """Raise an `InputError` if a start may lie outside X; other parts than uniform ones pass."""

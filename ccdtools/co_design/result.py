@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, Indices, Mask, frozen, jsonable
+from ccdtools.arrays import Array, ArrayField, Immutable, frozen, jsonable
 from ccdtools.checks import as_vector
+from ccdtools.co_design.closed_loop import ClosedLoopReturns
 from ccdtools.co_design.limits import LimitsOutcome
-from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
-from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
 from ccdtools.controllers.controllers import Controller
@@ -89,66 +87,6 @@ class Valley(Immutable):
         ended = "" if self.found is None else f", co-design {self.found_return:.5g} at {_short(self.found)}"
         given = ", of the given design" if self.given else ""
         return f"Valley({_short(self.design)}{given}, LQR {self.lqr_return:.5g}{ended})"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ClosedLoopReturns(Immutable):
-    """Returns of a controller at a design, run by run.
-
-    Attributes
-    ----------
-    values : (n,) array
-        Returns. A run that is lost has its whole, huge cost, which no summary counts.
-    lost : (n,) array of bool
-        Runs that diverged.
-    outside, depth : float
-        Fraction of the states outside the limits, and mean over the runs of the peak depth in half-widths; of the runs
-        that are not lost.
-    risk : Risk
-        What of the returns counts.
-    limit_errors : (float, float)
-        Standard errors of both.
-    beyond_inputs : float
-        Furthest that an input is asked for beyond U, in half-widths of U; of lost runs, too.
-    """
-
-    values: Array
-    lost: Mask
-    outside: float = 0.0
-    depth: float = 0.0
-    risk: Risk = MEAN
-    limit_errors: tuple[float, float] = (0.0, 0.0)
-    beyond_inputs: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
-        object.__setattr__(self, "lost", frozen(np.array(self.lost, dtype=bool)))
-
-    def __repr__(self) -> str:
-        return f"ClosedLoopReturns({self})"
-
-    def __str__(self) -> str:
-        """Value of the risk, with numbers of kept and lost runs."""
-        found = self.summary
-        low, high = found.ci95
-        what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
-        ends = f" [{low:.6g}, {high:.6g}]" if np.isfinite(found.ci95).all() else ""
-        lost = f"; {self.lost_share:.2%} of the runs lost, not counted" if self.lost.any() else ""
-        return f"{what}{found.mean:.6g}{ends}, {found.n} runs{lost}{found.warning and f'; {found.warning}'}"
-
-    @cached_property
-    def summary(self) -> Summary:
-        """Risk and 95 % interval of kept runs, see `summarise_in_risk`."""
-        return summarise_in_risk(self.risk, self.values, self.lost)
-
-    def parts(self, runs: Indices) -> Array:
-        """Parts (k,) of these runs in the risk, see `parts_of_risk`."""
-        return parts_of_risk(self.risk, self.values[runs], runs=runs)
-
-    @property
-    def lost_share(self) -> float:
-        """Fraction of the runs that diverged."""
-        return float(self.lost.mean()) if len(self.lost) else float("nan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

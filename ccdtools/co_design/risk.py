@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.checks import as_count, as_number, has_method
 from ccdtools.disturbances.combinations import cases_in
 from ccdtools.exceptions import InputError
@@ -240,3 +241,28 @@ def measure(risk: Risk) -> str:
     """
     describe = getattr(risk, "describe", None)
     return describe() if callable(describe) else type(risk).__name__
+
+
+def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
+    """Risk of returns (n,); for a worst case, the least mean.
+
+    NaN where nothing can be said: of no run, or of a worst case without a run of one of its cases.
+    """
+    if isinstance(risk, WorstCase):
+        numbers = np.arange(len(returns)) if runs is None else runs
+        cases = by_case(risk, returns, numbers)
+        return float(np.min([case.mean() if len(case) else np.nan for case in cases]))
+    return float(risk.values(returns).mean()) if len(returns) else float("nan")
+
+
+def of_kept_runs(risk: Risk, returns: Array, lost: Mask) -> tuple[float, float, float]:
+    """Risk and standard deviation of kept returns, and lost fraction."""
+    runs = np.flatnonzero(~lost)
+    std = float(returns[runs].std(ddof=1)) if len(runs) > 1 else 0.0
+    return risk_of(risk, returns[runs], runs), std, float(lost.mean())
+
+
+def by_case(risk: WorstCase, values: Array, runs: Indices) -> list[Array]:
+    """Values (n,) of these runs, case by case."""
+    assert risk.cases is not None
+    return [values[runs % risk.cases == case] for case in range(risk.cases)]

@@ -11,23 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.arrays import Array, Indices, Mask
-from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, Risk, WorstCase
+from ccdtools.co_design.risk import CVaR, Mean, MeanSpread, Risk, WorstCase, by_case, risk_of
 from ccdtools.statistics import PairedDifference, Summary, interval_of_parts, summarise
 from ccdtools.tolerances import FEWEST_RUNS
 
 NONE = (float("nan"), float("nan"))
-
-
-def risk_of(risk: Risk, returns: Array, runs: Indices | None = None) -> float:
-    """Risk of returns (n,); for a worst case, the least mean.
-
-    NaN where nothing can be said: of no run, or of a worst case without a run of one of its cases.
-    """
-    if isinstance(risk, WorstCase):
-        numbers = np.arange(len(returns)) if runs is None else runs
-        cases = _by_case(risk, returns, numbers)
-        return float(np.min([case.mean() if len(case) else np.nan for case in cases]))
-    return float(risk.values(returns).mean()) if len(returns) else float("nan")
 
 
 def parts_of_risk(risk: Risk, returns: Array, labels: Indices | None = None, runs: Indices | None = None) -> Array:
@@ -64,7 +52,7 @@ def in_tail(risk: Risk, runs: Indices) -> int:
     if isinstance(risk, CVaR):
         return int(risk.share * len(runs) + 1e-9)
     if isinstance(risk, WorstCase):
-        return min(len(case) for case in _by_case(risk, np.zeros(len(runs)), runs))
+        return min(len(case) for case in by_case(risk, np.zeros(len(runs)), runs))
     return len(runs)
 
 
@@ -95,13 +83,6 @@ def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
     return Summary(value, std, plain.median, plain.n, ends, warning)
 
 
-def of_kept_runs(risk: Risk, returns: Array, lost: Mask) -> tuple[float, float, float]:
-    """Risk and standard deviation of kept returns, and lost fraction."""
-    runs = np.flatnonzero(~lost)
-    std = float(returns[runs].std(ddof=1)) if len(runs) > 1 else 0.0
-    return risk_of(risk, returns[runs], runs), std, float(lost.mean())
-
-
 def difference_of_parts(risk: Risk, parts: Array, runs: Indices) -> PairedDifference:
     """Mean difference of parts (n,) on common runs, with 95 % interval."""
     mean = float(parts.mean()) if len(parts) else float("nan")
@@ -118,7 +99,7 @@ def _interval(risk: Risk, returns: Array, parts: Array, runs: Indices) -> tuple[
     """
     if not isinstance(risk, WorstCase):
         return interval_of_parts(parts)
-    cases = _by_case(risk, returns, runs)
+    cases = by_case(risk, returns, runs)
     low = min(interval_of_parts(case)[0] for case in cases)
     return low, min(interval_of_parts(case, 1 - 0.1 / len(cases))[1] for case in cases)
 
@@ -126,12 +107,6 @@ def _interval(risk: Risk, returns: Array, parts: Array, runs: Indices) -> tuple[
 def _parts_of_case(risk: WorstCase, returns: Array, runs: Indices) -> Array:
     """Parts of the runs in the least mean, from the worst case's deviations."""
     assert risk.cases is not None
-    means = [case.mean() if len(case) else np.nan for case in _by_case(risk, returns, runs)]
+    means = [case.mean() if len(case) else np.nan for case in by_case(risk, returns, runs)]
     worst = runs % risk.cases == np.argmin(means)
     return np.asarray(np.min(means) + worst * (len(returns) / max(worst.sum(), 1)) * (returns - np.min(means)))
-
-
-def _by_case(risk: WorstCase, values: Array, runs: Indices) -> list[Array]:
-    """Values (n,) of these runs, case by case."""
-    assert risk.cases is not None
-    return [values[runs % risk.cases == case] for case in range(risk.cases)]

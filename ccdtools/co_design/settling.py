@@ -20,19 +20,18 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limit_tolerance import BY_MPC, NOTHING, UNTIL_LEFT, Pair, tolerance_at
 from ccdtools.co_design.limits import LimitsOutcome
-from ccdtools.co_design.method_pairs import RUNS as LOOP_RUNS, closed_loop_returns
 from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import Baseline, ClosedLoopReturns, CoDesignResult
+from ccdtools.co_design.result import Baseline, CoDesignResult
 from ccdtools.co_design.risk import measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
@@ -69,9 +68,8 @@ class Settling:
         """Result with closed loop, limits, baselines and the status they leave."""
         at("closed loop of what was found, and its baselines")
         loop = self._loop(result.controller, result.design)
-        own = (getattr(self.problem.model, "jump", ""), acting_together(self.problem))
-        result = replace(result, closed_loop=loop, notes=(*result.notes, *filter(None, own)),
-                         limits=self._limits(loop, result.design, result.limits))  # fmt: skip
+        notes = (*result.notes, *self.problem.notes)
+        result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
         if result.status is CoDesignStatus.INFEASIBLE:
             return result
         if loop.lost.any():

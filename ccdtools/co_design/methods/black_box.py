@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.descent import compressed
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import HistoryRow
+from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.tolerances import (
     BETTER_SHARE,
     DISTANCE_COST,
@@ -19,8 +17,6 @@ from ccdtools.co_design.tolerances import (
     SIZE_EVALUATIONS,
     VIOLATION_COST,
 )
-
-Value = Callable[[Array], tuple[float, float]]  # point (np,) of the unit box → cost and violation of the limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +46,13 @@ class BlackBox:
     A little is taken off for the distance.
     """
 
-    def __init__(self, problem: CoDesignProblem, value: Value, start: Array) -> None:
-        self.problem = problem
-        self.value = value
-        self.start = problem.design.allowed.rounded(start)
-        self.free = problem.design.free
+    def __init__(self, cost: DesignCost, start: Array) -> None:
+        self.cost = cost
+        self.space = cost.problem.design
+        self.start = self.space.allowed.rounded(start)
+        self.free = self.space.free
         self.best: tuple[float, float] = (np.inf, np.inf)  # violation and cost
         self.best_v = self.start
-        self.rows: list[HistoryRow] = []
         self.looks: list[Evaluation] = []
 
     @property
@@ -92,13 +87,12 @@ class BlackBox:
         """Evaluate the nearest feasible design."""
         asked = self.start.copy()
         asked[self.free] = np.clip(z, 0.0, 1.0)
-        allowed = self.problem.design.allowed
+        allowed = self.space.allowed
         v = allowed.near(allowed.rounded(asked))
         if v is None:
             return Evaluation(z, np.inf)
-        cost, violation = self.value(v)
-        count = len(self.rows) + 1
-        self.rows.append((count, count, self.problem.design.settled(v), -cost, 0.0, 0.0))
+        cost, violation = self.cost.measured(v)
+        self.cost.remember(self.space.settled(v), -cost)
         if not np.isfinite(cost):
             return Evaluation(z, np.inf)
         if (violation, cost) < self.best:

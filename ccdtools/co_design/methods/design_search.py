@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.descent import Cost, Descent, descend
+from ccdtools.co_design.descent import Cost, DesignPoint, descend
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
 from ccdtools.co_design.status import CoDesignStatus
@@ -26,7 +26,7 @@ from ccdtools.progress import bar
 
 OTHERS = "other whole numbers were never looked at: raise starts"
 
-
+@dataclass(eq=False)
 class DesignCost(ABC):
     """Cost (minus a return) over the unit box, with slope and controller.
 
@@ -40,7 +40,7 @@ class DesignCost(ABC):
     """
 
     problem: CoDesignProblem
-    rows: list[HistoryRow]
+    rows: list[HistoryRow] = field(default_factory=list, init=False)
     repeatable = True
 
     @property
@@ -61,6 +61,19 @@ class DesignCost(ABC):
         """Number of evaluations."""
         return len(self.rows)
 
+    def remember(self, p: Array, value: float, std: float = 0.0, lost: float = 0.0, *, samples: int = 1) -> None:
+        """Add a row to the history: return and spread at a design (np,), and share of lost runs."""
+        count = len(self.rows) + 1
+        self.rows.append((count, count * samples, p, value, std, lost))
+
+    def measured(self, v: Array) -> tuple[float, float]:
+        """Cost at a point without slope or history, and violation of the limits."""
+        return self(v)[0], 0.0
+
+    def limits(self, v: Array) -> LimitsOutcome | None:
+        """Violation of the limits at a point that `measured` has found, if they were priced."""
+        return None
+
     def worth_a_start(self, v: Array) -> bool:
         """True if a cheap evaluation allows a search from a point."""
         return True
@@ -69,13 +82,13 @@ class DesignCost(ABC):
         """Point to search from, and its cost."""
         return v, self(v)[0]
 
-    def least(self, v: Array, *, size: float, evaluations: int) -> End:
-        """End of a search from a point."""
-        return End(self, descend(self, self.problem.design, v, size=size, evaluations=evaluations), size)
+    def within_limits(self, found: DesignPoint, evaluations: int) -> DesignPoint:
+        """Best point whose closed loop keeps the limits, from one found without them."""
+        return found
 
-    def examined(self, end: End) -> End:
-        """Best end with its limits, once known."""
-        return end
+    def examined(self, found: DesignPoint) -> DesignPoint:
+        """Best point with its limits, once known."""
+        return found
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
         """Explanation where no start has a cost."""
@@ -83,39 +96,6 @@ class DesignCost(ABC):
         got = f"{space.describe(space.settled(v))} to start from, where there is nothing to search by: {self.words}"
         cure = "Start from a design that can be stabilised and whose runs keep the limits, or check the weights."
         raise InputError("design", got, "a design with a controller", cure)
-
-
-@dataclass(frozen=True, eq=False)
-class End:
-    """End of the search from one start.
-
-    Attributes
-    ----------
-    cost : DesignCost
-    found : Descent
-    size : float
-        Part of the return that control makes: what gains are compared with.
-    violation : float
-        Excess over the tolerance of the limits.
-    penalty : StateLimitPenalty or None
-        What leaving the limits cost.
-    limits : LimitsOutcome or None
-    active : mapping
-        Slopes (np,) of the violations of active limits, by name.
-    """
-
-    cost: DesignCost
-    found: Descent
-    size: float
-    violation: float = 0.0
-    penalty: StateLimitPenalty | None = None
-    limits: LimitsOutcome | None = None
-    active: Mapping[str, Array] = field(default_factory=dict)
-
-    @property
-    def order(self) -> tuple[float, float]:
-        """Violation, then cost; the best end has least."""
-        return (self.violation, self.found.cost)
 
 
 @dataclass(frozen=True)
@@ -166,16 +146,17 @@ class DesignSearch:
         with bar(label=self.name, total=len(starts), progress=self.progress) as shown:
             for cost, v in starts:
                 first, value = cost.first_point(v)
+                end = DesignPoint(first, np.inf, np.zeros(len(v)))
                 if np.isfinite(value):
-                    ends.append(cost.least(first, size=self._size(value, first), evaluations=self.evaluations))
-                else:
-                    ends.append(End(cost, Descent(first, np.inf, np.zeros(len(v))), 1.0))
+                    end = descend(cost, space, first, size=self._size(value, first), evaluations=self.evaluations)
+                    end = cost.within_limits(end, self.evaluations)
+                ends.append(end)
                 shown.update()
-        best = min(ends, key=lambda end: end.order)
-        evaluations = sum({id(end.cost): end.cost.evaluations for end in ends}.values())
-        if not np.isfinite(best.found.cost):
-            return replace(best.cost.without_design(self.name, points[0]), evaluations=evaluations, valleys=found)
-        result = self._result(best, evaluations)
+        cost, best = min(((cost, end) for (cost, _), end in zip(starts, ends)), key=lambda pair: pair[1].order)
+        evaluations = sum({id(cost): cost.evaluations for cost, _ in starts}.values())
+        if not np.isfinite(best.cost):
+            return replace(cost.without_design(self.name, points[0]), evaluations=evaluations, valleys=found)
+        result = self._result(cost, best, evaluations)
         if space.integer and self.starts == 1:
             status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
             result = replace(result, status=status, notes=(*result.notes, OTHERS))
@@ -186,37 +167,35 @@ class DesignSearch:
         size = float(self.problem.made_by_control(-value, self.problem.design.from_unit(v)))
         return size if np.isfinite(size) and size > 0 else 1.0
 
-    def _result(self, best: End, evaluations: int) -> CoDesignResult:
+    def _result(self, cost: DesignCost, best: DesignPoint, evaluations: int) -> CoDesignResult:
         """Result of the best end."""
         space = self.problem.design
-        best = best.cost.examined(best)
-        design = space.check_feasible(space.settled(best.found.v))
-        multipliers, rest = active_set_at(space, best.found.v, best.found.slope, best.active)
-        rest /= self._size(best.found.cost, best.found.v)
-        history = History.of(best.cost.rows)
+        best = cost.examined(best)
+        design = space.check_feasible(space.settled(best.v))
+        multipliers, rest = active_set_at(space, best.v, best.slope, best.active)
+        rest /= self._size(best.cost, best.v)
+        history = History.of(cost.rows)
         return CoDesignResult(
-            design=design, controller=best.cost.controller(design), method=self.name, history=history,
-            status=self.status(best, rest, bool(multipliers)), objective=-best.found.cost,
-            criterion=f"return of {best.cost.words}", active_bounds=space.active_bounds(design),
-            active_constraints=space.active_constraints(design), multipliers=multipliers, slope=rest,
-            evaluations=evaluations, limits=best.limits,
+            design=design, controller=cost.controller(design), method=self.name, history=history,
+            status=self.status(cost, best, rest, bool(multipliers)), objective=-best.cost, slope=rest,
+            criterion=f"return of {cost.words}", multipliers=multipliers, evaluations=evaluations, limits=best.limits,
         )  # fmt: skip
 
-    def status(self, best: End, rest: float, held: bool) -> CoDesignStatus:
+    def status(self, cost: DesignCost, best: DesignPoint, rest: float, held: bool) -> CoDesignStatus:
         """Status of a search, whatever its closed loop does."""
         if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
-            agree = not best.cost.repeatable or confirmed(best.cost, self.problem.design, best.found.v, size=best.size)
+            agree = not cost.repeatable or confirmed(cost, self.problem.design, best.v, size=best.size)
             return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
         return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
-    def _with_end(self, valley: Valley, starts: list[tuple[DesignCost, Array]], ends: list[End]) -> Valley:
+    def _with_end(self, valley: Valley, starts: list[tuple[DesignCost, Array]], ends: list[DesignPoint]) -> Valley:
         """Valley with the end of the best search from it."""
         space = self.problem.design
         v = space.to_unit(valley.design)
         begun = [end for (_, point), end in zip(starts, ends) if np.abs(v - point).max() <= SAME_PLACE]
         if not begun:
             return valley
-        first = min(begun, key=lambda end: end.order).found
+        first = min(begun, key=lambda end: end.order)
         return replace(valley, found=space.settled(first.v), found_return=-first.cost)
 
 

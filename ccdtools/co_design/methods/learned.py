@@ -14,6 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
+from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
@@ -23,7 +24,6 @@ from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.method_pairs import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History, Valley
 from ccdtools.co_design.risk import check_followed, measure
@@ -137,13 +137,11 @@ def _result(
 ) -> LearnedCoDesign:
     """Winner of the race, with the others' outcomes."""
     winner = ascents[0]
-    space = task.problem.design
     best = winner.region.settled(winner.best.v)
     assert winner.status is not None
     return LearnedCoDesign(
         design=best, agent=winner.best.agent, method=task.method, status=winner.status,
         objective=winner.best.score, criterion=f"{measure(task.judge.risk)} return of the policy on fixed scenarios",
-        active_bounds=space.active_bounds(best), active_constraints=space.active_constraints(best),
         evaluations=sum(ascent.iterations for ascent in ascents), history=History.of(winner.rows),
         limits=winner.best.limits, valleys=_with_ends(found, ascents, design), gradients=winner.check,
         gains=_gains(task, winner, agent, design), convergence=winner.convergence(),

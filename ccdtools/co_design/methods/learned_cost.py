@@ -22,8 +22,6 @@ from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.learned import Learned
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.tolerances import POLICY_ITERATIONS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
@@ -45,12 +43,10 @@ class LearnedCost(DesignCost):
         What moves the policy.
     """
 
-    problem: CoDesignProblem
     agent: ActorCritic
     scenarios: ScenarioTensors
     rng: np.random.Generator
     by: str = "pathwise"
-    rows: list[HistoryRow] = field(default_factory=list)
     _trained: list[tuple[Array, ActorCritic]] = field(default_factory=list)
     repeatable = False
 
@@ -69,9 +65,8 @@ class LearnedCost(DesignCost):
         point = torch.tensor(v, dtype=torch.float32, requires_grad=True)
         seen = episode_at(self.problem, self.agent, point, self.scenarios)
         cost = -self.problem.risk.values(seen.total).mean()
-        count = len(self.rows) + 1
         lost = float(seen.diverged.double().mean())
-        self.rows.append((count, count * POLICY_ITERATIONS, p, -cost.item(), 0.0, lost))
+        self.remember(p, -cost.item(), lost=lost, samples=POLICY_ITERATIONS)
         return cost.item(), lambda: torch.autograd.grad(cost, point)[0].double().numpy()
 
     def controller(self, p: Array) -> Controller:

@@ -5,23 +5,23 @@ The search over designs is repeated while leaving the limits is cheap.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.descent import descend
+from ccdtools.co_design.descent import DesignPoint, descend
+from ccdtools.co_design.design_controllers import LQR, DesignLaw
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
-from ccdtools.co_design.episodes import Episode, simulated
-from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_search import DesignCost, End
-from ccdtools.co_design.methods.laws import LQR, DesignLaw
+from ccdtools.co_design.episodes import Episode, Law, simulated
+from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import HistoryRow
-from ccdtools.co_design.risk_intervals import of_kept_runs
+from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.tolerances import (
     COST_STEP,
     NEGLIGIBLE_GAIN,
@@ -46,14 +46,12 @@ class LoopCost(DesignCost):
     law : DesignLaw
     scenarios : tensors (n, nx) and (n, T, nw)
     penalty : StateLimitPenalty, optional
-        What leaving the limits costs; `least` raises it until they are kept, where they have a tolerance.
+        What leaving the limits costs; `within_limits` raises it until they are kept, where they have a tolerance.
     """
 
-    problem: CoDesignProblem
     law: DesignLaw
     scenarios: ScenarioTensors
     penalty: StateLimitPenalty | None = None
-    rows: list[HistoryRow] = field(default_factory=list)  # of the history: one for every evaluation
     evaluations: int = 0  # closed loops on all scenarios, those of differences included
 
     def __post_init__(self) -> None:
@@ -70,17 +68,16 @@ class LoopCost(DesignCost):
         """Cost at a point (np,), and its slope (np,): exact, or by differences of whole closed loops."""
         exact = self.law.exact is not None
         point = torch.tensor(v, dtype=torch.float64, requires_grad=exact)
+        p = to_design(self.problem, point)
         self.evaluations += 1
         try:
             with torch.set_grad_enabled(exact):
-                seen = self._episode(point, depths=self._priced)
+                seen = self._episodes(p, self._law(self.problem, p), depths=self._priced)
                 cost = self._cost(seen, point)
         except NotStabilisableError:  # any other error is a mistake in what was stated
             return np.inf, lambda: np.zeros(len(v))
-        mean, std, lost = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
-        count = len(self.rows) + 1
-        samples = self.scenarios[1].shape[0] * self.scenarios[1].shape[1]
-        self.rows.append((count, count * samples, self.problem.design.from_unit(v), mean, std, lost))
+        found = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
+        self.remember(self.problem.design.from_unit(v), *found, samples=math.prod(self.scenarios[1].shape[:2]))
         if not exact:
             return float(cost), lambda: np.asarray(self._differences(v, self._value_at, 1)[0])
         if not cost.requires_grad:
@@ -90,10 +87,9 @@ class LoopCost(DesignCost):
     @torch.no_grad()
     def _value_at(self, v: Array) -> Array:
         """Cost alone (1,), not in the history."""
-        point = torch.tensor(v, dtype=torch.float64)
         self.evaluations += 1
         try:
-            return np.array([float(self._cost(self._episode(point, depths=self._priced), point))])
+            return np.array([float(self._cost(self.seen(v), torch.tensor(v)))])
         except NotStabilisableError:
             return np.array([np.inf])
 
@@ -122,6 +118,23 @@ class LoopCost(DesignCost):
             cost = cost + self.penalty.cost(seen, point)
         return cost
 
+    def measured(self, v: Array) -> tuple[float, float]:
+        """Cost and limit violation at a point, without slope; the tolerance of the limits follows."""
+        try:
+            if self.penalty is None:
+                return self.plain(self.seen(v)), 0.0
+            seen, self.penalty = self.updated(self.penalty, v)
+        except NotStabilisableError:
+            return np.inf, 0.0
+        return self.plain(seen), self.penalty.violation(seen)
+
+    def limits(self, v: Array) -> LimitsOutcome | None:
+        """Violation of the limits at a point, whose tolerance is extrapolated on the way; None without a price."""
+        if self.penalty is None:
+            return None
+        seen, penalty = self.updated(StateLimitPenalty(self.problem), v)
+        return penalty.outcome(seen)
+
     def updated(self, penalty: StateLimitPenalty, v: Array) -> tuple[Episode, StateLimitPenalty]:
         """Episodes at a point, and the penalty afterwards."""
         seen = self.seen(v)
@@ -133,13 +146,17 @@ class LoopCost(DesignCost):
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
         """Episodes of the law at a point, with limit violations."""
-        return self._episode(torch.tensor(v, dtype=torch.float64), depths=True)
+        p = to_design(self.problem, torch.tensor(v, dtype=torch.float64))
+        return self._episodes(p, self._law(self.problem, p), depths=True)
 
-    def _episode(self, v: Tensor, *, depths: bool) -> Episode:
-        """Episodes at a unit-box point."""
-        p = to_design(self.problem, v)
-        law = (self.law.exact or self.law.on_line)(self.problem, p)
+    def _episodes(self, p: Tensor, law: Law, *, depths: bool) -> Episode:
+        """Episodes of a law at a design (np,)."""
         return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=depths)
+
+    @property
+    def _law(self) -> Callable[[CoDesignProblem, Tensor], Law]:
+        """Problem and design tensor (np,) → law, differentiable where it can be."""
+        return self.law.exact or self.law.on_line
 
     def plain(self, seen: Episode) -> float:
         """Cost of episodes, whatever they do to the limits."""
@@ -158,40 +175,39 @@ class LoopCost(DesignCost):
         """Law at a design, for use."""
         return self.law.controller(self.problem, p)
 
-    def least(self, v: Array, *, size: float, evaluations: int) -> End:
-        """End of repeated searches, from where one ended without a price."""
-        found = descend(self, self.problem.design, v, size=size, evaluations=evaluations)
-        unpriced = End(self, found, size)
+    def within_limits(self, found: DesignPoint, evaluations: int) -> DesignPoint:
+        """Best point of repeated searches at rising prices, from where one ended without a price."""
         if self.problem.limit_tolerance == "off" or not np.isfinite(found.cost):
-            return unpriced
+            return found
+        unpriced = found
         penalty = StateLimitPenalty(self.problem)
-        ends: list[End] = []
+        ends: list[DesignPoint] = []
         for _ in range(30):  # rounds of the multipliers
             seen, penalty = self.updated(penalty, found.v)
             if bool(seen.diverged.any()):
                 break
             violation = penalty.violation(seen)
-            ends.append(End(self, replace(found, cost=self.plain(seen)), size, violation, penalty))
+            ends.append(replace(found, cost=self.plain(seen), violation=violation, penalty=penalty))
             enough = violation <= 0 and (self.penalty is None or found.spent)
             if not penalty.active or enough or _settled(ends):
                 break
             self.penalty = penalty.dearer(PRICE_GROWTH) if violation > 0 and self.penalty is not None else penalty
             penalty = self.penalty
-            found = descend(self, self.problem.design, found.v, size=size, evaluations=evaluations)
+            found = descend(self, self.problem.design, found.v, size=found.size, evaluations=evaluations)
         if not ends:
             return unpriced
         best = min(ends, key=lambda end: end.order)
-        broken = [end for end in ends if end.violation > 0 and end.found.cost < best.found.cost]
+        broken = [end for end in ends if end.violation > 0 and end.cost < best.cost]
         if best.violation > 0 or not broken:
             return best
-        return self.nearer(best, min(broken, key=lambda end: end.violation).found.v)
+        return self.nearer(best, min(broken, key=lambda end: end.violation).v)
 
-    def nearer(self, best: End, broken: Array) -> End:
+    def nearer(self, best: DesignPoint, broken: Array) -> DesignPoint:
         """Cheapest design within limits, on the way from `best` to a point outside.
 
         Prices aim a little within the limits, so that something of the way is left.
         """
-        begin = best.found.v
+        begin = best.v
         assert best.penalty is not None
         near, far = 0.0, 1.0
         for _ in range(8):
@@ -206,28 +222,27 @@ class LoopCost(DesignCost):
             plain = self.plain(seen)
             penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
             impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > EXACT
-            if impossible or penalty.violation(seen) > 0 or plain >= best.found.cost:
+            if impossible or penalty.violation(seen) > 0 or plain >= best.cost:
                 far = share
             else:
                 near = share
-                best = replace(best, found=replace(best.found, v=v, cost=plain), penalty=penalty)
+                best = replace(best, v=v, cost=plain, penalty=penalty)
         return best
 
-    def examined(self, end: End) -> End:
-        """End with its limits; those priced and used up count as constraints."""
-        if end.penalty is None:
-            return end
-        v = end.found.v
-        outcome = end.penalty.outcome(self.seen(v))
-        if not end.penalty.active:
-            return replace(end, limits=outcome)
-        slope, *violations = self._differences(v, self._cost_and_violations, 3)
+    def examined(self, found: DesignPoint) -> DesignPoint:
+        """Best point with its limits; those priced and used up count as constraints."""
+        if found.penalty is None:
+            return found
+        outcome = found.penalty.outcome(self.seen(found.v))
+        if not found.penalty.active:
+            return replace(found, limits=outcome)
+        slope, *violations = self._differences(found.v, self._cost_and_violations, 3)
         named = zip(("mean violation of the limits", "peak violation of the limits"), violations)
         measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
         used = zip(*(measure.values() for measure in measures))
         active = [price > 0 and value + error >= USED_SHARE * most for value, error, most, price in used]
-        return replace(end, limits=outcome, found=replace(end.found, slope=slope),
-                       active=dict(one for one, is_so in zip(named, active) if is_so))  # fmt: skip
+        held = dict(one for one, is_so in zip(named, active) if is_so)
+        return replace(found, limits=outcome, slope=slope, active=held)
 
     def _cost_and_violations(self, v: Array) -> Array:
         """Cost without penalty, and mean and peak violation, (3,)."""
@@ -235,12 +250,12 @@ class LoopCost(DesignCost):
         return np.array([self.plain(seen), float(seen.depth.mean()), float(seen.peak.mean())])
 
 
-def _settled(ends: list[End]) -> bool:
+def _settled(ends: list[DesignPoint]) -> bool:
     """Whether further rounds of prices would change nothing."""
     kept = [end.violation <= 0 for end in ends]
     if any(kept):
-        costs = np.minimum.accumulate([end.found.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
+        costs = np.minimum.accumulate([end.cost if keeps else np.inf for end, keeps in zip(ends, kept)])
         n = ROUNDS_WITHOUT_GAIN
         return len(ends) > n and bool(costs[-1 - n] - costs[-1] <= n * NEGLIGIBLE_GAIN * ends[-1].size)
-    last = [end.found.v for end in ends[-ROUNDS_AT_ONE_DESIGN:]]
+    last = [end.v for end in ends[-ROUNDS_AT_ONE_DESIGN:]]
     return len(last) == ROUNDS_AT_ONE_DESIGN and all(np.array_equal(v, last[0]) for v in last)

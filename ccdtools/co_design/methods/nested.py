@@ -18,10 +18,10 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_instance
+from ccdtools.co_design.design_controllers import LQR, DesignLaw, mpc_law
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch
-from ccdtools.co_design.methods.laws import LQR, mpc_law, secant_law
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem
@@ -125,7 +125,8 @@ class Nested:
             if not here.better:
                 return replace(tangent, notes=(*tangent.notes, str(here)))
         first = design if tangent is None else np.asarray(tangent.design)
-        law = secant_law(scenario)
+        words = "saturated LQR of the secant over the visited states"
+        law = DesignLaw(words, lambda problem, p: fitted(problem, p, scenario).controller)
         found = replace(search, starts=1).best(lambda v: LoopCost(problem, law, scenarios), first, rng)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent

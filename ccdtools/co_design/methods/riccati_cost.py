@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
-from ccdtools.co_design.design_controllers import regulator_of, saturated_lqr
+from ccdtools.co_design.design_controllers import regulator_data, saturated_lqr
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk import Mean
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
-from mpc import NotStabilisableError
+from mpc import NotStabilisableError, lqr_sensitivity
 
 
 @dataclass(eq=False)
@@ -36,8 +34,6 @@ class RiccatiCost(DesignCost):
         those of the weights that LQR takes.
     """
 
-    problem: CoDesignProblem
-    rows: list[HistoryRow] = field(default_factory=list)
     words = "LQR without saturation, by the Riccati equation"
 
     def __post_init__(self) -> None:
@@ -63,7 +59,7 @@ class RiccatiCost(DesignCost):
         problem = self.problem
         p = problem.design.from_unit(v)
         try:
-            found = regulator_of(problem, p)
+            found = lqr_sensitivity(**regulator_data(problem, p))
         except NotStabilisableError:
             return np.inf, lambda: np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
@@ -75,8 +71,7 @@ class RiccatiCost(DesignCost):
         slope = slope + 2 * problem.steps * np.einsum("xy,ywp,wv,xv->p", found.P, dE, self._noise, E)
         at_rest, rest_slope = self._at_rest(p)
         value = cost + at_rest
-        count = len(self.rows) + 1
-        self.rows.append((count, count, p, -value, 0.0, 0.0))
+        self.remember(p, -value)
         return value, lambda: (slope + rest_slope) * problem.design.allowed.width
 
     def _at_rest(self, p: Array) -> tuple[float, Array]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -20,20 +19,20 @@ from tqdm import tqdm
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, shown
-from ccdtools.co_design.design_controllers import controller_of
+from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.black_box import BlackBox, Evaluation, Value
-from ccdtools.co_design.methods.laws import LQR, mpc_law
+from ccdtools.co_design.methods.black_box import BlackBox, Evaluation
+from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import CMA_SETTLED, SIZE_EVALUATIONS
+from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
-from mpc import NotStabilisableError
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
 BUDGET = {"cma": 300, "bayesian": 60}  # Evaluations, by library.
@@ -83,90 +82,75 @@ class Search:
         if find_spec(package) is None:
             raise InputError("method", f"a search by {package}, which is not installed", "the extra ccdtools[search]",
                              f"pip install {package}")  # fmt: skip
-        loop = self._loop(problem, rng)
-        box = BlackBox(problem, self._measured(problem) if loop is None else partial(_in_loop, loop),
-                       problem.design.to_unit(design))  # fmt: skip
+        cost = self._cost(problem, rng)
+        box = BlackBox(cost, problem.design.to_unit(design))
         budget = self.evaluations or BUDGET[self.library]
         with bar(label=self.name, total=budget, progress=progress) as shown_bar:
             box.begin(budget, rng)
-            shown_bar.update(len(box.rows))
+            shown_bar.update(len(box.cost.rows))
             ask = _cma if self.library == "cma" else _bayesian
             settled = ask(box, budget, rng, shown_bar)
-        return self._result(problem, box, loop, settled)
+        return self._result(box, settled)
 
-    def _loop(self, problem: CoDesignProblem, rng: np.random.Generator) -> LoopCost | None:
-        """Closed loop that is looked at, with a penalty where limits have a tolerance; None of a given function."""
+    def _cost(self, problem: CoDesignProblem, rng: np.random.Generator) -> DesignCost:
+        """What is looked at: a closed loop, with a penalty where limits have a tolerance, or a given function."""
         if not isinstance(self.of, str):
-            return None
+            return GivenCost(problem, self.of)
         runs = fewer_runs(self.runs or RUNS[self.of], problem.steps)
         law = LQR if self.of == "lqr" else mpc_law()
         penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
         return LoopCost(problem, law, scenario_tensors(problem, runs, rng), penalty)
 
-    def _measured(self, problem: CoDesignProblem) -> Value:
-        """Cost by the user's function, without violation."""
-        of: Any = self.of
-
-        def measured(v: Array) -> tuple[float, float]:
-            """Cost and violation at a unit-box point."""
-            value = of(problem.design.settled(v))
-            try:
-                (number,) = map(float, np.ravel(value))
-            except (TypeError, ValueError):
-                raise InputError("of", shown(value), "a function of a design that returns one number") from None
-            return -number, 0.0
-
-        return measured
-
-    def _result(
-        self, problem: CoDesignProblem, box: BlackBox, loop: LoopCost | None, settled: bool
-    ) -> CoDesignResult:
+    def _result(self, box: BlackBox, settled: bool) -> CoDesignResult:
         """Best evaluation."""
-        space = problem.design
+        cost = box.cost
+        space = box.space
         if not np.isfinite(box.best[1]):
-            got = f"{self.of!r}, which has no return at any of {len(box.rows)} designs"
+            got = f"{self.of!r}, which has no return at any of {len(cost.rows)} designs"
             cure = "LQR and MPC here are those of the tangent at rest; nested LQR tries the secant, too."
             raise InputError("of", got, "a return at some design", cure)
         design = space.settled(box.best_v)
-        bounds = space.active_bounds(design)
-        held = bounds or space.active_constraints(design)
         status = CoDesignStatus.BUDGET_SPENT
         if settled:
+            held = space.active_bounds(design) or space.active_constraints(design)
             status = CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
-        outcome = None
-        if loop is not None and loop.penalty is not None:  # on the way the tolerance is extrapolated
-            seen, penalty = loop.updated(StateLimitPenalty(loop.problem), box.best_v)
-            outcome = penalty.outcome(seen)
-        words = "the given function" if loop is None else loop.words
-        controller = controller_of("lqr", problem, design) if loop is None else loop.law.controller(problem, design)
         return CoDesignResult(
-            design=design, controller=controller, method=self.name, status=status, objective=-box.best[1],
-            criterion=f"return of {words}", active_bounds=bounds,
-            active_constraints=space.active_constraints(design), evaluations=len(box.rows), limits=outcome,
-            history=History.of(box.rows),
+            design=design, controller=cost.controller(design), method=self.name, status=status,
+            objective=-box.best[1], criterion=f"return of {cost.words}", evaluations=len(cost.rows),
+            limits=cost.limits(box.best_v), history=History.of(cost.rows),
         )  # fmt: skip
 
 
-def _in_loop(loop: LoopCost, v: Array) -> tuple[float, float]:
-    """Cost and limit violation of a closed loop, whose tolerance follows."""
-    try:
-        if loop.penalty is None:
-            return loop.plain(loop.seen(v)), 0.0
-        seen, loop.penalty = loop.updated(loop.penalty, v)
-    except NotStabilisableError:
-        return np.inf, 0.0
-    return loop.plain(seen), loop.penalty.violation(seen)
+@dataclass(eq=False)
+class GivenCost(DesignCost):
+    """Cost by a function of a design (np,) that returns its return."""
+
+    of: Callable[[Array], Any]
+    words = "the given function"
+
+    def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
+        """Cost at a unit-box point, whose slope is not known."""
+        value = self.of(self.problem.design.settled(v))
+        try:
+            (number,) = map(float, np.ravel(value))
+        except (TypeError, ValueError):
+            raise InputError("of", shown(value), "a function of a design that returns one number") from None
+        return -number, lambda: np.full(len(v), np.nan)
+
+    def controller(self, p: Array) -> Controller:
+        """LQR of a design, clipped to U."""
+        return controller_of("lqr", self.problem, p)
 
 
 def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Run CMA-ES, restarted at random while evaluations last; return convergence."""
     settled = False
     start = box.looks[-1].z
-    while len(box.rows) < budget:
-        before = len(box.rows)
+    while len(box.cost.rows) < budget:
+        before = len(box.cost.rows)
         settled = _one_strategy(box, start, budget - before, rng, shown_bar) or settled
         start = rng.random(len(start))
-        if len(box.rows) == before:  # nothing feasible was near: there is nothing to look at
+        if len(box.cost.rows) == before:  # nothing feasible was near: there is nothing to look at
             break
     return settled
 
@@ -208,7 +192,7 @@ def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: t
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.GPSampler(seed=int(rng.integers(1, 2**31)), deterministic_objective=True)
-    space = box.problem.design
+    space = box.space
     ranges: dict[str, Any] = {
         name: optuna.distributions.IntDistribution(round(low), round(high)) if whole
         else optuna.distributions.FloatDistribution(0.0, 1.0)

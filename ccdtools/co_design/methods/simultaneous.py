@@ -8,7 +8,7 @@ Design 136, 2014; Herber and Allison, Journal of Mechanical Design 141, 2019.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -28,7 +28,7 @@ from ccdtools.co_design.methods.open_loop import (
 )
 from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History, Valley
+from ccdtools.co_design.result import CoDesignResult, History
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
@@ -90,68 +90,58 @@ class Simultaneous:
             for v in points:
                 ends.append(self._from(problem, scenarios, problem.design.settled(v)))
                 shown.update()
-        best = min(ends, key=lambda end: (not end.feasible, end.solution.cost))
-        return self._result(problem, best, sum(end.iterations for end in ends), found)
+        best, iterations = min(ends, key=lambda end: (not _feasible(end[0]), end[0].cost))
+        result = self._result(problem, best)
+        history = History.of([(iterations, iterations, result.design, -float(best.cost), 0.0, 0.0)])
+        return replace(result, evaluations=sum(count for _, count in ends), history=history, valleys=found)
 
-    def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> _End:
-        """Result of one start."""
+    def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> tuple[Solution, int]:
+        """Solution from one start, and its iterations of Ipopt."""
         feedback = Feedback(problem, lqr_or_none(problem, design).K) if self.unknowns == "gain" else None
         stated = partial(open_loop_problem, scenarios=scenarios, design=design, feedback=feedback)
         first = at_the_mean(problem, stated, max_iterations=self.iterations)
         solution = solve(build(stated(problem)), start=first, max_iterations=self.iterations)
-        return _End(solution, solution.iterations + (0 if first is None else first.iterations))
+        return solution, solution.iterations + (0 if first is None else first.iterations)
 
-    def _result(
-        self, problem: CoDesignProblem, best: _End, iterations: int, found: tuple[Valley, ...]
-    ) -> CoDesignResult:
+    def _result(self, problem: CoDesignProblem, best: Solution) -> CoDesignResult:
         """Result of the best start."""
         space = problem.design
-        design = space.project(best.solution.p[: space.dim])
+        design = space.project(best.p[: space.dim])
         bounds, constraints = space.active_bounds(design), space.active_constraints(design)
         others = (OTHERS,) if space.integer and self.starts == 1 else ()
         gain = self.unknowns == "gain"
-        runs = len(best.solution.phases)
+        runs = len(best.phases)
         words = (f"one saturated gain in {runs} scenarios" if gain else
                  f"the best inputs in {runs} scenarios whose disturbances are known ahead")  # fmt: skip
-        value = -float(best.solution.cost)
         status = CoDesignStatus.AT_BOUND if bounds or constraints else CoDesignStatus.CONVERGED
-        if best.solution.status is OptimalControlStatus.INFEASIBLE:
+        if best.status is OptimalControlStatus.INFEASIBLE:
             status = CoDesignStatus.INFEASIBLE
-        elif not best.solution.solved or others:
+        elif not best.solved or others:
             status = CoDesignStatus.BUDGET_SPENT
         if gain:
-            K = best.solution.p[space.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
+            K = best.p[space.dim :].reshape(problem.model.nu, problem.model.nx, order="F")
             controller: Controller = LinearFeedback(K, *problem.input_bounds_at(design))
         else:
             controller = controller_of(self.control, problem, design)
+        held = {**bounds, **constraints} if _feasible(best) else {}
         return CoDesignResult(
             design=design, controller=controller, method=self.name, status=status, criterion=f"return of {words}",
-            objective=value if best.feasible else np.nan, active_bounds=bounds, active_constraints=constraints,
-            multipliers={name: best.multipliers(space)[name] for name in {**bounds, **constraints} if best.feasible},
-            slope=float(best.solution.residuals.worst), evaluations=iterations,
-            history=History.of([(best.iterations, best.iterations, design, value, 0.0, 0.0)]), valleys=found,
-            notes=(*told(problem, best.solution, fed_back=gain), *others),
+            objective=-float(best.cost) if _feasible(best) else np.nan, slope=float(best.residuals.worst),
+            multipliers={name: _multipliers(best, space)[name] for name in held},
+            notes=(*told(problem, best, fed_back=gain), *others),
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """End of a program, with its iterations of Ipopt."""
+def _feasible(solution: Solution) -> bool:
+    """Whether all limits are kept."""
+    return not (solution.status is OptimalControlStatus.INFEASIBLE or solution.conflicts)
 
-    solution: Solution
-    iterations: int
 
-    @property
-    def feasible(self) -> bool:
-        """Whether all limits are kept."""
-        return not (self.solution.status is OptimalControlStatus.INFEASIBLE or self.solution.conflicts)
-
-    def multipliers(self, space: DesignSpace) -> dict[str, float]:
-        """Rise of the return per unit of each design constraint or bound."""
-        prices: dict[str, float] = {}
-        for rows in self.solution.program.rows:
-            if rows.name == "p_constraints":
-                own = self.solution.multipliers["rows"][rows.first : rows.last]
-                prices |= dict(zip(space.constraint_names, own.tolist()))
-        prices |= dict(zip(space.names, np.abs(self.solution.p_gradient[: space.dim] * space.free).tolist()))
-        return prices
+def _multipliers(solution: Solution, space: DesignSpace) -> dict[str, float]:
+    """Rise of the return per unit of each design constraint or bound."""
+    prices: dict[str, float] = {}
+    for rows in solution.program.rows:
+        if rows.name == "p_constraints":
+            own = solution.multipliers["rows"][rows.first : rows.last]
+            prices |= dict(zip(space.constraint_names, own.tolist()))
+    return prices | dict(zip(space.names, np.abs(solution.p_gradient[: space.dim] * space.free).tolist()))

@@ -6,7 +6,7 @@ The program is that of simultaneous co-design with p held.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -17,8 +17,7 @@ from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.open_loop import at_the_mean, open_loop_problem
 from ccdtools.co_design.methods.path_limits import told
-from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, HistoryRow
+from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.risk import MEAN, WorstCase
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
@@ -42,11 +41,9 @@ class TrajectoryCost(DesignCost):
         What closes the loop in use.
     """
 
-    problem: CoDesignProblem
     scenarios: tuple[Array, Array]
     start: Array
     control: str = "lqr"
-    rows: list[HistoryRow] = field(default_factory=list)  # of the history: one for every design with trajectories
     evaluations: int = 0  # how many designs were looked at
     failed: Solution | None = None  # of the program that looked for a design within the limits and found none
 
@@ -80,8 +77,7 @@ class TrajectoryCost(DesignCost):
         self._last = list(found)
         cost, slope = self._counted(np.array([solution.cost for solution in found]),
                                     np.array([solution.p_gradient for solution in found]))  # fmt: skip
-        count = len(self.rows) + 1
-        self.rows.append((count, count, p, -cost, 0.0, 0.0))
+        self.remember(p, -cost)
         return cost, lambda: slope * self.problem.design.allowed.width
 
     def _counted(self, costs: Array, slopes: Array) -> tuple[float, Array]:
@@ -94,26 +90,19 @@ class TrajectoryCost(DesignCost):
         return -float(counted.detach()), weights.numpy() @ slopes
 
     def first_point(self, v: Array) -> tuple[Array, float]:
-        """Point to search from, within the limits, and its cost."""
+        """Point to search from, moved to where inputs can keep the limits, and its cost."""
         cost = self(v)[0]
         if np.isfinite(cost):
             return v, cost
-        v = self.within_limits(v)
-        return v, np.inf if self.failed is not None else self(v)[0]
-
-    def within_limits(self, v: Array) -> Array:
-        """Nearby point (np,) whose inputs can keep the limits, else the same.
-
-        By trajectories and design in one program, whole numbers held.
-        """
-        space = self.problem.design
+        space = self.problem.design  # trajectories and design in one program, whole numbers held
         self.evaluations += 1
         stated = partial(open_loop_problem, scenarios=self.scenarios, design=space.settled(v))
         solution = solve(build(stated(self.problem)), start=at_the_mean(self.problem, stated))
         if not solution.solved:
             self.failed = solution
-            return v
-        return space.to_unit(space.project(solution.p))
+            return v, np.inf
+        v = space.to_unit(space.project(solution.p))
+        return v, self(v)[0]
 
     def without_design(self, name: str, v: Array) -> CoDesignResult:
         """Note that no trajectories keep the limits, with details."""
@@ -123,8 +112,7 @@ class TrajectoryCost(DesignCost):
         return CoDesignResult(
             design=design, controller=self.controller(design), method=name,
             status=CoDesignStatus.INFEASIBLE if impossible else CoDesignStatus.BUDGET_SPENT,
-            criterion=f"return of {self.words}", active_bounds=space.active_bounds(design),
-            active_constraints=space.active_constraints(design),
+            criterion=f"return of {self.words}",
             notes=() if self.failed is None else told(self.problem, self.failed),
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ import ccdtools as cc
 from ccdtools import progress
 from ccdtools.co_design import candidates, expert_dataset, feasible_sets
 from ccdtools.co_design.candidates import SetBudget, affordable_designs, found_sets, limited, starts
-from ccdtools.co_design.expert_loops import ExpertLoops
+from ccdtools.co_design.expert_loops import expert_law
 from ccdtools.co_design.lqr_regions import LQRRegions
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_positively_invariant_set
 
@@ -153,7 +153,7 @@ def test_a_chain_of_eight_states_has_data_from_the_lqr_region_and_from_the_start
 
 def test_a_set_that_is_tiny_beside_x_is_sampled_by_moving_states_into_it(illustrative):
     problem = replace(illustrative.problem(), X=Polytope.from_bounds([-1e4, -1e4], [1e4, 1e4]))
-    begin = starts(problem, feasible_sets(problem), 30, None, SetBudget("auto", None), np.random.default_rng(0))
+    begin = starts(problem, feasible_sets(problem), 30, None, SetBudget("auto"), np.random.default_rng(0))
     assert begin.acceptance == 0.0
     assert begin.candidates == 30
     first = begin.x[:30]
@@ -246,9 +246,8 @@ def test_cheap_sets_do_not_depend_on_the_time_limit(illustrative):
 
 def test_runs_that_share_a_design_are_filtered_as_each_would_be_alone():
     problem = rail()
-    begin = starts(problem, feasible_sets(problem), 60, 4, SetBudget("auto", None), np.random.default_rng(0))
-    loops = ExpertLoops(problem, begin, "lqr", 10)
-    found = loops.inputs(begin.x)
+    begin = starts(problem, feasible_sets(problem), 60, 4, SetBudget("auto"), np.random.default_rng(0))
+    found = expert_law(problem, begin, "lqr", 10)(begin.x)
     regions = begin.regions
     wanted = regions.inputs(begin.x, np.arange(len(begin.x)))
     changed = 0

@@ -9,10 +9,10 @@ from scipy.linalg import expm, solve_discrete_are
 from small_plants import mass
 
 import ccdtools as cc
+from ccdtools.co_design.closed_loop import ClosedLoopReturns
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.methods.open_loop import drawn, open_loop_problem
 from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost
-from ccdtools.co_design.result import ClosedLoopReturns
 
 TRAJECTORIES = [cc.Simultaneous(runs=2, starts=1), cc.Nested("trajectory", runs=2, starts=1),
                 cc.Sequential("open_loop", starts=1)]  # fmt: skip
@@ -39,9 +39,9 @@ def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkey
             looked.append(v)
             return super().__call__(v)
 
-        def within_limits(self, v):
+        def first_point(self, v):
             looked.append(v)
-            return super().within_limits(v)
+            return super().first_point(v)
 
     monkeypatch.setattr("ccdtools.co_design.methods.trajectory_cost.TrajectoryCost", Counted)
     found = codesigned(weak(illustrative), cc.Nested("trajectory", runs=1, starts=3), design=[0.5])

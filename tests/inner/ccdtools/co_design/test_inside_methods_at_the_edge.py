@@ -9,11 +9,11 @@ from small_plants import mass
 
 import ccdtools as cc
 import mpc
-from ccdtools.co_design.descent import Descent
+from ccdtools.co_design.descent import DesignPoint
+from ccdtools.co_design.design_controllers import LQR
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, End, confirmed
-from ccdtools.co_design.methods.laws import LQR
+from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, confirmed
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.status import CoDesignStatus
@@ -72,12 +72,12 @@ def test_the_way_to_a_cheaper_design_ends_where_there_is_no_controller():
     cost = Gap(problem, LQR, scenario_tensors(problem, 4, np.random.default_rng(0)))
     first, cheaper = np.array([0.85]), np.array([1.0])
     plain = cost(first)[0]
-    kept = End(cost, Descent(first, plain, np.zeros(1)), 1.0, penalty=StateLimitPenalty(problem))
-    assert 0.85 <= cost.nearer(kept, cheaper).found.v[0] < 0.9
+    kept = DesignPoint(first, plain, np.zeros(1), penalty=StateLimitPenalty(problem))
+    assert 0.85 <= cost.nearer(kept, cheaper).v[0] < 0.9
 
 
 def test_policies_trained_anew_are_not_blamed_on_their_slope():
     problem = mass()
     cost = LearnedCost(problem, None, (np.zeros((1, 2)), np.zeros((1, 1, 1))), np.random.default_rng(0))
-    end = End(cost, Descent(np.array([0.5]), 1.0, np.array([1.0]), spent=True), 1.0)
-    assert DesignSearch(problem, "rl", 1, 12).status(end, rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT
+    end = DesignPoint(np.array([0.5]), 1.0, np.array([1.0]), spent=True)
+    assert DesignSearch(problem, "rl", 1, 12).status(cost, end, rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT

@@ -7,8 +7,8 @@ import pytest
 from constrained_plants import CASES
 
 import ccdtools as cc
+from ccdtools.co_design.design_controllers import LQR
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.laws import LQR
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 

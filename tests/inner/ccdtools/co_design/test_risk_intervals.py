@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ccdtools import CVaR, MeanSpread, WorstCase
-from ccdtools.co_design.result import ClosedLoopReturns
+from ccdtools.co_design.closed_loop import ClosedLoopReturns
 from ccdtools.co_design.risk import Mean
 
 RISKS = {

@@ -1,0 +1,150 @@
+"""Closed-loop returns of a controller at a design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from ccdtools.arrays import Array, Immutable, Indices, Mask, frozen
+from ccdtools.checks import as_count, as_generator, as_instance
+from ccdtools.co_design.differentiable_model import Stepper, in_double, scenario_tensors
+from ccdtools.co_design.episodes import fewer_runs, simulated
+from ccdtools.co_design.limit_tolerance import measured, measurement_errors
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import MEAN, Mean, Risk, fewest_runs, measure
+from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
+from ccdtools.controllers.signals import Driver, Surroundings
+from ccdtools.exceptions import InputError
+from ccdtools.statistics import Summary
+
+RUNS = 1000  # So many scenarios of 100 steps are taken, of longer ones fewer.
+ONLINE_RUNS = 200  # A controller that plans ahead at every sample has so many.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ClosedLoopReturns(Immutable):
+    """Returns of a controller at a design, run by run.
+
+    Attributes
+    ----------
+    values : (n,) array
+        Returns. A run that is lost has its whole, huge cost, which no summary counts.
+    lost : (n,) array of bool
+        Runs that diverged.
+    outside, depth : float
+        Fraction of the states outside the limits, and mean over the runs of the peak depth in half-widths; of the runs
+        that are not lost.
+    risk : Risk
+        What of the returns counts.
+    limit_errors : (float, float)
+        Standard errors of both.
+    beyond_inputs : float
+        Furthest that an input is asked for beyond U, in half-widths of U; of lost runs, too.
+    """
+
+    values: Array
+    lost: Mask
+    outside: float = 0.0
+    depth: float = 0.0
+    risk: Risk = MEAN
+    limit_errors: tuple[float, float] = (0.0, 0.0)
+    beyond_inputs: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
+        object.__setattr__(self, "lost", frozen(np.array(self.lost, dtype=bool)))
+
+    def __repr__(self) -> str:
+        return f"ClosedLoopReturns({self})"
+
+    def __str__(self) -> str:
+        """Value of the risk, with numbers of kept and lost runs."""
+        found = self.summary
+        low, high = found.ci95
+        what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
+        ends = f" [{low:.6g}, {high:.6g}]" if np.isfinite(found.ci95).all() else ""
+        lost = f"; {self.lost_share:.2%} of the runs lost, not counted" if self.lost.any() else ""
+        return f"{what}{found.mean:.6g}{ends}, {found.n} runs{lost}{found.warning and f'; {found.warning}'}"
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Risk and 95 % interval of kept runs, see `summarise_in_risk`."""
+        return summarise_in_risk(self.risk, self.values, self.lost)
+
+    def parts(self, runs: Indices) -> Array:
+        """Parts (k,) of these runs in the risk, see `parts_of_risk`."""
+        return parts_of_risk(self.risk, self.values[runs], runs=runs)
+
+    @property
+    def lost_share(self) -> float:
+        """Fraction of the runs that diverged."""
+        return float(self.lost.mean()) if len(self.lost) else float("nan")
+
+
+def closed_loop_returns(
+    problem: CoDesignProblem, controller: Any, design: ArrayLike, rng: np.random.Generator, *, runs: int | None = None
+) -> ClosedLoopReturns:
+    """Returns of a controller at a design, with learned errors included.
+
+    Two controllers with generators of the same seed meet the same scenarios, the one with fewer runs the first of them.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    controller : callable
+        Of the state; it may have memory.
+    design : (np,) array_like
+    rng : numpy.random.Generator
+    runs : int, optional
+        At most, and by default, as many as 1000 of 100 steps; by default 200 of a controller with a horizon. Of a worst
+        case at least one of every case.
+
+    Raises
+    ------
+    InputError
+        If the design is outside its bounds, or the controller returns the wrong shape or asks for unknown signals.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_generator("rng", rng)
+    p = torch.tensor(problem.design.check_one(design))
+    all_runs = fewer_runs(RUNS, problem.steps)
+    x0, w = (part.double() for part in scenario_tensors(problem, all_runs, rng))
+    chosen = ONLINE_RUNS if hasattr(controller, "horizon") else RUNS
+    n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
+    n = min(max(n, fewest_runs(problem.risk)), len(x0))
+    x0, w = x0[:n], w[:n]
+    if (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
+        x0, w = x0[:1], w[:1]
+    own = Surroundings(np.zeros((len(x0), 0, 0)), None, None, recorded=False)
+    driver = Driver(controller, own, len(x0), problem.model.nu)
+    sample = iter(range(problem.steps * 2))
+    least, most = problem.input_bounds_at(p.numpy())
+    beyond: list[float] = []
+
+    def law(x: Tensor) -> Tensor:
+        """Inputs (n, nu)."""
+        u = np.asarray(driver(next(sample), x.numpy()), dtype=float)
+        if u.shape != (len(x), len(least)):
+            raise InputError("controller", f"inputs of shape {u.shape}", f"({len(x)}, {len(least)})")
+        driver.remember(u)
+        excess = np.maximum(least - u, u - most) / (most - least) * 2
+        beyond.append(float(np.max(excess, initial=0.0, where=np.isfinite(excess))))
+        return x.new_tensor(u)
+
+    with torch.no_grad():
+        seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
+    limits = measured(seen)
+    total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
+    errors = measurement_errors(seen).values()
+    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond))
+
+
+def scenarios_of(seed: int) -> np.random.Generator:
+    """Generator of the scenarios that `codesign` measures on."""
+    return np.random.default_rng(seed).spawn(1)[0]
