@@ -19,7 +19,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
 from mpc.solving import Candidate, CondensedSolver, inputs_conflict, regulated, saturated_regulator, stagewise_candidate
 from mpc.stages import StagewiseQP
-from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, REMEMBERED
+from mpc.tolerances import GROWTH, INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW
 
 
 class SparseSolver:
@@ -53,7 +53,7 @@ class SparseSolver:
         self._driven_sizes = abs(self._driven)
         self._weight = float(np.abs(self._whole_H.diagonal()[self._inputs]).max(initial=0.0))
         radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
-        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
+        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < 2 * np.log(GROWTH)
         self._parameters = parameters
         self._workspace = threading.local()
 

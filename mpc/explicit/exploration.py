@@ -13,7 +13,7 @@ from mpc.explicit.holes import Holes
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.region_graph import Found, RegionGraph
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import REDUNDANT, REGIONS_TO_THIN
+from mpc.tolerances import NO_BOUND, REDUNDANT, REGIONS_TO_THIN
 
 _LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
 
@@ -167,7 +167,7 @@ def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
     bounds = np.append(h, bound + 1.0)
     most = 3 * sum(normals.shape)  # iterations
     point, _, flag, info = daqp.solve(
-        None, np.ascontiguousarray(-row), normals, bounds, np.full(len(bounds), -1e30), iter_limit=most
+        None, np.ascontiguousarray(-row), normals, bounds, np.full(len(bounds), -NO_BOUND), iter_limit=most
     )
     if flag != 1 or not row @ point <= bound + REDUNDANT:
         return False

@@ -30,8 +30,8 @@ from mpc.tolerances import (
     LAW_ERROR,
     LAW_ROUNDING_FAR,
     LAWS_AT_ONCE,
-    NEARLY_DEPENDENT,
     REDUNDANT,
+    REFINED_ROW,
     REGION_RADIUS,
     THIN,
 )
@@ -235,7 +235,7 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
     pull = inverse @ right
     law = across @ pull
     law += across @ (inverse @ (right - rows @ law))  # the rounding of a nearly singular gram is taken out
-    for k in np.flatnonzero(np.abs(inverse).max(axis=(1, 2)) > NEARLY_DEPENDENT):
+    for k in np.flatnonzero(np.abs(inverse).max(axis=(1, 2)) * REFINED_ROW > 1.0):
         law[k], pull[k] = _law_by_directions(rows[k], right[k])
     size = 1.0 + np.abs(right).sum(axis=2) + np.linalg.norm(law, axis=1).sum(axis=1)[:, None]
     missed = (np.abs(rows @ law - right).sum(axis=2) / size).max(axis=1)

@@ -15,9 +15,9 @@ from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import (
     DEFINITE,
+    EMPTY,
     EXCLUDED,
     FAR_OPTIMUM,
-    FLAT_INTERVAL,
     NOT_NEAR,
     REDUNDANT,
     ROUNDED,
@@ -293,7 +293,7 @@ def _bounding_box(H: Array, h: Array) -> tuple[Array, Array]:
     if box is None or not np.isfinite(box).all() or (h[~H.any(axis=1)] < 0).any():
         box = _box_of_polytope(H, h)
     low, high = box
-    flat = np.flatnonzero(high - low <= FLAT_INTERVAL * np.maximum(np.abs(low), np.abs(high)))
+    flat = np.flatnonzero(high - low <= EMPTY * np.maximum(np.abs(low), np.abs(high)))
     if len(flat):
         j = int(flat[0])
         got = f"a set with parameter {j} in [{low[j]:.6g}, {high[j]:.6g}]"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
-from mpc.tolerances import STEADY_SOLVER, TARGET_COST
+from mpc.tolerances import INTERIOR_POINT, TARGET_COST
 from mpc.tracking import sizes_of
 
 
@@ -219,6 +219,6 @@ def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
         "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
     }  # fmt: skip
     return ca.nlpsol("steady_state", "ipopt", program, {
-        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": STEADY_SOLVER,
+        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": INTERIOR_POINT,
         "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
     })  # fmt: skip

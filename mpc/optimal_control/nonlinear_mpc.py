@@ -26,7 +26,7 @@ from mpc.rollout import for_each_state, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
-from mpc.tolerances import AT_REST
+from mpc.tolerances import STEADY
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,7 +127,7 @@ class NonlinearMPC:
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
         sizes = MPCProblem(A, B, Q=self.Q, R=self.R, horizon=1, P=np.eye(self.states), X=self.X, U=self.U).state_extent
-        if np.abs(f / sizes).max() > AT_REST:
+        if np.abs(f / sizes).max() > STEADY:
             got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
         E = self.model.by_disturbance(x, u, w, self.p) if self.disturbances else None

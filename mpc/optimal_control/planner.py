@@ -14,19 +14,10 @@ from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.sqp import Sequential, Step
+from mpc.optimal_control.sqp import TINY, Sequential, Step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
-from mpc.tolerances import (
-    FEASIBLE,
-    MERIT_DECREASE,
-    MERIT_ROUNDING,
-    OPTIMAL,
-    SHORTEST_STEP,
-    SQP_CONVERGED,
-    TINY,
-    VIOLATION_PRICE,
-)
+from mpc.tolerances import FEASIBLE, KKT, MERIT_DECREASE, MERIT_ROUNDING, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
 
@@ -150,7 +141,7 @@ class Planner:
                 return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
             last = step
             if not real_time:
-                if max(step.defects, step.stationarity) <= SQP_CONVERGED:
+                if max(step.defects, step.stationarity) <= KKT:
                     break
                 relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
                 of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
@@ -177,8 +168,7 @@ class Planner:
 
         now = merit(at)
         promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
-        part = 1.0
-        while part >= SHORTEST_STEP:
+        for part in 0.5 ** np.arange(11):
             enough = now - MERIT_DECREASE * part * max(promised, 0.0) + MERIT_ROUNDING * abs(now)
             planned = at.moved(step, part)
             if merit(planned) <= enough:  # not so of what is no number
@@ -186,7 +176,6 @@ class Planner:
             followed = self._followed(x, planned, w, given)
             if merit(followed) <= enough:
                 return followed
-            part *= 0.5
         return None
 
     def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:

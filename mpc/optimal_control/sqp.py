@@ -14,7 +14,9 @@ from mpc.optimal_control.condensing import compile_kernels, costates_along, gain
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
-from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING, TINY
+from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING
+
+TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
 
 @dataclass(frozen=True, eq=False)

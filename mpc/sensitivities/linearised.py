@@ -18,7 +18,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, relative_violations
 from mpc.sensitivities.changes import SOFTENED, Changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
-from mpc.tolerances import ACTIVE, WEAKLY_ACTIVE
+from mpc.tolerances import ACTIVE, KKT_REPORTED
 
 
 class PlanModel(Protocol):
@@ -115,7 +115,7 @@ class Linearised:
         for i, k, change in priced:
             self.rows[i, at["p"]] -= point.slacks[k] * change
         self.units = row_units(problem, self.labels)
-        self.on_bound = self.values >= -WEAKLY_ACTIVE * self.units  # rows that hold with equality
+        self.on_bound = self.values >= -KKT_REPORTED * self.units  # rows that hold with equality
         held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         own = [label.kind != "input" or not held[label.step] for label in self.labels]
         self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
@@ -229,7 +229,7 @@ class Linearised:
 
     def acting(self, multipliers: Array) -> Flags:
         """Whether each row (m,) pushes, or is an unpushed slack at zero."""
-        pushing = self.worth(multipliers) > WEAKLY_ACTIVE
+        pushing = self.worth(multipliers) > KKT_REPORTED
         near = {
             label.step
             for label, value, unit in zip(self.labels, self.values, self.units)

@@ -10,7 +10,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.data import Flags, Ints
 from mpc.explicit.kernels.growth import side_of
-from mpc.tolerances import CROSSING, CUT_OFF, FAR_AWAY, INSIDE
+from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE, NO_BOUND
 
 
 class Locator(NamedTuple):
@@ -156,7 +156,7 @@ def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array], found
     border_first = len(border) <= 32  # a short border is looked at before the tree
     for q in range(len(points)):
         for j in range(n):
-            t[j] = min(max((points[q, j] - centre[j]) / half[j], -CUT_OFF), CUT_OFF)
+            t[j] = min(max((points[q, j] - centre[j]) / half[j], -NO_BOUND), NO_BOUND)
         beyond = border_first and is_beyond(columns, height, t)
         if beyond:
             pull_back(columns, room, inner, t)
