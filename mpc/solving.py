@@ -25,6 +25,7 @@ from mpc.rollout import (
     relative_violations,
     rollout,
     rollout_with_feedback,
+    simulated,
     violation_of,
 )
 from mpc.stages import StagewiseQP
@@ -270,11 +271,10 @@ def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]
         gain = problem.gain
     except NotStabilisableError:
         gain = np.zeros((problem.nu, problem.nx))
-    inputs = np.zeros((problem.horizon, problem.nu))
-    states = np.empty((problem.horizon + 1, problem.nx))
-    states[0] = x
+
+    def law(_: int, state: Array) -> Array:
+        """Saturated input."""
+        return np.asarray(nearest_points(finite(-gain @ state)[None], *problem.input_rows)[0])
+
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(problem.horizon):
-            inputs[k] = nearest_points(finite(-gain @ states[k])[None], *problem.input_rows)[0]
-            states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
-    return inputs, states
+        return simulated(problem, x, push, law)

@@ -142,4 +142,4 @@ def _cost(law: LinearMPC, error: Any, effort: Any) -> Any:
     """Cost of deviations from the references."""
     along = error[:, :-1]
     cost = ca.bilin(law.P, error[:, -1]) + ca.dot(along, ca.DM(law.Q) @ along) + ca.dot(effort, ca.DM(law.R) @ effort)
-    return cost if law.S is None else cost + 2 * ca.dot(along, ca.DM(law.S) @ effort)
+    return cost + 2 * ca.dot(along, ca.DM(law.cross) @ effort)

@@ -205,9 +205,7 @@ def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     kind = type(w)
     z, squares, slope = kind.sym("z", len(size)), kind.sym("squares", nx, nx), kind.sym("slope", nx)
     x, u = ca.vertsplit(z * size, [0, nx, len(size)])
-    cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u)
-    if law.S is not None:
-        cost += 2 * ca.dot(x, ca.DM(law.S) @ u)
+    cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u) + 2 * ca.dot(x, ca.DM(law.cross) @ u)
     most = float(sum(np.diag(law.Q) * size[:nx] ** 2) + sum(np.diag(law.R) * size[nx:] ** 2)) or 1.0
     rows = [
         (ca.DM(H) @ value - h) / law.row_units[name]

@@ -153,7 +153,7 @@ class NonlinearMPC:
     def _planner(self) -> Planner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
-        return Planner.of(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
+        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"

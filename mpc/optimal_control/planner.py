@@ -52,14 +52,19 @@ class Planner:
     iterations: int | None
     most: int
     time_limit: float
-    programs: Sequential
-    gain: Array
 
-    @classmethod
-    def of(cls, law: LinearMPC, model: DiscreteModel, p: Array, iterations: int | None, most: int,
-           time_limit: float) -> Planner:  # fmt: skip
-        """Planner with the quadratic programs along plans and the gain (nu, nx) of the linear law."""
-        return cls(law, model, p, iterations, most, time_limit, Sequential(law, model), gain_at_rest(law))
+    def __post_init__(self) -> None:
+        _ = self.programs, self.gain  # built, and compiled, before a clock runs
+
+    @cached_property
+    def programs(self) -> Sequential:
+        """Quadratic programs along plans."""
+        return Sequential(self.law, self.model)
+
+    @cached_property
+    def gain(self) -> Array:
+        """Gain (nu, nx) of the linear law."""
+        return gain_at_rest(self.law)
 
     @property
     def _gains(self) -> Array:
@@ -241,7 +246,6 @@ def gain_at_rest(law: LinearMPC) -> Array:
         return law.gain
     except NotStabilisableError:
         A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
-        S = np.zeros((law.nx, law.nu)) if law.S is None else law.S
-        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, S, law.P))
+        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, law.cross, law.P))
         gains, _ = gains_along(A, B, *weights)
         return np.asarray(gains[0])

@@ -73,8 +73,7 @@ class Sequential:
         self.n = problem.horizon * problem.nu
         N = problem.horizon
         self._regulated = tuple(np.array(weight, order="C") for weight in stabilising_weights(problem))
-        none = np.zeros((problem.nx, problem.nu))
-        own = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
+        own = (problem.Q, problem.R, problem.cross, problem.P)
         self._separate = all(np.array_equal(one, other) for one, other in zip(own, self._regulated))
         self._weights = np.concatenate([np.tile(problem.Q, (N, 1, 1)), problem.P[None]])
         self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
@@ -140,10 +139,9 @@ class Sequential:
         problem, n = self.problem, self.n
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
         H = 2 * (flat.T @ (self._weights @ G).reshape(-1, n) + acting.T @ (problem.R @ F).reshape(-1, n))
-        if problem.S is not None:
-            across = (problem.S @ F).reshape(-1, n)
-            cross = flat[: len(across)].T @ across
-            H = H + 2 * (cross + cross.T)
+        across = (problem.cross @ F).reshape(-1, n)
+        cross = flat[: len(across)].T @ across
+        H = H + 2 * (cross + cross.T)
         return np.asarray((H + H.T) / 2)
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
@@ -166,11 +164,8 @@ class Sequential:
         """Slopes of the cost by states (N + 1, nx) and inputs (N, nu)."""
         problem = self.problem
         by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
-        by_input = 2 * effort @ problem.R
-        if problem.S is not None:
-            by_state[:-1] += 2 * effort @ problem.S.T
-            by_input += 2 * error[:-1] @ problem.S
-        return by_state, by_input
+        by_state[:-1] += 2 * effort @ problem.cross.T
+        return by_state, 2 * effort @ problem.R + 2 * error[:-1] @ problem.cross
 
     def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
         """Deviations of states and inputs from their references."""
