@@ -20,7 +20,7 @@ from mpc.explicit.equality_elimination import (
     equality_pairs,
     implied_equalities,
 )
-from mpc.explicit.exploration import Limits, explore_compiled
+from mpc.explicit.exploration import explore_compiled
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
@@ -96,7 +96,7 @@ def partitioned(
 ) -> Partition:
     """Partition by an exploration of active sets."""
     start = time.perf_counter()
-    limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
+    most, deadline = as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit)
     domain = scale_parameters(theta_set, problem.nt)
     nearer = without_far_bounds(problem, domain)
     if nearer is not problem:
@@ -108,14 +108,14 @@ def partitioned(
     equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)
-    found = explore(qp, limits)
+    found = explore(qp, most, deadline)
     if found.status is MPQPStatus.INFEASIBLE:
-        implied = implied_equalities(qp, limits.deadline)
+        implied = implied_equalities(qp, deadline)
         reduced = _without(implied, qp, problem)
         if reduced is not None:
             equalities += qp.origin[implied.rows].tolist()
             qp = reduced
-            found = explore(qp, limits, implied.parameters)
+            found = explore(qp, most, deadline, implied.parameters)
             if not implied.exact and found.status is MPQPStatus.COMPLETE:
                 found = found._replace(status=MPQPStatus.INACCURATE)
         elif implied.status is not MPQPStatus.COMPLETE:
@@ -286,4 +286,4 @@ def compile_exploration() -> None:
         labels=tuple(Constraint("input", 0, i) for i in range(4)),
     )  # fmt: skip
     twice = ParameterSet(rows, np.ones(4), np.zeros(2), np.full(2, 2.0))
-    explore_compiled(scale_qp(square, twice), Limits(100, np.inf))
+    explore_compiled(scale_qp(square, twice), 100, np.inf)

@@ -134,16 +134,6 @@ class RegionGraph:
         """Fill the hash table."""
         active_sets.rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
 
-    def found(self, status: MPQPStatus, uncovered: int) -> Found:
-        """Regions done."""
-        bits = self.active_bits(self.done)
-        members = np.nonzero(bits)[1].tolist()
-        ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()
-        sets = [tuple(members[first:last]) for first, last in zip([0, *ends], ends)]
-        rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
-        offsets = self.facets.offsets[: self.done + 1].copy()
-        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), uncovered)
-
 
 def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
     """Empty graph for m rows, and facets in n parameters."""

@@ -125,11 +125,9 @@ def search(
     regions = (partition.scaled_rows, partition.offsets)
     scaling = (tree.border, tree.centre, partition.centre, partition.half)
     where = compiled.Locator(*map(_view, (*parts, *regions, *scaling)))
-    found = compiled.Found(
-        np.empty(count, dtype=np.int64), np.empty(count, dtype=bool), np.empty((count, laws.law.shape[1]))
-    )
+    found = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool), np.empty((count, laws.law.shape[1]))
     compiled.search(where, _view(theta), Laws(*map(_view, laws)), found)
-    return found.region, found.outside, found.u
+    return found
 
 
 def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:

@@ -30,14 +30,6 @@ class Locator(NamedTuple):
     half: Array
 
 
-class Found(NamedTuple):
-    """Region of every point, whether the point lies outside, and its input. All to be filled in."""
-
-    region: Ints
-    outside: Flags
-    u: Array
-
-
 @njit(cache=True)
 def side(rows: Array, i: int, t: Array) -> float:
     """Distance of the point t above the hyperplane [a, b] of row i."""
@@ -139,8 +131,9 @@ def pull_back(columns: Array, room: Array, inner: Array, t: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array], found: Found) -> None:
-    """Region, outside and input of every point: law[region] [point; 1], outside at the border and within the limits.
+def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array],
+           found: tuple[Ints, Flags, Array]) -> None:  # fmt: skip
+    """Fill in region, outside and input of every point: law[region] [point; 1], outside at the border and limited.
 
     The arrays are taken out of their tuples first: inside the loop that would cost more than the search.
     """
