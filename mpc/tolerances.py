@@ -176,7 +176,6 @@ LEAF_ENTRIES = 200  # Entries of leaves, for each region of the partition, at wh
 TESTS_AT_ONCE = 20_000  # Regions tested between two looks at the clock
 
 # ---- explicit laws: exploration and the search for holes ----
-REGIONS_TO_THIN = 300  # Regions from which on it pays to leave out rows that the others imply
 LAWS_AT_ONCE = 4096  # Laws checked at once, which bounds the memory
 CLEARANCE = 0.1  # Distance from the other facets that a point behind a facet keeps where it can, scaled parameters [-]
 FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
@@ -200,14 +199,17 @@ IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is nam
 AT_BOUND = 1e-6
 NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
 SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
-SPREAD_ROUNDING = 1e-12  # Part of the squared costs added to their variance: the spread of equal costs has a slope [-]
+# Part of a merit, or of the squared costs of scenarios, that is rounding [-]: added to the variance of equal costs it
+# gives their spread a slope
+COST_DIGITS = 1e-12
 
 # ---- optimal control: meshes ----
 HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
 LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a solution may have [-]
 COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
 COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
-COST_ROUNDING = 1e-6  # Error or gain of the cost, in sizes of the cost or of its slope, that is rounding [-]
+# Error or gain of the cost, and difference from a reference, in sizes of the cost or of its slope, that is rounding [-]
+COST_ROUNDING = 1e-6
 LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violation, at which limits are checked
 CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
 LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
@@ -228,9 +230,7 @@ SAME_DIRECTION_DIGITS = 9  # Decimal digits in which the directions of two const
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
-MERIT_ROUNDING = 1e-12  # Part of the merit that is rounding [-]
 MERIT_DECREASE = 1e-4  # Part of the predicted decrease of the merit that a step has to reach [-]
-REFERENCE_ROUNDING = 1e-6  # Part of the gradients of references below which their difference is rounding [-]
 LEAST_CURVED = 1e-6  # Least eigenvalue of a Hessian with curvature, relative to one without [-]
 GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
 TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]

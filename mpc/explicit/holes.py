@@ -226,7 +226,7 @@ class Holes(RegionGraph):
 
     def ask_at(self, points: Array, deadline: float) -> None:
         """Solve the QP at points in no region, as time allows."""
-        if self.online is None or self.online.qp is not self.qp:
+        if self.online is None:
             self.online = OnlineQP(self.qp)
         for point in points[~self.covered(points)]:
             if time.perf_counter() > deadline:

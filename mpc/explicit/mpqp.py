@@ -49,8 +49,8 @@ def solve_mpqp(
     combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. Facets that
     still led nowhere, of very many some drawn at random, are looked across by the checked online solver. At the end
     points between and behind facets, near the border and anywhere are looked up, and where they lie in no region the QP
-    is solved. An active set not met before is explored too. Where several active sets are optimal on one region,
-    redundant rows are left out and a symbolic perturbation decides: regions do not overlap.
+    is solved. An active set not met before is explored too. Rows that the others imply are left out first; where several
+    active sets are optimal on one region, a symbolic perturbation decides: regions do not overlap.
 
     Parameters
     ----------

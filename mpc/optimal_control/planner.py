@@ -17,7 +17,7 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.sqp import TINY, Sequential, Step
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
-from mpc.tolerances import FEASIBLE, KKT, MERIT_DECREASE, MERIT_ROUNDING, OPTIMAL, VIOLATION_PRICE
+from mpc.tolerances import COST_DIGITS, FEASIBLE, KKT, MERIT_DECREASE, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
 
@@ -174,7 +174,7 @@ class Planner:
         now = merit(at)
         promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
         for part in 0.5 ** np.arange(11):
-            enough = now - MERIT_DECREASE * part * max(promised, 0.0) + MERIT_ROUNDING * abs(now)
+            enough = now - MERIT_DECREASE * part * max(promised, 0.0) + COST_DIGITS * abs(now)
             planned = at.moved(step, part)
             if merit(planned) <= enough:  # not so of what is no number
                 return planned

@@ -14,7 +14,7 @@ from mpc.optimal_control.condensing import compile_kernels, costates_along, gain
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, relative_violations
-from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING
+from mpc.tolerances import COST_ROUNDING, LEAST_CURVED
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -155,8 +155,8 @@ class Sequential:
             x_ref, u_ref = states - error, inputs - effort
             of_states, of_inputs = self._slopes(x_ref, u_ref)
             terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
-            lost = REFERENCE_ROUNDING * terms
-            lost_cost = REFERENCE_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
+            lost = COST_ROUNDING * terms
+            lost_cost = COST_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
         rows, bounds = self._limits(states, inputs, G, F, given)
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 

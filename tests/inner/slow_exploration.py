@@ -40,9 +40,9 @@ def explore_all(qp: ScaledQP, most: int, deadline: float, feasible: Array | None
     found, tied = _explore(qp, most, deadline, feasible)
     if not tied or found.status is not MPQPStatus.COMPLETE:
         return found
-    kept, finished = irredundant_rows(qp, deadline)
+    kept = irredundant_rows(qp, deadline)
     again = found if len(kept) == len(qp.M) else _explore(qp.rows(kept), most, deadline)[0]
-    if not finished or again.status is MPQPStatus.TIME_LIMIT:
+    if time.perf_counter() > deadline or again.status is MPQPStatus.TIME_LIMIT:
         return found._replace(status=MPQPStatus.TIME_LIMIT)
     return found if again.status is MPQPStatus.INFEASIBLE else again
 

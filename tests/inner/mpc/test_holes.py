@@ -213,14 +213,6 @@ def test_memory_that_grows_does_not_change_the_portion(search, monkeypatch):
     assert search.portion == portion
 
 
-def test_a_search_that_starts_again_knows_of_the_holes_found(search):
-    hollow(search)
-    hole = search.facets.centres[:1]
-    search.feasible, search.pending = hole, 1.01 * hole
-    other = search._started_again(np.arange(len(search.qp.M)), np.inf)
-    assert np.allclose(other.pending, np.vstack([hole, 1.01 * hole]))
-
-
 def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
     online = OnlineQP(search.qp)
     for t in np.random.default_rng(0).uniform(-1, 1, size=(50, 2)):
