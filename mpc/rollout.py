@@ -85,17 +85,28 @@ def rate_violation(problem: MPCProblem, inputs: Array, given: Given) -> float:
     return float(np.max(np.abs(moves) / problem.rate_limit - 1.0, initial=0.0))
 
 
+def disturbance(problem: MPCProblem, given: Given) -> Array:
+    """Disturbance (N, nw) over the horizon, zero where none is given."""
+    shape = (problem.horizon, problem.nw)
+    return given["w"].reshape(shape) if "w" in given else np.zeros(shape)
+
+
 def pushes(problem: MPCProblem, given: Given) -> Array:
     """Move (N, nx) of each next state by the previewed disturbance."""
     if "w" not in given:
         return np.zeros((problem.horizon, problem.nx))
-    return np.asarray(given["w"].reshape(problem.horizon, -1) @ problem.E.T)
+    return np.asarray(disturbance(problem, given) @ problem.E.T)
+
+
+def deviations(states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
+    """Deviations of states and inputs from their references."""
+    error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
+    return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
 
 def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> float:
     """Cost of inputs and states, soft constraints included."""
-    error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
-    effort = inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
+    error, effort = deviations(states, inputs, given)
     Q = np.asarray(problem.Q)
     R = np.asarray(problem.R)
     P = np.asarray(problem.P)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import nnls
@@ -116,7 +117,11 @@ class Holes(RegionGraph):
         self.rng = np.random.default_rng(0)
         self.feasible = np.empty((0, self.parameters))
         self.pending = self.feasible
-        self.online: OnlineQP | None = None
+
+    @cached_property
+    def online(self) -> OnlineQP:
+        """QP at one parameter."""
+        return OnlineQP(self.qp)
 
     @property
     def uncovered(self) -> int:
@@ -226,8 +231,6 @@ class Holes(RegionGraph):
 
     def ask_at(self, points: Array, deadline: float) -> None:
         """Solve the QP at points in no region, as time allows."""
-        if self.online is None:
-            self.online = OnlineQP(self.qp)
         for point in points[~self.covered(points)]:
             if time.perf_counter() > deadline:
                 break

@@ -13,19 +13,14 @@ from scipy.linalg import solve_triangular
 
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.equality_elimination import (
-    FlatParameters,
-    ImpliedEqualities,
-    eliminate,
-    equality_pairs,
-    implied_equalities,
-)
+from mpc.explicit.equality_elimination import FlatParameters, ImpliedEqualities, eliminate, implied_equalities
 from mpc.explicit.exploration import explore_compiled
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
-from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
+from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, twins, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.tolerances import (
+    EQUALITY,
     FAR_OPTIMUM,
     LAW_ERROR,
     LAW_ROUNDING_FAR,
@@ -49,8 +44,8 @@ def solve_mpqp(
     combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. Facets that
     still led nowhere, of very many some drawn at random, are looked across by the checked online solver. At the end
     points between and behind facets, near the border and anywhere are looked up, and where they lie in no region the QP
-    is solved. An active set not met before is explored too. Rows that the others imply are left out first; where several
-    active sets are optimal on one region, a symbolic perturbation decides: regions do not overlap.
+    is solved. An active set not met before is explored too. Rows that the others imply are left out first; where
+    several active sets are optimal on one region, a symbolic perturbation decides: regions do not overlap.
 
     Parameters
     ----------
@@ -104,7 +99,7 @@ def partitioned(
         if answer.status is MPQPStatus.COMPLETE and _satisfies(answer, problem):
             return replace(answer, problem=problem)
     qp = scale_qp(problem, domain)
-    always = [i for i, _ in equality_pairs(qp)]
+    always = twins(qp.M, qp.own, qp.gram, -1.0, EQUALITY)[0].tolist()
     equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)

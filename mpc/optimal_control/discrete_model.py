@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
+from mpc.sensitivities.changes import PlanModel
 from mpc.tolerances import INTERIOR_POINT, TARGET_COST
 from mpc.tracking import sizes_of
 
@@ -90,6 +90,22 @@ class DiscreteModel:
     def by_disturbance(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """Derivatives (nx, nw) of the next state by w."""
         return self._by_disturbance(x, u, w, p)[0].T
+
+    def along_signals(self, w: Array, p: Array) -> PlanModel:
+        """Derivatives along plans under signals w (N, nw) with parameters p (np,)."""
+
+        def first(states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
+            """f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
+            (slopes,) = self._by_parameters(states, inputs, w, p)
+            by_parameters = slopes.reshape(len(inputs), len(p), states.shape[1]).transpose(0, 2, 1)
+            return *self.linearised(states, inputs, w, p), by_parameters
+
+        def second(states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
+            """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
+            at = (states, inputs, w, p, costates)
+            return self.curvature(*at), self.mixed(*at)
+
+        return PlanModel(first, second)
 
     def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
         """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u)."""
@@ -172,26 +188,6 @@ def _following(step: ca.Function) -> ca.Function:
     u = ca.fmax(ca.fmax(low, last - rate), ca.fmin(ca.fmin(high, last + rate), u))
     then = ca.densify(ca.vertcat(step(x, u, w, p), u))
     return ca.Function("following", [now, v, s, gain, low, high, rate, w, p], [then])
-
-
-@dataclass(frozen=True, eq=False)
-class AlongSignals:
-    """Derivatives of a model under signals w (N, nw) with parameters p (np,)."""
-
-    model: DiscreteModel
-    w: Array
-    p: Array
-
-    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
-        """f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
-        (slopes,) = self.model._by_parameters(states, inputs, self.w, self.p)
-        by_parameters = slopes.reshape(len(inputs), len(self.p), states.shape[1]).transpose(0, 2, 1)
-        return *self.model.linearised(states, inputs, self.w, self.p), by_parameters
-
-    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
-        at = (states, inputs, self.w, self.p, costates)
-        return self.model.curvature(*at), self.model.mixed(*at)
 
 
 def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:

@@ -17,12 +17,12 @@ from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
-from mpc.optimal_control.discrete_model import AlongSignals, DiscreteModel, steady_solver
+from mpc.optimal_control.discrete_model import DiscreteModel, steady_solver
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.planner import Planner
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import for_each_state, spread_signals
+from mpc.rollout import disturbance, for_each_state, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
@@ -250,7 +250,7 @@ class NonlinearMPC:
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
                "d_rate_limit": d_rate_limit, "dA": at_rest[0], "dB": at_rest[1]}  # fmt: skip
         changes = as_changes(self.linear, own, len(self.p))
-        derivatives = AlongSignals(self.model, to_the_end.signal(given), self.p)
+        derivatives = self.model.along_signals(disturbance(self.linear, given), self.p)
         return sensitivity_of(self.linear, derivatives, changes, plan, given)
 
     @cached_property

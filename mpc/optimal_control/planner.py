@@ -16,7 +16,7 @@ from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.sqp import TINY, Sequential, Step
 from mpc.plan import Plan, Residuals, Status
-from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
+from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
 from mpc.tolerances import COST_DIGITS, FEASIBLE, KKT, MERIT_DECREASE, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
@@ -78,15 +78,10 @@ class Planner:
         rate = np.full(self.law.nu, np.inf) if self.law.rate_limit is None else self.law.rate_limit
         return None if box is None else (*box, rate)
 
-    def signal(self, given: Given) -> Array:
-        """Disturbance (N, nw) over the horizon."""
-        shape = (self.law.horizon, self.law.nw)
-        return given["w"].reshape(shape) if "w" in given else np.zeros(shape)
-
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or the linear law's."""
         began = time.perf_counter()
-        w = self.signal(given)
+        w = disturbance(self.law, given)
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, w, given)
@@ -115,10 +110,10 @@ class Planner:
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the linear law's last input."""
-        error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
+        error, effort = deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
         u = self._admissible(-effort[-1] - self.gain @ (end + error[-1]), plan.inputs[-1])
-        after = finite(self.model.next(end, u, self.signal(given)[-1], self.p))
+        after = finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 
     def _iterated(
@@ -186,7 +181,7 @@ class Planner:
     def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:
         """Path of the model under the linear law."""
         states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
-        error, effort = self.programs.deviations(states, inputs, given)
+        error, effort = deviations(states, inputs, given)
         return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), w, given)
 
     def _followed(self, x: Array, path: _Path, w: Array, given: Given) -> _Path:

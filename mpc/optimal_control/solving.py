@@ -37,7 +37,6 @@ SAID = {
 ENDLESS = "Diverging_Iterates"
 
 
-
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
           p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL_ITERATIONS,
           time_limit: float | None = None, options: dict[str, Any] | None = None) -> Solution:  # fmt: skip

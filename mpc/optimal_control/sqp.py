@@ -13,7 +13,7 @@ from mpc.feedback import stabilising_weights
 from mpc.optimal_control.condensing import compile_kernels, costates_along, gains_along, responses
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, cost_of, relative_violations
+from mpc.rollout import Given, cost_of, deviations, relative_violations
 from mpc.tolerances import COST_ROUNDING, LEAST_CURVED
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
@@ -147,7 +147,7 @@ class Sequential:
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
         """Program in v about the plan of v = 0."""
         problem, n = self.problem, self.n
-        error, effort = self.deviations(states, inputs, given)
+        error, effort = deviations(states, inputs, given)
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
         by_state, by_input = self._slopes(error, effort)
         lost, lost_cost = np.zeros(n), 0.0
@@ -166,11 +166,6 @@ class Sequential:
         by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
         by_state[:-1] += 2 * effort @ problem.cross.T
         return by_state, 2 * effort @ problem.R + 2 * error[:-1] @ problem.cross
-
-    def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
-        """Deviations of states and inputs from their references."""
-        error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
-        return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
     def _limits(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> tuple[Array, Array]:
         """Rows and bounds of v: inputs, rates, states, end."""
@@ -193,7 +188,7 @@ class Sequential:
     def _forces(self, states: Array, inputs: Array, multipliers: Array, given: Given) -> tuple[Array, Array]:
         """Lagrangian slopes (N + 1, nx) and (N, nu) without dynamics."""
         problem, N, nu = self.problem, self.problem.horizon, self.problem.nu
-        by_state, by_input = self._slopes(*self.deviations(states, inputs, given))
+        by_state, by_input = self._slopes(*deviations(states, inputs, given))
         end = len(problem.terminal_rows[1])
         on_inputs, rest = np.split(multipliers, [N * len(problem.input_rows[1])])
         along = len(rest) - end

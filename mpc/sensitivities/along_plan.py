@@ -11,8 +11,8 @@ from mpc.checks import Array, Flags
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
-from mpc.sensitivities.changes import SOFTENED, Changes
-from mpc.sensitivities.linearised import Conditions, Linearised, PlanModel, Point
+from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
+from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
 from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, TOGETHER
 
