@@ -6,7 +6,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.exceptions import InputError, NotConvexError
-from mpc.feedback import block_lengths, stabilising_feedback
+from mpc.feedback import along_horizon, block_lengths, stabilising_feedback
 from mpc.parametric_qp import Constraint, ParametricQP, places
 from mpc.problem import MPCProblem
 from mpc.tolerances import DEFINITE, MOST_MATRIX_ENTRIES
@@ -45,8 +45,7 @@ def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> Parametri
         driven = np.zeros(driven.shape)
         for k, push in enumerate(driven):
             push[:, at["w"]][:, k * problem.nw : (k + 1) * problem.nw] = problem.E
-    A, B = (np.broadcast_to(M, (N, *M.shape)) for M in (problem.A, problem.B))
-    U, X = predict(problem, A, B, driven, nt, stabilising_feedback(problem))
+    U, X = predict(problem, *along_horizon(problem), driven, nt, stabilising_feedback(problem))
     W = _cost(problem, U, X, at)
     rows, w, labels = constraints_of(problem, U, X, at)
     H = 2 * W[nt:, nt:]
@@ -112,9 +111,8 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]) -> Arra
     W = np.zeros((U.shape[-1],) * 2)
     for k in range(N):
         W += error[k].T @ problem.Q @ error[k] + effort[k].T @ problem.R @ effort[k]
-        if problem.S is not None:
-            cross = error[k].T @ problem.S @ effort[k]
-            W += cross + cross.T
+        cross = error[k].T @ problem.cross @ effort[k]
+        W += cross + cross.T
     W += error[N].T @ problem.P @ error[N]
     return (W + W.T) / 2
 

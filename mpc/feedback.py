@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -24,14 +24,18 @@ def stabilising_feedback(problem: MPCProblem) -> Array | None:
     radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
     if problem.horizon * np.log(max(radius, 1.0)) <= np.log(GROWTH):
         return None
-    A, B = (np.broadcast_to(M, (problem.horizon, *M.shape)) for M in (problem.A, problem.B))
-    return _least_growing(problem, A, B).gains
+    return _least_growing(problem, *along_horizon(problem))[0]
 
 
 def stabilising_weights(problem: MPCProblem) -> Weights:
     """Regulator weights (Q, R, S, P) that keep predictions bounded."""
+    return _least_growing(problem, *along_horizon(problem))[2]
+
+
+def along_horizon(problem: MPCProblem) -> tuple[Array, Array]:
+    """Model A (N, nx, nx) and B (N, nx, nu) of every step."""
     A, B = (np.broadcast_to(M, (problem.horizon, *M.shape)) for M in (problem.A, problem.B))
-    return _least_growing(problem, A, B).weights
+    return A, B
 
 
 def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
@@ -40,32 +44,25 @@ def feedback_along(problem: MPCProblem, A: Array, B: Array) -> Array | None:
     growth = _growth(problem, A, B, None, sx)
     if growth <= GROWTH:
         return None
-    found = _least_growing(problem, A, B)
-    return found.gains if found.growth < growth else None
+    gains, best, _ = _least_growing(problem, A, B)
+    return gains if best < growth else None
 
 
-class _Chosen(NamedTuple):
-    """Gains over the horizon, their closed-loop growth and their weights."""
-
-    gains: Array
-    growth: float
-    weights: Weights
-
-
-def _least_growing(problem: MPCProblem, A: Array, B: Array) -> _Chosen:
-    """Gains of the problem's weights or set units, whichever grows less."""
+def _least_growing(problem: MPCProblem, A: Array, B: Array) -> tuple[Array, float, Weights]:
+    """Gains of the problem's weights or set units, whichever grows less; their growth and weights."""
     sx, su = cost_units(problem.A, problem.B, problem.Q, problem.R)
-    none = np.zeros((problem.nx, problem.nu))
-    weights = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
-    gains = _riccati_gains(problem, A, B, weights)
-    own = _Chosen(gains, _growth(problem, A, B, gains, sx), weights)
-    if own.growth <= GROWTH:
-        return own
     Q = np.diag(1 / problem.state_extent**2)
     R = np.diag(1 / np.where(problem.input_extent > 0, problem.input_extent, 1 / su) ** 2)
-    gains = _riccati_gains(problem, A, B, (Q, R, none, Q))
-    other = _Chosen(gains, _growth(problem, A, B, gains, sx), (Q, R, none, Q))
-    return other if other.growth < own.growth else own
+    own, in_units = (problem.Q, problem.R, problem.cross, problem.P), (Q, R, np.zeros_like(problem.cross), Q)
+    best: tuple[Array, float, Weights] | None = None
+    for weights in (own, in_units):
+        gains = _riccati_gains(problem, A, B, weights)
+        growth = _growth(problem, A, B, gains, sx)
+        best = (gains, growth, weights) if best is None or growth < best[1] else best
+        if best[1] <= GROWTH:
+            break
+    assert best is not None
+    return best
 
 
 def block_lengths(problem: MPCProblem) -> tuple[int, ...]:

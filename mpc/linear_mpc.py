@@ -229,14 +229,14 @@ class LinearMPC(MPCProblem):
         >>> found.input_by_state, found.cost_by_parameters, found.status.advice
         """
         from mpc.sensitivities.along_plan import sensitivity_of
-        from mpc.sensitivities.changes import LinearModel, as_changes
+        from mpc.sensitivities.changes import as_changes, linear_model
 
         given = spread_signals(self, dict(signals))
         plan = self.solve(x, **signals)
         derivatives = {"dA": dA, "dB": dB, "dE": dE, "dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU,
                        "d_terminal_set": d_terminal_set, "d_rate_limit": d_rate_limit}  # fmt: skip
         changes = as_changes(self, derivatives)
-        return sensitivity_of(self, LinearModel(self, given, changes.model), changes, plan, given)
+        return sensitivity_of(self, linear_model(self, given, changes.model), changes, plan, given)
 
     def explicit(
         self, theta_set: Any = None, *, parameters: tuple[str, ...] = (), max_regions: int = 100_000,

@@ -131,10 +131,14 @@ class MPCProblem:
         return lqr(self.A, self.B, Q=self.Q, R=self.R, S=self.S)[0]
 
     @cached_property
+    def cross(self) -> Array:
+        """Cross weight S (nx, nu), zero where none was given."""
+        return frozen(np.zeros((self.nx, self.nu))) if self.S is None else np.asarray(self.S)
+
+    @cached_property
     def stage_weight(self) -> Array:
         """Weight [Q S; S' R] of a stage (nx + nu, nx + nu)."""
-        S = np.zeros((self.nx, self.nu)) if self.S is None else self.S
-        return frozen(np.block([[self.Q, S], [S.T, self.R]]))
+        return frozen(np.block([[self.Q, self.cross], [self.cross.T, self.R]]))
 
     @property
     def limits(self) -> Limits:

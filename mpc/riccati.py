@@ -16,14 +16,12 @@ from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
 from mpc.tolerances import (
     DOUBLED,
-    GAINED,
-    LEAST_MARGIN,
     NEAR_CIRCLE,
     NEGATIVE_WEIGHT,
     REACH,
     RICCATI,
     ROUNDED_SUM,
-    SETTLED_MARGIN,
+    SETTLED,
     UNIT_CIRCLE,
     UNSEEN,
 )
@@ -161,13 +159,13 @@ class _Regulation:
         K, P = self.gain(root), root.T @ root
         for _ in range(40):  # from a gain far away each step at least halves the distance
             margin = self._margin(K)
-            if not margin >= LEAST_MARGIN:
+            if not margin >= ROUNDED_SUM:
                 return None
             root = self._root_of(K)
             K_after, after = self.gain(root), root.T @ root
-            settled = abs(self._margin(K_after) - margin) <= SETTLED_MARGIN * margin
+            settled = abs(self._margin(K_after) - margin) <= SETTLED * margin
             if settled and _relative(after - P, after) <= RICCATI:  # of the last step most may be rounding
-                gained = _relative(self._missed(K_after, after), P) <= GAINED * _relative(self._missed(K, P), P)
+                gained = _relative(self._missed(K_after, after), P) <= SETTLED * _relative(self._missed(K, P), P)
                 K, P = (K_after, after) if gained else (K, P)
                 return (K, P) if margin > NEAR_CIRCLE or self._is_seen(K, P) else None
             K, P = K_after, after

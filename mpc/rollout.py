@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from bisect import bisect_right
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,20 @@ from mpc.problem import MPCProblem
 Given = dict[str, Array]
 
 
-def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array:
-    """States (N + 1, nx) of the model under inputs and disturbance."""
+def simulated(problem: MPCProblem, x: Array, push: Array, law: Callable[[int, Array], Array]) -> tuple[Array, Array]:
+    """Inputs (N, nu) and states (N + 1, nx) under a law of step and state, with `push` (N, nx) on each next state."""
+    inputs = np.empty((problem.horizon, problem.nu))
     states = np.empty((problem.horizon + 1, problem.nx))
     states[0] = x
-    push = pushes(problem, given)
-    for k, u in enumerate(inputs):
-        states[k + 1] = finite(problem.A @ states[k] + problem.B @ u + push[k])
-    return states
+    for k in range(problem.horizon):
+        inputs[k] = law(k, states[k])
+        states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
+    return inputs, states
+
+
+def rollout(problem: MPCProblem, x: Array, inputs: Array, given: Given) -> Array:
+    """States (N + 1, nx) of the model under inputs and disturbance."""
+    return simulated(problem, x, pushes(problem, given), lambda k, _: np.asarray(inputs[k]))[1]
 
 
 def rollout_with_feedback(
@@ -34,19 +41,21 @@ def rollout_with_feedback(
 
     Computed forwards, each input from the state before it, so that rounding does not grow with the plant.
     """
-    inputs = np.empty((problem.horizon, problem.nu))
-    states = np.empty((problem.horizon + 1, problem.nx))
-    states[0] = x
-    push = pushes(problem, given)
-    starts = np.cumsum([0, *block_lengths(problem)])
+    starts = np.cumsum([0, *block_lengths(problem)])[:-1].tolist()
+    wanted = np.empty(deviations.shape)
+    held = np.empty(deviations.shape)
+
+    def law(k: int, state: Array) -> Array:
+        """Input of a block, from the state at its start."""
+        b = bisect_right(starts, k) - 1
+        if k == starts[b]:
+            wanted[b] = finite(deviations[b] - feedback[b] @ state)
+            held[b] = nearest_points(wanted[b][None], *problem.input_rows)[0]
+        return np.asarray(held[b])
+
+    inputs, states = simulated(problem, x, pushes(problem, given), law)
     extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
-    missed = 0.0
-    for b, (start, end) in enumerate(pairwise(starts)):
-        wanted = finite(deviations[b] - feedback[b] @ states[start])
-        inputs[start:end] = nearest_points(wanted[None], *problem.input_rows)[0]
-        missed = max(missed, float(np.abs((inputs[start] - wanted) / extent).max()))
-        for k in range(start, end):
-            states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
+    missed = float(np.max(np.abs((held - wanted) / extent), initial=0.0))
     return inputs, states, max(missed, rate_violation(problem, inputs, given))
 
 
@@ -76,23 +85,33 @@ def rate_violation(problem: MPCProblem, inputs: Array, given: Given) -> float:
     return float(np.max(np.abs(moves) / problem.rate_limit - 1.0, initial=0.0))
 
 
+def disturbance(problem: MPCProblem, given: Given) -> Array:
+    """Disturbance (N, nw) over the horizon, zero where none is given."""
+    shape = (problem.horizon, problem.nw)
+    return given["w"].reshape(shape) if "w" in given else np.zeros(shape)
+
+
 def pushes(problem: MPCProblem, given: Given) -> Array:
     """Move (N, nx) of each next state by the previewed disturbance."""
     if "w" not in given:
         return np.zeros((problem.horizon, problem.nx))
-    return np.asarray(given["w"].reshape(problem.horizon, -1) @ problem.E.T)
+    return np.asarray(disturbance(problem, given) @ problem.E.T)
+
+
+def deviations(states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
+    """Deviations of states and inputs from their references."""
+    error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
+    return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
 
 
 def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> float:
     """Cost of inputs and states, soft constraints included."""
-    error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
-    effort = inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
+    error, effort = deviations(states, inputs, given)
     Q = np.asarray(problem.Q)
     R = np.asarray(problem.R)
     P = np.asarray(problem.P)
     cost = np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1]
-    if problem.S is not None:
-        cost += 2 * np.sum(error[:-1] @ problem.S * effort)
+    cost += 2 * np.sum(error[:-1] @ problem.cross * effort)
     if problem.soft is not None:
         linear, quadratic = problem.soft
         s = relative_violations(problem, states, problem.price_units)

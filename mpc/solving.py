@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -25,6 +25,7 @@ from mpc.rollout import (
     relative_violations,
     rollout,
     rollout_with_feedback,
+    simulated,
     violation_of,
 )
 from mpc.stages import StagewiseQP
@@ -43,27 +44,22 @@ from mpc.tolerances import (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """Inputs, states, status, residuals and solver of a plan."""
+def plan_of(
+    problem: MPCProblem, given: Given, inputs: Array, states: Array, status: Status, residuals: Residuals, solver: str
+) -> Plan:
+    """Plan with its cost and violation, its time yet to be told."""
+    cost, violation = cost_of(problem, inputs, states, given), violation_of(problem, states)
+    return Plan(inputs, states, cost, status, residuals, violation, 0.0, solver)
 
-    inputs: Array
-    states: Array
-    status: Status
-    residuals: Residuals
-    solver: str
 
-    def packed(self, problem: MPCProblem, given: Given, start: float) -> Plan:
-        """Plan with cost and violation; its clock began at `start`."""
-        cost = cost_of(problem, self.inputs, self.states, given)
-        violation = violation_of(problem, self.states)
-        duration = time.perf_counter() - start
-        return Plan(self.inputs, self.states, cost, self.status, self.residuals, violation, duration, self.solver)
+def timed(plan: Plan, start: float) -> Plan:
+    """Plan with the time since its clock began at `start`."""
+    return replace(plan, solve_time=time.perf_counter() - start)
 
 
 def stagewise_candidate(
     problem: MPCProblem, x: Array, given: Given, inputs: Array, typical_cost: float
-) -> Candidate | None:
+) -> Plan | None:
     """Plan of `solve_stagewise` from first inputs; None if not converged.
 
     Hard state constraints become squared violations, weighed against the typical cost; where all of them hold, the
@@ -83,7 +79,7 @@ def stagewise_candidate(
     violated = problem.soft is None and relative_violations(problem, states).max() > FEASIBLE
     status = Status.SOFTENED if violated else Status.SOLVED
     residuals = Residuals(found.step, found.violation, 0.0, 0.0)
-    return Candidate(inputs, states, status, residuals, "stagewise")
+    return plan_of(problem, given, inputs, states, status, residuals, "stagewise")
 
 
 class CondensedSolver:
@@ -93,6 +89,7 @@ class CondensedSolver:
         self.problem = problem
         self.qp = condense(problem, parameters)
         self.units = row_units(problem, self.qp.labels)
+        self.soft = np.array([label.kind in ("state", "terminal") for label in self.qp.labels], dtype=bool)
         self.feedback = stabilising_feedback(problem)
         self.unstable = float(np.abs(np.linalg.eigvals(problem.A)).max()) > 1 + UNIT_CIRCLE
         # of a long unstable horizon the second form is the stagewise one
@@ -120,9 +117,9 @@ class CondensedSolver:
             found = self._solve(x, theta, given, q, b)
             if found is None or not np.isfinite(found.inputs).all():
                 return saturated_regulator(self.problem, x, start)
-            return found.packed(self.problem, given, start)
+            return timed(found, start)
 
-    def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Candidate | None:
+    def _solve(self, x: Array, theta: Array, given: Given, q: Array, b: Array) -> Plan | None:
         """Best candidate; None where input constraints contradict.
 
         What fails its check is solved stage by stage for an unstable plant, and so is what has to be relaxed while the
@@ -172,7 +169,7 @@ class CondensedSolver:
         Maciejowski, *Soft constraints and exact penalty functions in MPC*, 2000, in two stages instead of one penalty).
         """
         qp, units = self.qp, self.units
-        soft = np.array([label.kind in ("state", "terminal") for label in qp.labels], dtype=bool)
+        soft = self.soft
         if not soft.any():
             return None
         steps = np.array([label.step for label in qp.labels])
@@ -207,12 +204,11 @@ class CondensedSolver:
         moves = qp.nz - sum(label.kind == "slack" for label in qp.labels)
         size[:moves] = np.tile(np.where(input_extent > 0, input_extent, np.inf), moves // len(input_extent))
         wanted = float(np.minimum(size**2 * curvature, q**2 / curvature).sum())
-        soft = np.array([label.kind in ("state", "terminal") for label in qp.labels], dtype=bool)
-        moved = ((qp.G[soft] / self.units[soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
+        moved = ((qp.G[self.soft] / self.units[self.soft, None]) ** 2 / curvature).sum(axis=1).max(initial=0.0)
         return max(wanted, float(1 / moved)) if moved > 0.0 else wanted or 1.0
 
-    def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Candidate:
-        """Candidate of the QP's minimiser; INACCURATE where it fails a check."""
+    def _candidate(self, result: QPResult, status: Status, x: Array, theta: Array, given: Given) -> Plan:
+        """Plan of the QP's minimiser; INACCURATE where it fails a check."""
         accurate = result.residuals.worst <= KKT_REPORTED
         if self.feedback is not None and np.isfinite(result.z).all():
             deviations = result.z[: self.feedback.shape[0] * self.problem.nu].reshape(-1, self.problem.nu)
@@ -226,7 +222,8 @@ class CondensedSolver:
         if not accurate:
             inputs = admissible(self.problem, inputs, given)
             states = rollout(self.problem, x, inputs, given)
-        return Candidate(inputs, states, status if accurate else Status.INACCURATE, result.residuals, result.solver)
+        status = status if accurate else Status.INACCURATE
+        return plan_of(self.problem, given, inputs, states, status, result.residuals, result.solver)
 
     def _runs_away(self, states: Array) -> bool:
         """Whether v - Kx keeps too few digits of the inputs."""
@@ -237,7 +234,7 @@ class CondensedSolver:
         extent = np.where(self.problem.input_extent > 0, self.problem.input_extent, np.inf)
         return bool((feedback / extent).max() > RUNAWAY)
 
-    def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Candidate | None:
+    def _stage_by_stage(self, inputs: Array, x: Array, given: Given, q: Array) -> Plan | None:
         """Plan found stage by stage, or None."""
         return stagewise_candidate(self.problem, x, given, inputs, self._typical_cost(q))
 
@@ -260,8 +257,7 @@ def saturated_regulator(problem: MPCProblem, x: Array, start: float) -> Plan:
     inputs, states = regulated(problem, x, np.zeros((problem.horizon, problem.nx)))
     unknown = Residuals(np.inf, np.inf, np.inf, np.inf)
     violation = violation_of(problem, states)
-    duration = time.perf_counter() - start
-    return Plan(inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, duration, "LQR")
+    return timed(Plan(inputs, states, np.inf, Status.INFEASIBLE, unknown, violation, 0.0, "LQR"), start)
 
 
 def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]:
@@ -270,11 +266,10 @@ def regulated(problem: MPCProblem, x: Array, push: Array) -> tuple[Array, Array]
         gain = problem.gain
     except NotStabilisableError:
         gain = np.zeros((problem.nu, problem.nx))
-    inputs = np.zeros((problem.horizon, problem.nu))
-    states = np.empty((problem.horizon + 1, problem.nx))
-    states[0] = x
+
+    def law(_: int, state: Array) -> Array:
+        """Saturated input."""
+        return np.asarray(nearest_points(finite(-gain @ state)[None], *problem.input_rows)[0])
+
     with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(problem.horizon):
-            inputs[k] = nearest_points(finite(-gain @ states[k])[None], *problem.input_rows)[0]
-            states[k + 1] = finite(problem.A @ states[k] + problem.B @ inputs[k] + push[k])
-    return inputs, states
+        return simulated(problem, x, push, law)

@@ -16,10 +16,18 @@ from mpc.dense_qp import clarabel_solution
 from mpc.feedback import stabilising_feedback
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, admissible, cost_of, pushes, relative_violations, rollout, rollout_with_feedback
-from mpc.solving import Candidate, CondensedSolver, inputs_conflict, regulated, saturated_regulator, stagewise_candidate
+from mpc.rollout import Given, admissible, pushes, relative_violations, rollout, rollout_with_feedback
+from mpc.solving import (
+    CondensedSolver,
+    inputs_conflict,
+    plan_of,
+    regulated,
+    saturated_regulator,
+    stagewise_candidate,
+    timed,
+)
 from mpc.stages import StagewiseQP
-from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, REMEMBERED
+from mpc.tolerances import GROWTH, INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW
 
 
 class SparseSolver:
@@ -53,7 +61,7 @@ class SparseSolver:
         self._driven_sizes = abs(self._driven)
         self._weight = float(np.abs(self._whole_H.diagonal()[self._inputs]).max(initial=0.0))
         radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
-        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
+        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < 2 * np.log(GROWTH)
         self._parameters = parameters
         self._workspace = threading.local()
 
@@ -74,14 +82,14 @@ class SparseSolver:
                 cost = float(np.trace(typical)) * self.problem.horizon
                 second = stagewise_candidate(self.problem, x, given, inputs, cost or 1.0)
                 found = found if second is None else second
-            return found.packed(self.problem, given, start)
+            return timed(found, start)
 
     @cached_property
     def _condensed(self) -> CondensedSolver:
         """Solver of the problem in the inputs alone."""
         return CondensedSolver(self.problem, self._parameters)
 
-    def _solve(self, x: Array, given: Given) -> Candidate:
+    def _solve(self, x: Array, given: Given) -> Plan:
         """First candidate that meets the tolerance, or the last."""
         q, low, high = self._vectors(x, given)
         for solver in self.solvers:
@@ -93,8 +101,7 @@ class SparseSolver:
                 v, y, _ = clarabel_solution(self._H, q, self._K, high, unit, self._equal)
             found = self._candidate(v, self._residuals(v, y, q, low, high), x, given, solver)
             if found.status is Status.SOLVED:
-                cost = None if self.problem.S is None else (
-                    cost_of(self.problem, found.inputs, found.states, given) / self._stagewise.cost)  # fmt: skip
+                cost = None if self.problem.S is None else found.cost / self._stagewise.cost
                 if self._doubt(v, y, q, high, found.states, cost) <= KKT_REPORTED:
                     break
                 found = replace(found, status=Status.INACCURATE)
@@ -146,16 +153,17 @@ class SparseSolver:
             complementarity=float(np.linalg.norm(y * over)) / force,
         )
 
-    def _candidate(self, v: Array, residuals: Residuals, x: Array, given: Given, solver: str) -> Candidate:
-        """Candidate of the minimiser; INACCURATE where it fails a check."""
+    def _candidate(self, v: Array, residuals: Residuals, x: Array, given: Given, solver: str) -> Plan:
+        """Plan of the minimiser; INACCURATE where it fails a check."""
         name = {"osqp": "OSQP", "clarabel": "Clarabel"}[solver]
         if not np.isfinite(v).all():
             inputs, states = regulated(self.problem, x, pushes(self.problem, given))
-            return Candidate(inputs, states, Status.INACCURATE, residuals, name)
+            return plan_of(self.problem, given, inputs, states, Status.INACCURATE, residuals, name)
         inputs, states, missed = self._trajectory(v, x, given)
         over = relative_violations(self.problem, states).max() if self.problem.soft is None else 0.0
         accurate = residuals.worst <= KKT_REPORTED and max(missed, over) <= KKT_REPORTED
-        return Candidate(inputs, states, Status.SOLVED if accurate else Status.INACCURATE, residuals, name)
+        status = Status.SOLVED if accurate else Status.INACCURATE
+        return plan_of(self.problem, given, inputs, states, status, residuals, name)
 
     def _trajectory(self, v: Array, x: Array, given: Given) -> tuple[Array, Array, float]:
         """Inputs within U, their states, and the relative miss of U."""

@@ -7,17 +7,19 @@ scaled coordinates has no unit and means the same whatever units the user measur
 from __future__ import annotations
 
 # ---- the online QP ----
-# Relative optimality residual above which the second solver is asked, and at which OSQP stops before it polishes [-]
+# Relative optimality residual above which the second solver is asked, at which OSQP stops before it polishes, and at
+# which a sequence of quadratic programs has come to an optimum [-]
 KKT = 1e-7
-# Relative optimality residual, or Newton step in units of the limits, above which a plan is INACCURATE [-]
+# Relative optimality residual, or Newton step in units of the limits, above which a plan is INACCURATE; so a row that
+# is nearer to its bound, and would be passed by less if it did not act, neither acts nor leaves the plan alone [-]
 KKT_REPORTED = 1e-6
 # Violation of a scaled row that DAQP accepts, and of a row that no input reaches that is put down to rounding [-]
 PRIMAL = 1e-9
-INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, on scaled data [-]
+INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
 # QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides.
 FEASIBLE = 1e-6
-NO_BOUND = 1e30  # DAQP takes this bound for none [-].
+NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
 DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
 MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
 # Scaled violations of the origin are at most the inverse of this: with larger ones `PRIMAL` would lie below rounding
@@ -26,28 +28,29 @@ FAR_BOUND = 1e-7
 # Part of the bounds below which forces and steps count as zero in the residuals, and part of the extent of a set below
 # which a bound says nothing of sizes [-]
 NEGLIGIBLE = 1e-6
-# Part of the terms of a difference, of the bounds along an axis, the costs of a mode or the coefficients of two laws,
-# that is rounding [-]
+# Part of the terms of a difference, of the bounds along an axis, the costs of a mode, the coefficients of two laws or a
+# closed loop's distance from the unit circle, that is rounding [-]
 ROUNDED_SUM = 1e-13
 
 # ---- weights and definiteness ----
 ASYMMETRY = 1e-9  # Largest |W - W'| of a weight, relative to its largest entry [-]
 NEGATIVE_WEIGHT = 1e-10  # Negative eigenvalue that a weight with unit diagonal may have by rounding [-]
-DEFINITE = 1e-13  # Least eigenvalue of a Hessian with unit diagonal [-]
+# Least eigenvalue of a Hessian with unit diagonal, and inverse of the largest condition of a KKT system [-]
+DEFINITE = 1e-13
 
 # ---- sets ----
-# By how much the lower side of a box may lie above the upper one through rounding, relative to their size [-]
+# By how much the lower side of a box may lie above the upper one through rounding, and width below which a set of
+# parameters is flat, relative to their size [-]
 EMPTY = 1e-9
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
 SMALL_STATE = 1e-3
 FAR = 1e4  # Distance in units of a set beyond which only the direction of a point counts for its projection [-]
-# Growth of an unstable plant over the horizon up to which costates keep the digits that a check needs [-]
-REMEMBERED = 1e6
 # Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator
 OVERFLOW = 1e100
 
 # ---- unstable plants ----
-# Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback [-]
+# Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback, and the
+# root of that from which on costates have lost the digits that a check needs [-]
 GROWTH = 1e3
 RUNAWAY = 1e7  # Feedback Kx, in units of the limits of u, beyond which too few digits of u = v - Kx are left [-]
 
@@ -67,30 +70,27 @@ UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts 
 NEAR_CIRCLE = 1e-6
 # Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]
 RICCATI = 1e-4
-GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken where it may be rounding [-]
-# Last relative change of the distance of the closed loop from the unit circle that is accepted [-]
-SETTLED_MARGIN = 0.1
-# Distance of a closed loop from the unit circle below which rounding decides whether it is stable [-]
-LEAST_MARGIN = 1e-13
+# Last relative change of the distance of the closed loop from the unit circle that is accepted, and part of its
+# residual that a Newton step must leave to be taken where it may be rounding [-]
+SETTLED = 0.1
 DOUBLED = 1e-9  # Root of the last term of a sum of doubled terms, relative to that of the sum, that is left out [-]
 # Relative distance of (Q, A) from not seeing a mode on the unit circle below which it counts as unseen [-]
 UNSEEN = 1e-8
 
 # ---- explained infeasibility ----
-LP_FEASIBLE = 1e-10  # Violation of a row, in its unit, that the LP solver accepts [-]; the least that HiGHS allows
 LP_SUPPORT = 1e-8  # Violation, in the unit of the row, above which a row is among those that give [-]
 # Multiplier of a proof of infeasibility above which its row takes part, and weight of z beside a violation [-]
 CERTIFICATE = 1e-12
-# Options of HiGHS that set its feasibility tolerances to `LP_FEASIBLE`
-LP_OPTIONS = {"primal_feasibility_tolerance": LP_FEASIBLE, "dual_feasibility_tolerance": LP_FEASIBLE}
+# Violation of a row, in its unit, that HiGHS accepts [-]; the least that it allows
+LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]
-STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms, that counts as none [-]
+STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or sizes, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----
 FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
-SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
-# Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
-FEEDBACK_ROUNDING = 1e-14
+# Least slack of a row in units of its bound, and relative rounding of a state that has come about over a whole horizon
+# [-]: its feedback is no more exact
+HORIZON_ROUNDING = 1e-14
 ROUNDING = 1e-15  # Residual of a row, relative to its terms, that is rounding [-]
 
 # ---- targets ----
@@ -101,9 +101,6 @@ TARGET_DRIFT = 1e-6  # Weight of the output error beside the squared drift where
 # Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
 # `KKT_REPORTED`. The Newton steps that follow decide.
 ACTIVE = 1e-5
-# Distance of a row from its bound, and how far the plan would pass it if it did not act, both in its unit, below which
-# it neither acts nor leaves the plan alone [-]: plans are no more exact
-WEAKLY_ACTIVE = KKT_REPORTED
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
 # Newton step, in sizes of inputs and states, at which a stagewise plan is found and from which on derivatives are taken
@@ -114,15 +111,14 @@ INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below wh
 TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its parts, that is rounding [-]
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
-# Width of a parameter's interval, relative to its largest value, below which the parameter set is flat [-]
-FLAT_INTERVAL = 1e-9
 REGION_RADIUS = 1e-7  # Radius of a ball below which a critical region counts as flat, scaled parameters [-]
 SAME_PLANE = 1e-7  # Difference of unit normals and offsets below which two facets lie on the same hyperplane [-]
 # Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-].
 # A tenfold multiple holds for its constant.
 ZERO_ROW = 1e-10
 DEPENDENT_ROW = 1e-12  # Squared distance of a unit row from the span of others below which it depends on them [-]
-# Squared distance of a unit row from the span of others below which multipliers are refined by their residual [-]
+# Squared distance of a unit row from the span of others below which multipliers are refined by their residual, and laws
+# computed by orthogonal directions [-]
 REFINED_ROW = 1e-5
 EXCHANGE = 1e-9  # Least coefficient of a dependent row on a member of the active set that can leave for it [-]
 # Size of the variables, in units of the largest bound, up to which a proof of infeasibility holds though its rows are
@@ -150,8 +146,6 @@ VANISHING_ROW = 1e-14
 OPTIMAL_SET = 1e-10  # Violation of a unit row accepted, and relative multiplier dropped, in the QP at one parameter [-]
 # The least part of the distance to the bounds that LAW_ERROR of the bounds is taken as [-]: nothing is more exact
 LAW_ROUNDING_FAR = 1e-14
-# Entry of the inverse of a Gram matrix of unit rows from which on a law is computed by orthogonal directions [-]
-NEARLY_DEPENDENT = 1e5
 PROJECTION = 1e-13  # Violation of a unit row accepted when a point is projected onto a region, scaled parameters [-]
 NO_STEP = 1e-12  # Coefficient of a unit row on the active ones below which it is rounding [-]
 # Squared distance of a unit row from the span of the active ones below which a projection cannot move along it [-]
@@ -176,14 +170,12 @@ SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets a
 # Difference of two laws of one input, relative to the values that input takes, below which they are one [-]
 EQUAL_LAW = 1e-9
 FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
-CUT_OFF = 1e30  # Size of scaled parameters at which they are cut off [-]
 POINTS_OF_REGION = 64  # Points that stand for a region at most: as many as a word has bits.
 TRIES = 64  # Hyperplanes tried at most at a node before it becomes a leaf
 LEAF_ENTRIES = 200  # Entries of leaves, for each region of the partition, at which a tree stops growing
 TESTS_AT_ONCE = 20_000  # Regions tested between two looks at the clock
 
 # ---- explicit laws: exploration and the search for holes ----
-REGIONS_TO_THIN = 300  # Regions from which on it pays to leave out rows that the others imply
 LAWS_AT_ONCE = 4096  # Laws checked at once, which bounds the memory
 CLEARANCE = 0.1  # Distance from the other facets that a point behind a facet keeps where it can, scaled parameters [-]
 FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
@@ -194,21 +186,22 @@ REGIONS_PER_POINT = 8  # Regions of a large law for which each way of looking fo
 QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are checked against the new regions
 
 # ---- optimal control: solving ----
-TINY = 2.0**-1022  # Smallest normal number of double precision, a divisor that stands for zero
 DIVERGED = 1e13  # Scaled unknown beyond which Ipopt calls its iterates diverging [-]
 OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipliers or terms, of an optimum [-]
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
-CHEAPER = 1e-6  # Part of the cost by which another stationary point has to be cheaper to be the better one [-]
 BOTTOMLESS = 1e12  # Negative cost, in sizes of the cost at the guess, from which on the cost has no lower bound [-]
 USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says otherwise
 LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
 VANISHING = 1e-6  # Size of an unknown, beside the one that it would have, that a solver leaves of zero [-]
 SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
 IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
-AT_BOUND = 1e-6  # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]
+# Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
+AT_BOUND = 1e-6
 NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
 SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
-SPREAD_ROUNDING = 1e-12  # Part of the squared costs added to their variance: the spread of equal costs has a slope [-]
+# Part of a merit, or of the squared costs of scenarios, that is rounding [-]: added to the variance of equal costs it
+# gives their spread a slope
+COST_DIGITS = 1e-12
 
 # ---- optimal control: meshes ----
 HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
@@ -216,7 +209,8 @@ LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a s
 OBSTACLE_DOUBLINGS = 11  # Doublings of its depth beyond which an obstacle must go on: 1/1000 of a radius [-]
 COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
 COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
-COST_ROUNDING = 1e-6  # Error of the cost, in sizes of the cost or of its slope, that is rounding [-]
+# Error or gain of the cost, and difference from a reference, in sizes of the cost or of its slope, that is rounding [-]
+COST_ROUNDING = 1e-6
 LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violation, at which limits are checked
 CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
 LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
@@ -232,21 +226,13 @@ JUMPED_LIMIT = 1e-2  # Relative violation that a finer mesh does not lower where
 
 # ---- optimal control: sensitivities of a solution ----
 BARRIER_BLUR = 10.0  # Multiple of an interior point's residue within which a bound and its multiplier may be 0 [-]
-RELAXED_BOUND = 1e-6  # Scaled distance from a bound that says nothing: Ipopt moves bounds by 1e-8 of their size [-]
 LEAST_CURVATURE = 1e-3  # Least curvature of an unknown, beside the largest [-]
 SAME_DIRECTION_DIGITS = 9  # Decimal digits in which the directions of two constraints agree that are one
-KKT_CONDITION = 1e13  # Condition of the KKT system, in scaled unknowns, above which it is singular but for rounding [-]
 
 # ---- nonlinear MPC ----
-AT_REST = 1e-9  # Move of a state in a step, in its size, up to which it is at rest [-]
-SQP_CONVERGED = 1e-7  # Gaps in sizes of the states, and relative stationarity, at which a plan is an optimum [-]
-SHORTEST_STEP = 2.0**-10  # Least part of a step that is tried [-]
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
-MERIT_ROUNDING = 1e-12  # Part of the merit that is rounding [-]
 MERIT_DECREASE = 1e-4  # Part of the predicted decrease of the merit that a step has to reach [-]
-REFERENCE_ROUNDING = 1e-6  # Part of the gradients of references below which their difference is rounding [-]
 LEAST_CURVED = 1e-6  # Least eigenvalue of a Hessian with curvature, relative to one without [-]
 GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
-STEADY_SOLVER = 1e-11  # Residuals at which Ipopt stops at a steady state, in sizes of the states [-]
 TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]
 TARGET_STEADY = 1e-8  # Drift of a target, in sizes of the states, up to which it is steady [-]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import null_space
+from scipy.linalg import block_diag, null_space
 
 from mpc.checks import Array, ReadOnly, as_array, as_count, as_floats
 from mpc.dense_qp import DenseQP, QPResult
@@ -273,11 +273,8 @@ def _nearest(problem: MPCProblem, C: Array, r: Array, particular: Array, basis: 
     H = basis.T @ full @ basis
     # the particular solution has the least drift, so the drift has no slope there
     q = basis.T @ (T.T @ (T @ particular - r / unit) + TARGET_COST * W @ particular)
-    (HX, hX) = problem.state_rows
-    (HU, hU) = problem.input_rows
-    rows = np.vstack(
-        [np.hstack([HX, np.zeros((len(HX), problem.nu))]), np.hstack([np.zeros((len(HU), problem.nx)), HU])]
-    )
+    (HX, hX), (HU, hU) = problem.state_rows, problem.input_rows
+    rows = block_diag(HX, HU)
     units = np.concatenate([problem.row_units["state"], problem.row_units["input"]])
     right = np.concatenate([hX, hU]) - rows * size @ particular
     return DenseQP(H, rows * size @ basis, units).solve(q, right, confirm_infeasible=True)

@@ -15,7 +15,7 @@ from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, 
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, widths, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import EQUALITY, FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
+from mpc.tolerances import FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
 
 Limits = list[tuple[float | None, float | None]]
 _NO_ROWS = np.broadcast_to(np.int64(0), 0)
@@ -39,20 +39,6 @@ class ImpliedEqualities(NamedTuple):
     of_parameters: bool = False
     parameters: Array = _NO_PARAMETERS
     exact: bool = True
-
-
-def equality_pairs(qp: ScaledQP) -> list[tuple[int, int]]:
-    """Pairs of opposite rows of M with opposite bounds."""
-    first, second = np.nonzero(qp.gram < ZERO_ROW - 1)
-    if not len(first):
-        return []
-    once = first < second
-    first = first[once]
-    second = second[once]
-    size = np.maximum(np.abs(qp.own[first]), np.abs(qp.own[second])).max(axis=1, initial=0.0)
-    apart = np.abs(qp.own[first] + qp.own[second]).max(axis=1, initial=0.0)
-    close = (apart <= EQUALITY * size) & (np.abs(qp.M[first] + qp.M[second]).max(axis=1, initial=0.0) < EQUALITY)
-    return [(int(i), int(j)) for i, j in zip(first[close], second[close])]
 
 
 def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualities:

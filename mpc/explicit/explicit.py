@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from mpc.checks import Array, Ints, as_halfspaces
 from mpc.exceptions import InfeasibleError, InputError
@@ -159,8 +160,7 @@ def default_parameters(mpc: MPCProblem, problem: ParametricQP) -> Polytope:
 
     known = Polytope(HX, hX)
     if names != ["x"]:
-        rows = np.block([[HX, np.zeros((len(HX), HU.shape[1]))], [np.zeros((len(HU), HX.shape[1])), HU]])
-        known = Polytope(rows, np.concatenate([hX, hU]))
+        known = Polytope(block_diag(HX, HU), np.concatenate([hX, hU]))
     n = known.dim
     rows = np.block([[-problem.S, problem.G], [known.A, np.zeros((len(known.A), problem.G.shape[1]))]])
     joint = Polytope(rows, np.concatenate([problem.w, known.b]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
 
 import daqp
 import numpy as np
@@ -11,80 +10,59 @@ import numpy as np
 from mpc.checks import Array, Ints
 from mpc.explicit.holes import Holes
 from mpc.explicit.partition import MPQPStatus
-from mpc.explicit.region_graph import Found, RegionGraph
+from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import REDUNDANT, REGIONS_TO_THIN
-
-_LIMITED = (MPQPStatus.REGION_LIMIT, MPQPStatus.TIME_LIMIT)
+from mpc.tolerances import NO_BOUND, REDUNDANT
 
 
-class Limits(NamedTuple):
-    """Limits of an exploration: regions, and `time.perf_counter()` [s]."""
-
-    max_regions: int
-    deadline: float
-
-
-def explore_compiled(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:
+def explore_compiled(qp: ScaledQP, most: int, deadline: float, feasible: Array | None = None) -> Found:
     """Regions of all optimal active sets, or those found by a limit.
 
-    feasible : (k, nt) parameters from which to start where random ones find nothing.
+    most : regions; deadline : `time.perf_counter()` [s]; feasible : (k, nt) parameters from which to start where random
+    ones find nothing.
     """
-    first = Search(qp, feasible)
-    first.begin(limits.deadline)
-    search = first
+    now = time.perf_counter()
+    # implied rows cost time, and several active sets may be optimal with them
+    kept = irredundant_rows(qp, now + 0.25 * (deadline - now))
+    for problem in (qp.rows(kept), qp) if len(kept) < len(qp.M) else (qp,):
+        search = Search(problem)
+        search.begin(feasible, deadline)
+        if search.queued:
+            break
     status = None
-    if not first.queued:
-        late = time.perf_counter() > limits.deadline
+    if not search.queued:
+        late = time.perf_counter() > deadline
         status = MPQPStatus.TIME_LIMIT if late else MPQPStatus.INFEASIBLE
-        status = MPQPStatus.INACCURATE if first.holes.uncovered else status
+        status = MPQPStatus.INACCURATE if search.uncovered else status
     while status is None:
-        search.advance(limits.max_regions)
-        if search.queued > search.done >= limits.max_regions:
+        search.advance(most)
+        if search.queued > search.done >= most:
             status = MPQPStatus.REGION_LIMIT
-        elif time.perf_counter() > limits.deadline:
+        elif time.perf_counter() > deadline:
             status = MPQPStatus.TIME_LIMIT
-        elif search.should_be_thinned:
-            search = search.thinned_out(limits.deadline)
-        elif search.done == search.queued and not search.holes.lead_on(limits.deadline):
-            status = MPQPStatus.INACCURATE if search.holes.uncovered else MPQPStatus.COMPLETE
-    most = max(first, search, key=lambda s: s.done) if status in _LIMITED else search
-    return most.found(status)
+        elif search.done == search.queued and not search.lead_on(deadline):
+            status = MPQPStatus.INACCURATE if search.uncovered else MPQPStatus.COMPLETE
+    return search.found(status)
 
 
-class Search:
+class Search(Holes):
     """Exploration of one problem as far as it has come."""
 
-    def __init__(self, qp: ScaledQP, known: Array | None = None) -> None:
-        self.known = known  # feasible parameters
-        self.rng = np.random.default_rng(0)
-        self.regions = RegionGraph(qp)
-        self.holes = Holes(self.regions, self.rng)
-        self.thinned = False
-        self.thinned_for_speed = False
+    def __init__(self, qp: ScaledQP) -> None:
+        super().__init__(qp)
         self.portion = 64
 
-    @property
-    def done(self) -> int:
-        """Number of regions whose facets are known."""
-        return self.regions.done
-
-    @property
-    def queued(self) -> int:
-        """Number of regions found."""
-        return self.regions.queued
-
-    def begin(self, deadline: float = np.inf) -> None:
-        """Queue regions at random parameters, more where none is found.
+    def begin(self, known: Array | None = None, deadline: float = np.inf) -> None:
+        """Queue regions at random parameters, more where none is found; `known` ones are feasible.
 
         Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
         """
-        feasible = [np.empty((0, self.regions.parameters)) if self.known is None else self.known]
+        feasible = [np.empty((0, self.parameters)) if known is None else known]
         for _ in range(10):  # new ones are drawn while none leads to a region
-            targets = self.rng.uniform(-1, 1, size=(8, self.regions.parameters))
-            seeded = [np.empty((0, self.regions.parameters))]
-            for few in self.holes.portions(targets, 2_000):
-                seeded.append(self.regions.seed(few))
+            targets = self.rng.uniform(-1, 1, size=(8, self.parameters))
+            seeded = [np.empty((0, self.parameters))]
+            for few in self.portions(targets, 2_000):
+                seeded.append(self.seed(few))
                 if time.perf_counter() > deadline:
                     break
             found = np.vstack(seeded)
@@ -92,72 +70,31 @@ class Search:
                 break
             feasible.append(found)
         if not self.queued:
-            self.holes.ask_at(np.vstack(feasible), deadline)
+            self.ask_at(np.vstack(feasible), deadline)
 
     def advance(self, most: int) -> None:
         """Find facets and neighbours of some more regions."""
         before = self.done
         start = time.perf_counter()
-        # not where the clock says: the regions keep their order
-        stop = min(most, REGIONS_TO_THIN) if before < REGIONS_TO_THIN and not self.thinned else most
-        self.regions.explore(min(self.portion, stop - before))
+        self.explore(min(self.portion, most - before))
         taken = max(time.perf_counter() - start, 1e-6)
         if self.done > before:  # else there was no room, and it grew
             self.portion = max(1, int(0.05 * (self.done - before) / taken))  # 0.05 s between two looks
 
-    @property
-    def should_be_thinned(self) -> bool:
-        """Whether redundant rows cost time or make several active sets optimal."""
-        pays = self.done >= REGIONS_TO_THIN and not self.thinned_for_speed
-        return not self.thinned and (pays or (self.done == self.queued and self.regions.tied))
 
-    def thinned_out(self, deadline: float) -> Search:
-        """Search without redundant rows, new where these are active.
-
-        For speed alone a share of the time left is spent on it: what is found by then is left out.
-        """
-        now = time.perf_counter()
-        qp = self.regions.qp
-        needed = self.done == self.queued and self.regions.tied
-        kept, finished = irredundant_rows(qp, deadline if needed else now + 0.25 * (deadline - now))
-        self.thinned = finished or needed
-        self.thinned_for_speed = True
-        if len(kept) == len(qp.M):
-            return self
-        if np.delete(self.regions.active_bits(self.queued), kept, axis=1).any():
-            return self._started_again(kept, deadline)
-        self.regions.keep_rows(kept)
-        return self
-
-    def _started_again(self, kept: Ints, deadline: float) -> Search:
-        """Search with these rows only; this one where that finds nothing."""
-        other = Search(self.regions.qp.rows(kept), self.known)
-        other.thinned = self.thinned
-        other.thinned_for_speed = True
-        other.holes.pending = np.vstack([self.holes.feasible, self.holes.pending])
-        other.begin(deadline)
-        return other if other.queued else self
-
-    def found(self, status: MPQPStatus) -> Found:
-        """Regions done."""
-        return self.regions.found(status, self.holes.uncovered)
-
-
-def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> tuple[Ints, bool]:
-    """Irredundant rows of M, without those that only touch, and whether all were looked at.
+def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> Ints:
+    """Irredundant rows of M, without those that only touch.
 
     A row is kept in doubt, and when it was not looked at before the deadline, `time.perf_counter()` [s].
     """
     J, h = qp.joint
     kept = np.ones(len(J), dtype=bool)
-    finished = True
     for i in reversed(range(len(qp.M))):
-        finished = time.perf_counter() <= deadline
-        if not finished:
+        if time.perf_counter() > deadline:
             break
         kept[i] = False
         kept[i] = not is_implied(J[i], float(h[i]), J[kept], h[kept])
-    return np.flatnonzero(kept[: len(qp.M)]), finished
+    return np.flatnonzero(kept[: len(qp.M)])
 
 
 def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
@@ -167,7 +104,7 @@ def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
     bounds = np.append(h, bound + 1.0)
     most = 3 * sum(normals.shape)  # iterations
     point, _, flag, info = daqp.solve(
-        None, np.ascontiguousarray(-row), normals, bounds, np.full(len(bounds), -1e30), iter_limit=most
+        None, np.ascontiguousarray(-row), normals, bounds, np.full(len(bounds), -NO_BOUND), iter_limit=most
     )
     if flag != 1 or not row @ point <= bound + REDUNDANT:
         return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import nnls
@@ -14,7 +15,8 @@ from mpc.explicit.kernels import places
 from mpc.explicit.kernels.data import ASKED, CROSSED, OPEN, ROWS
 from mpc.explicit.kernels.halfspace import interior_point
 from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
-from mpc.explicit.region_graph import RegionGraph
+from mpc.explicit.partition import MPQPStatus
+from mpc.explicit.region_graph import Found, RegionGraph
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import (
     CROSSING,
@@ -103,24 +105,28 @@ class OnlineQP:
         return bool((bounds - self.qp.M @ program.x[:-1] >= room).all())
 
 
-class Holes:
-    """Search for feasible parameters in no region.
+class Holes(RegionGraph):
+    """Graph of regions, searched for feasible parameters in no region.
 
     feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
     pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
     """
 
-    def __init__(self, regions: RegionGraph, rng: np.random.Generator) -> None:
-        self.regions = regions
-        self.rng = rng
-        self.feasible = np.empty((0, regions.parameters))
+    def __init__(self, qp: ScaledQP) -> None:
+        super().__init__(qp)
+        self.rng = np.random.default_rng(0)
+        self.feasible = np.empty((0, self.parameters))
         self.pending = self.feasible
-        self.online: OnlineQP | None = None
+
+    @cached_property
+    def online(self) -> OnlineQP:
+        """QP at one parameter."""
+        return OnlineQP(self.qp)
 
     @property
     def uncovered(self) -> int:
         """Number of feasible parameters found in no region."""
-        return int((~self.regions.covered(self.feasible, THIN)).sum()) if len(self.feasible) else 0
+        return int((~self.covered(self.feasible, THIN)).sum()) if len(self.feasible) else 0
 
     def lead_on(self, deadline: float) -> bool:
         """Look beyond explored regions; True for new ones or past deadline."""
@@ -131,17 +137,16 @@ class Holes:
 
         Of very many facets some are drawn: a hole of any size has many.
         """
-        regions = self.regions
-        count = min(64 + regions.done // REGIONS_PER_POINT, 500)
-        still = self._some(np.flatnonzero(regions.facets.state[: regions.graph.counts[ROWS]] == OPEN), count)
-        offsets = regions.facets.offsets
+        count = min(64 + self.done // REGIONS_PER_POINT, 500)
+        still = self._some(np.flatnonzero(self.facets.state[: self.graph.counts[ROWS]] == OPEN), count)
+        offsets = self.facets.offsets
         for facet, r in zip(still, self._owners(still)):
-            if regions.queued > regions.done or time.perf_counter() > deadline:
+            if self.queued > self.done or time.perf_counter() > deadline:
                 return True
-            regions.facets.state[facet] = ASKED
+            self.facets.state[facet] = ASKED
             own = slice(offsets[r], offsets[r + 1])
-            self.ask_at(points_beyond(regions.facets.rows[own], int(facet - own.start), regions.qp), deadline)
-        return regions.queued > regions.done
+            self.ask_at(points_beyond(self.facets.rows[own], int(facet - own.start), self.qp), deadline)
+        return self.queued > self.done
 
     def look_around(self, deadline: float) -> bool:
         """Look for holes anywhere, near the border, between and behind facets.
@@ -149,43 +154,40 @@ class Holes:
         Where rounding decides, the region that a facet led to may lie elsewhere. True when that leads to regions, or
         the deadline is past.
         """
-        regions = self.regions
-        more = min(regions.done // REGIONS_PER_POINT, 2000)
+        more = min(self.done // REGIONS_PER_POINT, 2000)
         between = self.between_facets(POINTS_BETWEEN + more)  # feasible, whatever a solver says
         behind = self.behind_facets(POINTS_BEHIND + more)
-        anywhere = self.rng.uniform(-1, 1, size=(2 * (POINTS_ANYWHERE + more), regions.parameters))
+        anywhere = self.rng.uniform(-1, 1, size=(2 * (POINTS_ANYWHERE + more), self.parameters))
         targets = [anywhere[: POINTS_ANYWHERE + more], behind]
         for few in self.portions(anywhere[POINTS_ANYWHERE + more :]):
             if time.perf_counter() > deadline:
                 return True
-            targets.append(regions.seed(few))  # near the border
+            targets.append(self.seed(few))  # near the border
         in_time = self._look_at(between, True, deadline) and self._look_at(np.vstack(targets), False, deadline)
         if not in_time:
             return True
         if len(self.pending):
-            self.pending = self.rng.permutation(self.pending[~regions.covered(self.pending)])
+            self.pending = self.rng.permutation(self.pending[~self.covered(self.pending)])
         return self._ask(deadline)
 
     def between_facets(self, count: int) -> Array:
         """Random points between two facets, `count` of them."""
-        regions = self.regions
-        points = np.empty((count, regions.parameters))
-        places.between_facets(regions.facets, regions.graph.counts[ROWS], self.rng.random((count, 3)), points)
+        points = np.empty((count, self.parameters))
+        places.between_facets(self.facets, self.graph.counts[ROWS], self.rng.random((count, 3)), points)
         return points
 
     def behind_facets(self, most: int) -> Array:
         """Random points behind crossed facets, `most` of them; half just behind."""
-        regions = self.regions
-        chosen = self._some(np.flatnonzero(regions.facets.state[: regions.graph.counts[ROWS]] == CROSSED), most)
+        chosen = self._some(np.flatnonzero(self.facets.state[: self.graph.counts[ROWS]] == CROSSED), most)
         owners = self._owners(chosen)
-        points = np.empty((most if len(chosen) else 0, regions.parameters))
-        draws = self.rng.random((len(points), regions.parameters + 2))
-        places.behind_facets(regions.facets, chosen, owners, draws, CROSSING, FARTHEST_BEHIND, points)
+        points = np.empty((most if len(chosen) else 0, self.parameters))
+        draws = self.rng.random((len(points), self.parameters + 2))
+        places.behind_facets(self.facets, chosen, owners, draws, CROSSING, FARTHEST_BEHIND, points)
         return points
 
     def _owners(self, facets: Ints) -> Ints:
         """Regions to which facets belong."""
-        offsets = self.regions.facets.offsets[: self.regions.done + 1]
+        offsets = self.facets.offsets[: self.done + 1]
         return np.searchsorted(offsets, facets, side="right") - 1
 
     def _some(self, numbers: Ints, most: int) -> Ints:
@@ -197,20 +199,20 @@ class Holes:
 
         feasible : whether they are known to be, whatever the compiled solver says. The feasible points are pending.
         """
-        parts = 1 + len(points) * self.regions.done // 20_000_000  # pairs of a point and a region
+        parts = 1 + len(points) * self.done // 20_000_000  # pairs of a point and a region
         for part in np.array_split(points, parts):
             if time.perf_counter() > deadline:
                 return False
-            for few in self.portions(part[~self.regions.covered(part)]):
+            for few in self.portions(part[~self.covered(part)]):
                 if time.perf_counter() > deadline:
                     return False
-                found = self.regions.look_at(few)
+                found = self.look_at(few)
                 self.pending = np.vstack([self.pending, few if feasible else few[found]])
         return True
 
     def portions(self, points: Array, rows: int = 20_000) -> Iterator[Array]:
         """Points in portions, smaller with more rows."""
-        size = max(1, rows // max(1, len(self.regions.qp.M)))
+        size = max(1, rows // max(1, len(self.qp.M)))
         return (points[first : first + size] for first in range(0, len(points), size))
 
     def _ask(self, deadline: float) -> bool:
@@ -218,25 +220,32 @@ class Holes:
 
         Some are enough once one of them has shown that there is a hole.
         """
-        regions = self.regions
         asked = 0
-        while regions.queued == regions.done and len(self.pending) and not (asked >= 64 and self.uncovered):
+        while self.queued == self.done and len(self.pending) and not (asked >= 64 and self.uncovered):
             if time.perf_counter() > deadline:
                 return True
             self.ask_at(self.pending[:QPS_AT_ONCE], deadline)
             self.pending = self.pending[QPS_AT_ONCE:]
             asked += QPS_AT_ONCE
-        return regions.queued > regions.done
+        return self.queued > self.done
 
     def ask_at(self, points: Array, deadline: float) -> None:
         """Solve the QP at points in no region, as time allows."""
-        if self.online is None or self.online.qp is not self.regions.qp:
-            self.online = OnlineQP(self.regions.qp)
-        for point in points[~self.regions.covered(points)]:
+        for point in points[~self.covered(points)]:
             if time.perf_counter() > deadline:
                 break
             candidates, feasible = self.online.at(point, deadline)
             for act in candidates:
-                self.regions.consider(act)
+                self.consider(act)
             if feasible:
                 self.feasible = np.vstack([self.feasible, point])
+
+    def found(self, status: MPQPStatus) -> Found:
+        """Regions done."""
+        bits = self.active_bits(self.done)
+        members = np.nonzero(bits)[1].tolist()
+        ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()
+        sets = [tuple(members[first:last]) for first, last in zip([0, *ends], ends)]
+        rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
+        offsets = self.facets.offsets[: self.done + 1].copy()
+        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), self.uncovered)

@@ -13,25 +13,20 @@ from scipy.linalg import solve_triangular
 
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.equality_elimination import (
-    FlatParameters,
-    ImpliedEqualities,
-    eliminate,
-    equality_pairs,
-    implied_equalities,
-)
-from mpc.explicit.exploration import Limits, explore_compiled
+from mpc.explicit.equality_elimination import FlatParameters, ImpliedEqualities, eliminate, implied_equalities
+from mpc.explicit.exploration import explore_compiled
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
-from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, without_far_bounds
+from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, twins, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.tolerances import (
+    EQUALITY,
     FAR_OPTIMUM,
     LAW_ERROR,
     LAW_ROUNDING_FAR,
     LAWS_AT_ONCE,
-    NEARLY_DEPENDENT,
     REDUNDANT,
+    REFINED_ROW,
     REGION_RADIUS,
     THIN,
 )
@@ -49,8 +44,8 @@ def solve_mpqp(
     combination is tried, and where the algebra finds no neighbour the QP is solved just across the facet. Facets that
     still led nowhere, of very many some drawn at random, are looked across by the checked online solver. At the end
     points between and behind facets, near the border and anywhere are looked up, and where they lie in no region the QP
-    is solved. An active set not met before is explored too. Where several active sets are optimal on one region,
-    redundant rows are left out and a symbolic perturbation decides: regions do not overlap.
+    is solved. An active set not met before is explored too. Rows that the others imply are left out first; where
+    several active sets are optimal on one region, a symbolic perturbation decides: regions do not overlap.
 
     Parameters
     ----------
@@ -96,7 +91,7 @@ def partitioned(
 ) -> Partition:
     """Partition by an exploration of active sets."""
     start = time.perf_counter()
-    limits = Limits(as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit))
+    most, deadline = as_count("max_regions", max_regions), start + as_seconds("time_limit", time_limit)
     domain = scale_parameters(theta_set, problem.nt)
     nearer = without_far_bounds(problem, domain)
     if nearer is not problem:
@@ -104,18 +99,18 @@ def partitioned(
         if answer.status is MPQPStatus.COMPLETE and _satisfies(answer, problem):
             return replace(answer, problem=problem)
     qp = scale_qp(problem, domain)
-    always = [i for i, _ in equality_pairs(qp)]
+    always = twins(qp.M, qp.own, qp.gram, -1.0, EQUALITY)[0].tolist()
     equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)
-    found = explore(qp, limits)
+    found = explore(qp, most, deadline)
     if found.status is MPQPStatus.INFEASIBLE:
-        implied = implied_equalities(qp, limits.deadline)
+        implied = implied_equalities(qp, deadline)
         reduced = _without(implied, qp, problem)
         if reduced is not None:
             equalities += qp.origin[implied.rows].tolist()
             qp = reduced
-            found = explore(qp, limits, implied.parameters)
+            found = explore(qp, most, deadline, implied.parameters)
             if not implied.exact and found.status is MPQPStatus.COMPLETE:
                 found = found._replace(status=MPQPStatus.INACCURATE)
         elif implied.status is not MPQPStatus.COMPLETE:
@@ -235,7 +230,7 @@ def _law(rows: Array, right: Array, gram: Array) -> tuple[Array, Array, Array]:
     pull = inverse @ right
     law = across @ pull
     law += across @ (inverse @ (right - rows @ law))  # the rounding of a nearly singular gram is taken out
-    for k in np.flatnonzero(np.abs(inverse).max(axis=(1, 2)) > NEARLY_DEPENDENT):
+    for k in np.flatnonzero(np.abs(inverse).max(axis=(1, 2)) * REFINED_ROW > 1.0):
         law[k], pull[k] = _law_by_directions(rows[k], right[k])
     size = 1.0 + np.abs(right).sum(axis=2) + np.linalg.norm(law, axis=1).sum(axis=1)[:, None]
     missed = (np.abs(rows @ law - right).sum(axis=2) / size).max(axis=1)
@@ -286,4 +281,4 @@ def compile_exploration() -> None:
         labels=tuple(Constraint("input", 0, i) for i in range(4)),
     )  # fmt: skip
     twice = ParameterSet(rows, np.ones(4), np.zeros(2), np.full(2, 2.0))
-    explore_compiled(scale_qp(square, twice), Limits(100, np.inf))
+    explore_compiled(scale_qp(square, twice), 100, np.inf)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,14 +24,6 @@ class MPQPStatus(Outcome):
         "In some regions, left out, rounding decides the law. Raise the smallest weights of the cost; leave out rows "
         "that nearly repeat others; choose a `theta_set` in which the limits of the inputs are not nothing."
     )
-
-
-class Laws(NamedTuple):
-    """Laws [gain, offset], their numbers, and input limits [low, high]."""
-
-    law: Array
-    number: Ints
-    limits: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)

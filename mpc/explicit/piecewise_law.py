@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import frozen
 from mpc.checks import Array, Flags, Ints, ReadOnly, as_floats
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Laws, MPQPStatus, Partition
+from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.search_tree import SearchTree, is_scan, search
 from mpc.halfspaces import box_of, nearest_points
 
@@ -86,7 +86,7 @@ class PiecewiseLaw(ReadOnly):
         H, h = self.input_rows
         box = box_of(H, h)
         limits = np.array(box or (np.full(self.nu, -np.inf), np.full(self.nu, np.inf)))
-        laws = Laws(self.law, self.law_number, limits)
+        laws = self.law, self.law_number, limits
         _, outside, u = search(self.tree, self.partition, points, laws, scan=is_scan(method))
         if box is None:
             u[outside] = nearest_points(u[outside], H, h)

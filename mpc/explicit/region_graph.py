@@ -8,7 +8,7 @@ import numpy as np
 
 from mpc.checks import Array, Flags, Ints
 from mpc.explicit.kernels import active_sets, exploration, places
-from mpc.explicit.kernels.data import DONE, FULL, GROW, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.kernels.data import DONE, GROW, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import INSIDE
@@ -37,14 +37,10 @@ class RegionGraph:
     """Graph of the optimal active sets known so far."""
 
     def __init__(self, qp: ScaledQP) -> None:
-        self._take(qp)
-        self.graph, self.facets = _room(len(qp.M), self.parameters)
-
-    def _take(self, qp: ScaledQP) -> None:
-        """Store a problem."""
         self.qp = qp
         self.parameters = qp.D.shape[1] - 1
         self.data = QPData(qp.M, qp.D, qp.tie, qp.gram, qp.TA, qp.Tb)
+        self.graph, self.facets = _room(len(qp.M), self.parameters)
 
     @property
     def done(self) -> int:
@@ -55,11 +51,6 @@ class RegionGraph:
     def queued(self) -> int:
         """Number of regions found."""
         return int(self.graph.counts[QUEUED])
-
-    @property
-    def tied(self) -> bool:
-        """Whether several active sets are optimal on one region."""
-        return bool(self.graph.tied.any())
 
     def explore(self, regions: int) -> None:
         """Find facets and neighbours of at most so many more regions."""
@@ -100,22 +91,6 @@ class RegionGraph:
         masks = np.ascontiguousarray(self.graph.masks[self.graph.queue[:regions]]).view(np.uint8)
         return np.unpackbits(masks, axis=1, bitorder="little")[:, : len(self.qp.M)]
 
-    def keep_rows(self, kept: Ints) -> None:
-        """Keep these rows, all active ones among them."""
-        members = self.active_bits(self.queued)[:, kept]
-        count = len(members)
-        old = self.graph
-        room = _room(len(kept), self.parameters, len(old.masks))[0]
-        self._take(self.qp.rows(kept))
-        room.masks[:count] = _masks(members, room.masks.shape[1])
-        room.kinds[:count] = FULL
-        room.queue[:count] = np.arange(count)
-        room.counts[:] = old.counts
-        room.counts[KNOWN] = count
-        room.tied[:] = old.tied[kept]
-        self.graph = room
-        self.rehash()
-
     def make_room(self, sets: int) -> None:
         """Make room for so many more active sets."""
         while self.graph.counts[KNOWN] + sets >= len(self.graph.masks):
@@ -134,23 +109,13 @@ class RegionGraph:
         """Fill the hash table."""
         active_sets.rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
 
-    def found(self, status: MPQPStatus, uncovered: int) -> Found:
-        """Regions done."""
-        bits = self.active_bits(self.done)
-        members = np.nonzero(bits)[1].tolist()
-        ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()
-        sets = [tuple(members[first:last]) for first, last in zip([0, *ends], ends)]
-        rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
-        offsets = self.facets.offsets[: self.done + 1].copy()
-        return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), uncovered)
-
 
 def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
     """Empty graph for m rows, and facets in n parameters."""
     graph = Graph(
         masks=np.zeros((capacity, max(1, (m + 63) // 64)), dtype=np.uint64), kinds=np.zeros(capacity, dtype=np.int8),
         table=np.full(4 * capacity, -1, dtype=np.int64), queue=np.zeros(capacity, dtype=np.int64),
-        counts=np.zeros(4, dtype=np.int64), tied=np.zeros(m, dtype=bool),
+        counts=np.zeros(4, dtype=np.int64),
     )  # fmt: skip
     rows = np.empty((16 * capacity, n + 1))
     state = np.zeros(len(rows), dtype=np.int8)

@@ -15,9 +15,9 @@ from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import (
     DEFINITE,
+    EMPTY,
     EXCLUDED,
     FAR_OPTIMUM,
-    FLAT_INTERVAL,
     NOT_NEAR,
     REDUNDANT,
     ROUNDED,
@@ -268,19 +268,21 @@ def _beyond_rounding(D: Array) -> Array:
     return np.asarray(sizes[sizes > ROUNDED * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)])
 
 
+def twins(M: Array, D: Array, gram: Array, sign: float, tolerance: float) -> tuple[Ints, Ints]:
+    """Pairs of rows of M that are the same up to `sign`, as are their rows of D beside the sizes of these."""
+    first, second = np.nonzero(np.triu(sign * gram > 1 - tolerance, 1))
+    size = np.maximum(np.abs(D[first]), np.abs(D[second])).max(axis=1, initial=0.0)
+    apart = np.abs(D[first] - sign * D[second]).max(axis=1, initial=0.0)
+    close = (apart <= tolerance * size) & (
+        np.abs(M[first] - sign * M[second]).max(axis=1, initial=0.0) < tolerance
+    )
+    return first[close], second[close]
+
+
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
     """Rows without duplicates, each kept with its tightest bound."""
-    first, second = np.nonzero(gram > 1 - REDUNDANT)
-    once = first < second
-    if not once.any():
-        return np.arange(len(M))
-    first = first[once]
-    second = second[once]
-    size = np.maximum(np.abs(D[first, :-1]), np.abs(D[second, :-1])).max(axis=1, initial=0.0)
-    apart = np.abs(D[first, :-1] - D[second, :-1]).max(axis=1, initial=0.0)
-    close = (apart <= REDUNDANT * size) & (np.abs(M[first] - M[second]).max(axis=1, initial=0.0) < REDUNDANT)
     dropped = np.zeros(len(M), dtype=bool)
-    for i, j in zip(first[close], second[close]):
+    for i, j in zip(*twins(M, D[:, :-1], gram, 1.0, REDUNDANT)):
         if not dropped[i] and not dropped[j]:
             dropped[j if D[i, -1] <= D[j, -1] else i] = True
     return np.flatnonzero(~dropped)
@@ -293,7 +295,7 @@ def _bounding_box(H: Array, h: Array) -> tuple[Array, Array]:
     if box is None or not np.isfinite(box).all() or (h[~H.any(axis=1)] < 0).any():
         box = _box_of_polytope(H, h)
     low, high = box
-    flat = np.flatnonzero(high - low <= FLAT_INTERVAL * np.maximum(np.abs(low), np.abs(high)))
+    flat = np.flatnonzero(high - low <= EMPTY * np.maximum(np.abs(low), np.abs(high)))
     if len(flat):
         j = int(flat[0])
         got = f"a set with parameter {j} in [{low[j]:.6g}, {high[j]:.6g}]"

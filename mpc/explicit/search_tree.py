@@ -11,8 +11,10 @@ import numpy as np
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, Flags, Ints, ReadOnly, as_seconds
 from mpc.exceptions import InputError
-from mpc.explicit.partition import Laws, MPQPStatus, Partition
+from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
+
+Laws = tuple[Array, Ints, Array]  # [gain, offset] of every region, their numbers, and input limits [low, high]
 
 
 class TreeStatus(Outcome):
@@ -121,15 +123,13 @@ def search(
     if scan:
         parts = (np.zeros((0, n + 1)), np.array([[-1, 0, 0]], dtype=np.int64), np.zeros(0, dtype=np.int64))
     if laws is None:
-        laws = Laws(np.zeros((len(partition), 0, n + 1)), np.arange(len(partition)), np.zeros((2, 0)))
+        laws = np.zeros((len(partition), 0, n + 1)), np.arange(len(partition)), np.zeros((2, 0))
     regions = (partition.scaled_rows, partition.offsets)
     scaling = (tree.border, tree.centre, partition.centre, partition.half)
     where = compiled.Locator(*map(_view, (*parts, *regions, *scaling)))
-    found = compiled.Found(
-        np.empty(count, dtype=np.int64), np.empty(count, dtype=bool), np.empty((count, laws.law.shape[1]))
-    )
-    compiled.search(where, _view(theta), Laws(*map(_view, laws)), found)
-    return found.region, found.outside, found.u
+    found = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool), np.empty((count, laws[0].shape[1]))
+    compiled.search(where, _view(theta), tuple(map(_view, laws)), found)
+    return found
 
 
 def distinct_planes(rows: Array) -> tuple[Array, Ints, Flags]:
@@ -225,22 +225,9 @@ def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
 
 
 def _roomier(growth: Any) -> Any:
-    """Growth with more room, without regions of finished nodes."""
-    from mpc.explicit.kernels.growth import NEXT, POOL
-
-    node = growth.counts[NEXT]
-    filled = growth.counts[POOL]
-    begin = growth.first[node]
-    more = growth._asdict()
-    for name in ("nodes", "parents", "first", "last", "leaf"):
-        more[name] = np.concatenate([more[name], np.full_like(more[name], -1)])
-    for name in ("pool", "inside"):
-        kept = more[name][begin:filled]
-        more[name] = np.concatenate([kept, np.zeros(len(kept) + len(more[name]), dtype=kept.dtype)])
-    more["first"][node:] -= begin
-    more["last"][node:] -= begin
-    growth.counts[POOL] -= begin
-    return growth._replace(**more)
+    """Growth with twice the room."""
+    longer = {name: np.concatenate([part, part]) for name, part in growth._asdict().items() if name != "counts"}
+    return growth._replace(**longer)
 
 
 def _border(partition: Partition, tree: SearchTree, points: RegionPoints) -> Array:

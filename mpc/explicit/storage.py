@@ -26,10 +26,6 @@ Parts = tuple[Partition, SearchTree, Array, Ints, tuple[Array, Array]]  # of an 
 _together = threading.Lock()  # two threads that save to one path do not mix their files
 
 
-class _Inconsistent(ValueError):
-    """Contradiction within the files, named by the message."""
-
-
 def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     """Write the two files and return their paths."""
     arrays, manifest = _files(path)
@@ -95,7 +91,7 @@ def load_parts(path: Path) -> Parts:
         with arrays.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
         if text.pop("fingerprint") != _fingerprint(data, text):
-            raise _Inconsistent(f"{arrays.name} is not the file that {manifest.name} was written with")
+            raise ValueError(f"{arrays.name} is not the file that {manifest.name} was written with")
         _check_arrays(data, text)
         return _assemble(text, data)
     except InputError:
@@ -152,13 +148,13 @@ def _check_arrays(data: Arrays, text: dict[str, Any]) -> None:
         array = data[name]
         kind = np.int64 if name in whole else np.float64
         if array.shape != shape or array.dtype != kind:
-            raise _Inconsistent(f"{name} has shape {array.shape} of {array.dtype}, not {shape} of {np.dtype(kind)}")
+            raise ValueError(f"{name} has shape {array.shape} of {array.dtype}, not {shape} of {np.dtype(kind)}")
         if kind is np.float64 and not np.isfinite(array).all():
-            raise _Inconsistent(f"{name} is not finite")
+            raise ValueError(f"{name} is not finite")
     if regions < 1 or not 1 <= nu <= inputs or len(text["labels"]) != m:
-        raise _Inconsistent("the numbers of regions, inputs or labels do not fit the arrays")
+        raise ValueError("the numbers of regions, inputs or labels do not fit the arrays")
     if sum(int(size) for _, size in text["parameters"]) != nt or not (data["partition_half"] > 0).all():
-        raise _Inconsistent("the parameters do not fit the arrays")
+        raise ValueError("the parameters do not fit the arrays")
     _check_indices(data, regions, m)
 
 
@@ -167,13 +163,13 @@ def _check_indices(data: Arrays, regions: int, m: int) -> None:
     offsets = data["partition_offsets"]
     number = data["law_number"]
     if offsets[0] != 0 or (np.diff(offsets) < 0).any() or offsets[-1] != len(data["partition_h"]):
-        raise _Inconsistent("partition_offsets does not divide the facets among the regions")
+        raise ValueError("partition_offsets does not divide the facets among the regions")
     if not np.array_equal(np.unique(number), np.arange(number.max() + 1)):
-        raise _Inconsistent("law_number does not count the laws")
+        raise ValueError("law_number does not count the laws")
     counts = data["member_counts"]
     members = data["members"]
     if (counts < 0).any() or counts.sum() != len(members) or not _within(members, m):
-        raise _Inconsistent("members does not name constraints")
+        raise ValueError("members does not name constraints")
     nodes = data["tree_nodes"]
     leaf = data["tree_leaf_regions"]
     inner = nodes[:, 0] >= 0
@@ -182,11 +178,11 @@ def _check_indices(data: Arrays, regions: int, m: int) -> None:
     leaves = nodes[~inner]
     after = (children > node).all() and (children < len(nodes)).all()  # so that every walk ends
     if not len(nodes) or not after or not _within(nodes[inner, 0], len(data["tree_planes"])):
-        raise _Inconsistent("tree_nodes has a hyperplane or a child that does not exist")
+        raise ValueError("tree_nodes has a hyperplane or a child that does not exist")
     if (leaves[:, 0] != -1).any() or (leaves[:, 1] < 0).any() or (leaves[:, 1] > leaves[:, 2]).any():
-        raise _Inconsistent("tree_nodes has a leaf that is no slice")
+        raise ValueError("tree_nodes has a leaf that is no slice")
     if (leaves[:, 2] > len(leaf)).any() or not _within(leaf, regions):
-        raise _Inconsistent("tree_leaf_regions names a region that does not exist")
+        raise ValueError("tree_leaf_regions names a region that does not exist")
 
 
 def _within(indices: np.ndarray[Any, Any], count: int) -> bool:

@@ -118,7 +118,6 @@ def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
     return names
 
 
-
 def middle(low: Array, high: Array) -> Array:
     """Middle (n,) of bounds; NaN without two."""
     with np.errstate(invalid="ignore"):

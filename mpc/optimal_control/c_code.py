@@ -15,7 +15,7 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.planner import gain_at_rest
-from mpc.tolerances import TINY, VIOLATION_PRICE
+from mpc.tolerances import VIOLATION_PRICE
 
 
 def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
@@ -101,7 +101,7 @@ def _program(law: LinearMPC, lowest: Array, highest: Array) -> tuple[ca.Function
     d = ca.diag(size_x) @ ca.horzcat(stages[:nx, :], z[width * N :])
     v, s = ca.diag(size_u) @ stages[nx : nx + nu, :], stages[nx + nu :, :]
     now_cost, cost = (_cost(law, at + i * d - x_ref, now + i * v - u_ref) for i in (0, 1))
-    soft = law.soft if law.soft is not None else (ca.fmax(VIOLATION_PRICE * now_cost, TINY),) * 2
+    soft = law.soft if law.soft is not None else (ca.fmax(VIOLATION_PRICE * now_cost, float(np.finfo(float).tiny)),) * 2
     for k in range(slacks):
         cost += soft[0] * s[k] + soft[1] * s[k] ** 2
     rows: list[Any] = []
@@ -142,4 +142,4 @@ def _cost(law: LinearMPC, error: Any, effort: Any) -> Any:
     """Cost of deviations from the references."""
     along = error[:, :-1]
     cost = ca.bilin(law.P, error[:, -1]) + ca.dot(along, ca.DM(law.Q) @ along) + ca.dot(effort, ca.DM(law.R) @ effort)
-    return cost if law.S is None else cost + 2 * ca.dot(along, ca.DM(law.S) @ effort)
+    return cost + 2 * ca.dot(along, ca.DM(law.cross) @ effort)

@@ -35,12 +35,10 @@ def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> t
     prices = np.zeros((N, nu, nu))
     V = P.copy()
     for k in range(N - 1, -1, -1):
-        VA, VB = _product(V, A[k]), _product(V, B[k])
-        Bt = np.ascontiguousarray(B[k].T)
-        M = R + _product(Bt, VB)
-        slope = np.ascontiguousarray(S.T) + _product(Bt, VA)
+        M = R + B[k].T @ V @ B[k]
+        slope = S.T + B[k].T @ V @ A[k]
         K = _divided(M, slope)
-        V = Q + _product(np.ascontiguousarray(A[k].T), VA) - _product(np.ascontiguousarray(slope.T), K)
+        V = Q + A[k].T @ V @ A[k] - slope.T @ K
         V = 0.5 * (V + V.T)
         gains[k] = K
         prices[k] = M
@@ -86,58 +84,21 @@ def costates_along(A: Array, B: Array, gains: Array, by_state: Array, by_input: 
 
     Backwards along the closed loop: what the inputs' slopes leave, zero at an optimum, keeps the digits.
     """
-    N, nx, nu = B.shape
+    N, nx, _ = B.shape
     found = np.zeros((N + 1, nx))
     found[N] = by_state[N]
     for k in range(N - 1, -1, -1):
-        for i in range(nx):
-            found[k, i] = by_state[k, i]
-            for j in range(nx):
-                found[k, i] += A[k, j, i] * found[k + 1, j]
-        for i in range(nu):
-            left = by_input[k, i]
-            for j in range(nx):
-                left += B[k, j, i] * found[k + 1, j]
-            for j in range(nx):
-                found[k, j] -= gains[k, i, j] * left
-    return found
-
-
-@njit(cache=True)
-def _product(M: Array, L: Array) -> Array:
-    """Matrix product of small matrices."""
-    found = np.zeros((M.shape[0], L.shape[1]))
-    for i in range(M.shape[0]):
-        for j in range(M.shape[1]):
-            for k in range(L.shape[1]):
-                found[i, k] += M[i, j] * L[j, k]
+        left = by_input[k] + B[k].T @ found[k + 1]
+        found[k] = by_state[k] + A[k].T @ found[k + 1] - gains[k].T @ left
     return found
 
 
 @njit(cache=True)
 def _divided(M: Array, right: Array) -> Array:
-    """Product M⁻¹ right for M ⪰ 0 (nu, nu), by scaled Cholesky."""
+    """Product M⁻¹ right for M ⪰ 0 (nu, nu), in units in which its diagonal is one."""
     n = len(M)
-    scale = np.zeros(n)
+    scale = np.zeros((n, 1))
     for i in range(n):
-        scale[i] = 1.0 / np.sqrt(M[i, i]) if M[i, i] > 0 else 0.0
-    L = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            left = M[i, j] * scale[i] * scale[j] + (GAIN_REGULARISATION if i == j else 0.0)
-            for k in range(j):
-                left -= L[i, k] * L[j, k]
-            L[i, j] = np.sqrt(max(left, GAIN_REGULARISATION)) if i == j else left / L[j, j]
-    found = np.zeros(right.shape)
-    for i in range(n):
-        found[i] = right[i] * scale[i]
-        for k in range(i):
-            found[i] -= L[i, k] * found[k]
-        found[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            found[i] -= L[k, i] * found[k]
-        found[i] /= L[i, i]
-    for i in range(n):
-        found[i] *= scale[i]
-    return found
+        scale[i, 0] = 1.0 / np.sqrt(M[i, i]) if M[i, i] > 0 else 0.0
+    regular = M * scale * scale.T + GAIN_REGULARISATION * np.eye(n)
+    return np.linalg.solve(regular, right * scale) * scale

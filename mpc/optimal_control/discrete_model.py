@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +13,8 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
-from mpc.tolerances import STEADY_SOLVER, TARGET_COST
+from mpc.sensitivities.changes import PlanModel
+from mpc.tolerances import INTERIOR_POINT, TARGET_COST
 from mpc.tracking import sizes_of
 
 
@@ -90,6 +90,22 @@ class DiscreteModel:
     def by_disturbance(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """Derivatives (nx, nw) of the next state by w."""
         return self._by_disturbance(x, u, w, p)[0].T
+
+    def along_signals(self, w: Array, p: Array) -> PlanModel:
+        """Derivatives along plans under signals w (N, nw) with parameters p (np,)."""
+
+        def first(states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
+            """f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
+            (slopes,) = self._by_parameters(states, inputs, w, p)
+            by_parameters = slopes.reshape(len(inputs), len(p), states.shape[1]).transpose(0, 2, 1)
+            return *self.linearised(states, inputs, w, p), by_parameters
+
+        def second(states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
+            """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
+            at = (states, inputs, w, p, costates)
+            return self.curvature(*at), self.mixed(*at)
+
+        return PlanModel(first, second)
 
     def curvature(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
         """Second derivatives (N, nx + nu, nx + nu) of λ'f by (x, u)."""
@@ -174,26 +190,6 @@ def _following(step: ca.Function) -> ca.Function:
     return ca.Function("following", [now, v, s, gain, low, high, rate, w, p], [then])
 
 
-@dataclass(frozen=True, eq=False)
-class AlongSignals:
-    """Derivatives of a model under signals w (N, nw) with parameters p (np,)."""
-
-    model: DiscreteModel
-    w: Array
-    p: Array
-
-    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
-        """f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
-        (slopes,) = self.model._by_parameters(states, inputs, self.w, self.p)
-        by_parameters = slopes.reshape(len(inputs), len(self.p), states.shape[1]).transpose(0, 2, 1)
-        return *self.model.linearised(states, inputs, self.w, self.p), by_parameters
-
-    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
-        at = (states, inputs, self.w, self.p, costates)
-        return self.model.curvature(*at), self.model.mixed(*at)
-
-
 def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     """Ipopt for the steady state of a model in X and U whose outputs are nearest to a reference.
 
@@ -205,9 +201,7 @@ def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     kind = type(w)
     z, squares, slope = kind.sym("z", len(size)), kind.sym("squares", nx, nx), kind.sym("slope", nx)
     x, u = ca.vertsplit(z * size, [0, nx, len(size)])
-    cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u)
-    if law.S is not None:
-        cost += 2 * ca.dot(x, ca.DM(law.S) @ u)
+    cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u) + 2 * ca.dot(x, ca.DM(law.cross) @ u)
     most = float(sum(np.diag(law.Q) * size[:nx] ** 2) + sum(np.diag(law.R) * size[nx:] ** 2)) or 1.0
     rows = [
         (ca.DM(H) @ value - h) / law.row_units[name]
@@ -219,6 +213,6 @@ def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
         "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
     }  # fmt: skip
     return ca.nlpsol("steady_state", "ipopt", program, {
-        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": STEADY_SOLVER,
+        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": INTERIOR_POINT,
         "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
     })  # fmt: skip

@@ -17,16 +17,16 @@ from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
-from mpc.optimal_control.discrete_model import AlongSignals, DiscreteModel, steady_solver
+from mpc.optimal_control.discrete_model import DiscreteModel, steady_solver
 from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.planner import Planner
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import for_each_state, spread_signals
+from mpc.rollout import disturbance, for_each_state, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
-from mpc.tolerances import AT_REST
+from mpc.tolerances import STEADY
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,7 +127,7 @@ class NonlinearMPC:
             if not np.isfinite(value).all():
                 raise InputError("step", f"{what} that are not finite at rest", "finite ones at x = 0, u = 0, w = 0")
         sizes = MPCProblem(A, B, Q=self.Q, R=self.R, horizon=1, P=np.eye(self.states), X=self.X, U=self.U).state_extent
-        if np.abs(f / sizes).max() > AT_REST:
+        if np.abs(f / sizes).max() > STEADY:
             got, cure = f"a model that moves from rest to {f}", "State it in deviations from an equilibrium."
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
         E = self.model.by_disturbance(x, u, w, self.p) if self.disturbances else None
@@ -153,7 +153,7 @@ class NonlinearMPC:
     def _planner(self) -> Planner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
-        return Planner.of(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
+        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"
@@ -250,7 +250,7 @@ class NonlinearMPC:
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
                "d_rate_limit": d_rate_limit, "dA": at_rest[0], "dB": at_rest[1]}  # fmt: skip
         changes = as_changes(self.linear, own, len(self.p))
-        derivatives = AlongSignals(self.model, to_the_end.signal(given), self.p)
+        derivatives = self.model.along_signals(disturbance(self.linear, given), self.p)
         return sensitivity_of(self.linear, derivatives, changes, plan, given)
 
     @cached_property

@@ -115,7 +115,6 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
                 return at, found.steady
         return at, False
 
-
     def _by_ipopt(self, r: Array, otherwise: Array) -> Array:
         """Target (nx + nu,) by Ipopt, where that finds one."""
         size, nx = sizes_of(self._problem), self._problem.nx

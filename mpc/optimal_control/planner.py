@@ -14,19 +14,10 @@ from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.sqp import Sequential, Step
+from mpc.optimal_control.sqp import TINY, Sequential, Step
 from mpc.plan import Plan, Residuals, Status
-from mpc.rollout import Given, admissible, cost_of, finite, relative_violations, violation_of
-from mpc.tolerances import (
-    FEASIBLE,
-    MERIT_DECREASE,
-    MERIT_ROUNDING,
-    OPTIMAL,
-    SHORTEST_STEP,
-    SQP_CONVERGED,
-    TINY,
-    VIOLATION_PRICE,
-)
+from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
+from mpc.tolerances import COST_DIGITS, FEASIBLE, KKT, MERIT_DECREASE, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
 
@@ -61,14 +52,19 @@ class Planner:
     iterations: int | None
     most: int
     time_limit: float
-    programs: Sequential
-    gain: Array
 
-    @classmethod
-    def of(cls, law: LinearMPC, model: DiscreteModel, p: Array, iterations: int | None, most: int,
-           time_limit: float) -> Planner:  # fmt: skip
-        """Planner with the quadratic programs along plans and the gain (nu, nx) of the linear law."""
-        return cls(law, model, p, iterations, most, time_limit, Sequential(law, model), gain_at_rest(law))
+    def __post_init__(self) -> None:
+        _ = self.programs, self.gain  # built, and compiled, before a clock runs
+
+    @cached_property
+    def programs(self) -> Sequential:
+        """Quadratic programs along plans."""
+        return Sequential(self.law, self.model)
+
+    @cached_property
+    def gain(self) -> Array:
+        """Gain (nu, nx) of the linear law."""
+        return gain_at_rest(self.law)
 
     @property
     def _gains(self) -> Array:
@@ -82,15 +78,10 @@ class Planner:
         rate = np.full(self.law.nu, np.inf) if self.law.rate_limit is None else self.law.rate_limit
         return None if box is None else (*box, rate)
 
-    def signal(self, given: Given) -> Array:
-        """Disturbance (N, nw) over the horizon."""
-        shape = (self.law.horizon, self.law.nw)
-        return given["w"].reshape(shape) if "w" in given else np.zeros(shape)
-
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or the linear law's."""
         began = time.perf_counter()
-        w = self.signal(given)
+        w = disturbance(self.law, given)
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, w, given)
@@ -119,10 +110,10 @@ class Planner:
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the linear law's last input."""
-        error, effort = self.programs.deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
+        error, effort = deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
         u = self._admissible(-effort[-1] - self.gain @ (end + error[-1]), plan.inputs[-1])
-        after = finite(self.model.next(end, u, self.signal(given)[-1], self.p))
+        after = finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 
     def _iterated(
@@ -150,7 +141,7 @@ class Planner:
                 return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
             last = step
             if not real_time:
-                if max(step.defects, step.stationarity) <= SQP_CONVERGED:
+                if max(step.defects, step.stationarity) <= KKT:
                     break
                 relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
                 of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
@@ -177,22 +168,20 @@ class Planner:
 
         now = merit(at)
         promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
-        part = 1.0
-        while part >= SHORTEST_STEP:
-            enough = now - MERIT_DECREASE * part * max(promised, 0.0) + MERIT_ROUNDING * abs(now)
+        for part in 0.5 ** np.arange(11):
+            enough = now - MERIT_DECREASE * part * max(promised, 0.0) + COST_DIGITS * abs(now)
             planned = at.moved(step, part)
             if merit(planned) <= enough:  # not so of what is no number
                 return planned
             followed = self._followed(x, planned, w, given)
             if merit(followed) <= enough:
                 return followed
-            part *= 0.5
         return None
 
     def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:
         """Path of the model under the linear law."""
         states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
-        error, effort = self.programs.deviations(states, inputs, given)
+        error, effort = deviations(states, inputs, given)
         return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), w, given)
 
     def _followed(self, x: Array, path: _Path, w: Array, given: Given) -> _Path:
@@ -252,7 +241,6 @@ def gain_at_rest(law: LinearMPC) -> Array:
         return law.gain
     except NotStabilisableError:
         A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
-        S = np.zeros((law.nx, law.nu)) if law.S is None else law.S
-        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, S, law.P))
+        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, law.cross, law.P))
         gains, _ = gains_along(A, B, *weights)
         return np.asarray(gains[0])

@@ -23,7 +23,7 @@ from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
-from mpc.tolerances import BOTTOMLESS, CHEAPER, FEASIBLE, LEAST_SECONDS, OPTIMAL, USUAL_ITERATIONS, WELL_SIZED
+from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, LEAST_SECONDS, OPTIMAL, USUAL_ITERATIONS, WELL_SIZED
 
 SAID = {
     "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,
@@ -35,7 +35,6 @@ SAID = {
     "Invalid_Number_Detected": OptimalControlStatus.UNDEFINED,
 }
 ENDLESS = "Diverging_Iterates"
-
 
 
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
@@ -140,7 +139,7 @@ class _Run:
         other = self.solved(shaken(program), None, warm=True)
         f, then = (float(program.derivatives.values(one.v)[0]) for one in (found, other))
         gone = other.ended or other.said == ENDLESS
-        if gone and then < f - CHEAPER * max(program.cost_scale, abs(f)):
+        if gone and then < f - COST_ROUNDING * max(program.cost_scale, abs(f)):
             return other
         self.program = program
         return found

@@ -13,8 +13,10 @@ from mpc.feedback import stabilising_weights
 from mpc.optimal_control.condensing import compile_kernels, costates_along, gains_along, responses
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, cost_of, relative_violations
-from mpc.tolerances import LEAST_CURVED, REFERENCE_ROUNDING, TINY
+from mpc.rollout import Given, cost_of, deviations, relative_violations
+from mpc.tolerances import COST_ROUNDING, LEAST_CURVED
+
+TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +73,7 @@ class Sequential:
         self.n = problem.horizon * problem.nu
         N = problem.horizon
         self._regulated = tuple(np.array(weight, order="C") for weight in stabilising_weights(problem))
-        none = np.zeros((problem.nx, problem.nu))
-        own = (problem.Q, problem.R, none if problem.S is None else problem.S, problem.P)
+        own = (problem.Q, problem.R, problem.cross, problem.P)
         self._separate = all(np.array_equal(one, other) for one, other in zip(own, self._regulated))
         self._weights = np.concatenate([np.tile(problem.Q, (N, 1, 1)), problem.P[None]])
         self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
@@ -138,16 +139,15 @@ class Sequential:
         problem, n = self.problem, self.n
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
         H = 2 * (flat.T @ (self._weights @ G).reshape(-1, n) + acting.T @ (problem.R @ F).reshape(-1, n))
-        if problem.S is not None:
-            across = (problem.S @ F).reshape(-1, n)
-            cross = flat[: len(across)].T @ across
-            H = H + 2 * (cross + cross.T)
+        across = (problem.cross @ F).reshape(-1, n)
+        cross = flat[: len(across)].T @ across
+        H = H + 2 * (cross + cross.T)
         return np.asarray((H + H.T) / 2)
 
     def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
         """Program in v about the plan of v = 0."""
         problem, n = self.problem, self.n
-        error, effort = self.deviations(states, inputs, given)
+        error, effort = deviations(states, inputs, given)
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
         by_state, by_input = self._slopes(error, effort)
         lost, lost_cost = np.zeros(n), 0.0
@@ -155,8 +155,8 @@ class Sequential:
             x_ref, u_ref = states - error, inputs - effort
             of_states, of_inputs = self._slopes(x_ref, u_ref)
             terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
-            lost = REFERENCE_ROUNDING * terms
-            lost_cost = REFERENCE_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
+            lost = COST_ROUNDING * terms
+            lost_cost = COST_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
         rows, bounds = self._limits(states, inputs, G, F, given)
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 
@@ -164,16 +164,8 @@ class Sequential:
         """Slopes of the cost by states (N + 1, nx) and inputs (N, nu)."""
         problem = self.problem
         by_state = 2 * (self._weights @ error[:, :, None])[:, :, 0]
-        by_input = 2 * effort @ problem.R
-        if problem.S is not None:
-            by_state[:-1] += 2 * effort @ problem.S.T
-            by_input += 2 * error[:-1] @ problem.S
-        return by_state, by_input
-
-    def deviations(self, states: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
-        """Deviations of states and inputs from their references."""
-        error = states - given["x_ref"].reshape(states.shape) if "x_ref" in given else states
-        return error, inputs - given["u_ref"].reshape(inputs.shape) if "u_ref" in given else inputs
+        by_state[:-1] += 2 * effort @ problem.cross.T
+        return by_state, 2 * effort @ problem.R + 2 * error[:-1] @ problem.cross
 
     def _limits(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> tuple[Array, Array]:
         """Rows and bounds of v: inputs, rates, states, end."""
@@ -196,7 +188,7 @@ class Sequential:
     def _forces(self, states: Array, inputs: Array, multipliers: Array, given: Given) -> tuple[Array, Array]:
         """Lagrangian slopes (N + 1, nx) and (N, nu) without dynamics."""
         problem, N, nu = self.problem, self.problem.horizon, self.problem.nu
-        by_state, by_input = self._slopes(*self.deviations(states, inputs, given))
+        by_state, by_input = self._slopes(*deviations(states, inputs, given))
         end = len(problem.terminal_rows[1])
         on_inputs, rest = np.split(multipliers, [N * len(problem.input_rows[1])])
         along = len(rest) - end

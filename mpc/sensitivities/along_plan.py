@@ -11,10 +11,10 @@ from mpc.checks import Array, Flags
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
-from mpc.sensitivities.changes import SOFTENED, Changes
-from mpc.sensitivities.linearised import Conditions, Linearised, PlanModel, Point
+from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
+from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
-from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, NEAR_OPTIMUM, NEWTON, TOGETHER, WEAKLY_ACTIVE
+from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, TOGETHER
 
 
 def sensitivity_of(
@@ -58,7 +58,7 @@ def _at_optimum(plan: Plan, step: NewtonStep) -> PlanSensitivity:
     parting = idle.dependent & ~idle.together
     if parting.any():
         status = SensitivityStatus.DEPENDENT
-    pushing = np.flatnonzero(linear.worth(linear.multipliers) > WEAKLY_ACTIVE)
+    pushing = np.flatnonzero(linear.worth(linear.multipliers) > KKT_REPORTED)
     keep = np.r_[0:nt, linear.free]
     inputs, states = (form[:, :, keep] for form in (linear.U, linear.X))
     held, weak = (linear.rows[rows][:, keep] for rows in (linear.point.acting, idle.weak))
@@ -119,7 +119,7 @@ class IdleRows:
         idle = self.weak | self.dependent
         acting = linear.point.acting
         worth = linear.worth(linear.multipliers)
-        pushing = worth > WEAKLY_ACTIVE
+        pushing = worth > KKT_REPORTED
         room = np.where(pushing, worth, -linear.values / linear.units)
         counts = pushing | (linear.own & ~(acting | idle))
         counts &= np.array([label.kind != "slack" for label in linear.labels], dtype=bool) | pushing | ~linear.on_bound
@@ -223,7 +223,7 @@ class NewtonStep:
         move = self.moves[:, -1]
         values = linear.values + linear.rows[:, at["gap"]].ravel() + linear.rows[:, linear.free] @ move
         # by more than it takes to act on: a row that is passed by as much as that would enter and leave for ever
-        passed = (values > 2 * WEAKLY_ACTIVE * linear.units) & ~point.acting & linear.own
+        passed = (values > 2 * KKT_REPORTED * linear.units) & ~point.acting & linear.own
         acting = linear.acting(multipliers)
         enter(linear.rows[:, linear.free] * linear.scale, multipliers, acting, passed)
         slacks = point.slacks + self._of_slacks

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array
 from mpc.exceptions import InputError
+from mpc.feedback import along_horizon
 from mpc.halfspaces import Limits
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, pushes
+from mpc.rollout import Given, disturbance, pushes
 from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
 from mpc.tolerances import UNIT_STEP
 
@@ -106,26 +108,33 @@ def _moved(limits: Limits, moves: dict[str, Array], dB: Array, part: float) -> L
     return Limits(limits.B + part * dB, sets, rate, limits.horizon)
 
 
-class LinearModel:
+class PlanModel(NamedTuple):
+    """Derivatives of x⁺ = f(x, u, p) along a plan of states (N, nx) and inputs (N, nu), p (np,).
+
+    first : (states, inputs) → f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·); second : (states, inputs, costates λ) →
+    Hessians of Σ λ_i f_i by (x, u), and mixed derivatives with p (N, nx + nu, ·).
+    """
+
+    first: Callable[[Array, Array], tuple[Array, Array, Array, Array]]
+    second: Callable[[Array, Array, Array], tuple[Array, Array]]
+
+
+def linear_model(problem: MPCProblem, given: Given, changes: dict[str, Array]) -> PlanModel:
     """Derivatives of x⁺ = Ax + Bu + Ew along a plan."""
+    A, B = along_horizon(problem)
+    push = pushes(problem, given)
+    pushed = np.einsum("xwp,kw->kxp", changes["dE"], disturbance(problem, given))
 
-    def __init__(self, problem: MPCProblem, given: Given, changes: dict[str, Array]) -> None:
-        self._problem = problem
-        self._push = pushes(problem, given)
-        self._changes = changes
-        w = given["w"].reshape(problem.horizon, -1) if "w" in given else np.zeros((problem.horizon, problem.nw))
-        self._pushed = np.einsum("xwp,kw->kxp", changes["dE"], w)
-
-    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
+    def first(states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
         """f, ∂f/∂x, ∂f/∂u and ∂f/∂p."""
-        A, B, N = self._problem.A, self._problem.B, len(inputs)
-        by_parameters = np.einsum("xyp,ky->kxp", self._changes["dA"], states) + self._pushed
-        by_parameters += np.einsum("xup,ku->kxp", self._changes["dB"], inputs)
-        after = states @ A.T + inputs @ B.T + self._push
-        return after, np.broadcast_to(A, (N, *A.shape)), np.broadcast_to(B, (N, *B.shape)), by_parameters
+        by_parameters = np.einsum("xyp,ky->kxp", changes["dA"], states) + pushed
+        by_parameters += np.einsum("xup,ku->kxp", changes["dB"], inputs)
+        return states @ problem.A.T + inputs @ problem.B.T + push, A, B, by_parameters
 
-    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
+    def second(states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
         """Curvature, which is zero, and mixed derivatives by parameters."""
         size = states.shape[1] + inputs.shape[1]
-        mixed = [np.einsum("kx,xyp->kyp", costates, self._changes[name]) for name in ("dA", "dB")]
+        mixed = [np.einsum("kx,xyp->kyp", costates, changes[name]) for name in ("dA", "dB")]
         return np.zeros((len(inputs), size, size)), np.concatenate(mixed, axis=1)
+
+    return PlanModel(first, second)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -15,22 +14,10 @@ from mpc.feedback import block_lengths, feedback_along
 from mpc.parametric_qp import places
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, relative_violations
-from mpc.sensitivities.changes import SOFTENED, Changes
+from mpc.rollout import Given, deviations, relative_violations
+from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
-from mpc.tolerances import ACTIVE, WEAKLY_ACTIVE
-
-
-class PlanModel(Protocol):
-    """Derivatives of x⁺ = f(x, u, p) along a plan, p (np,)."""
-
-    def first(self, states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
-        """Values f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
-        ...
-
-    def second(self, states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
-        """Hessians of Σ λ_i f_i by (x, u), and mixed derivatives with p."""
-        ...
+from mpc.tolerances import ACTIVE, KKT_REPORTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +102,12 @@ class Linearised:
         for i, k, change in priced:
             self.rows[i, at["p"]] -= point.slacks[k] * change
         self.units = row_units(problem, self.labels)
-        self.on_bound = self.values >= -WEAKLY_ACTIVE * self.units  # rows that hold with equality
+        self.on_bound = self.values >= -KKT_REPORTED * self.units  # rows that hold with equality
         held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
         own = [label.kind != "input" or not held[label.step] for label in self.labels]
         self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
         self.multipliers = np.zeros(len(self.rows)) if point.multipliers is None else point.multipliers
-        error = point.states - given["x_ref"].reshape(N + 1, -1) if "x_ref" in given else point.states
-        effort = point.inputs - given["u_ref"].reshape(N, -1) if "u_ref" in given else point.inputs
+        error, effort = deviations(point.states, point.inputs, given)
         steps = np.hstack([error[:-1], effort])
         self.slope = 2 * steps @ problem.stage_weight
         self.end_slope = 2 * problem.P @ error[-1]
@@ -229,7 +215,7 @@ class Linearised:
 
     def acting(self, multipliers: Array) -> Flags:
         """Whether each row (m,) pushes, or is an unpushed slack at zero."""
-        pushing = self.worth(multipliers) > WEAKLY_ACTIVE
+        pushing = self.worth(multipliers) > KKT_REPORTED
         near = {
             label.step
             for label, value, unit in zip(self.labels, self.values, self.units)

@@ -13,7 +13,7 @@ import daqp
 import numpy as np
 
 from mpc.checks import Array
-from mpc.explicit.exploration import Limits, irredundant_rows
+from mpc.explicit.exploration import irredundant_rows
 from mpc.explicit.mpqp import partitioned
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
@@ -35,19 +35,19 @@ def solve_slowly(
     return partitioned(explore_all, problem, theta_set, max_regions, time_limit)
 
 
-def explore_all(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> Found:
+def explore_all(qp: ScaledQP, most: int, deadline: float, feasible: Array | None = None) -> Found:
     """Regions of all optimal active sets; where several are optimal together, without rows that the others imply."""
-    found, tied = _explore(qp, limits, feasible)
+    found, tied = _explore(qp, most, deadline, feasible)
     if not tied or found.status is not MPQPStatus.COMPLETE:
         return found
-    kept, finished = irredundant_rows(qp, limits.deadline)
-    again = found if len(kept) == len(qp.M) else _explore(qp.rows(kept), limits)[0]
-    if not finished or again.status is MPQPStatus.TIME_LIMIT:
+    kept = irredundant_rows(qp, deadline)
+    again = found if len(kept) == len(qp.M) else _explore(qp.rows(kept), most, deadline)[0]
+    if time.perf_counter() > deadline or again.status is MPQPStatus.TIME_LIMIT:
         return found._replace(status=MPQPStatus.TIME_LIMIT)
     return found if again.status is MPQPStatus.INFEASIBLE else again
 
 
-def _explore(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> tuple[Found, bool]:
+def _explore(qp: ScaledQP, most: int, deadline: float, feasible: Array | None = None) -> tuple[Found, bool]:
     """Explore optimal active sets of every dimension, changing any one constraint at a time.
 
     Arnström and Axehill (IEEE CDC 2024) show that the graph of optimal active sets is connected when those of lower
@@ -75,10 +75,10 @@ def _explore(qp: ScaledQP, limits: Limits, feasible: Array | None = None) -> tup
             if neighbour not in seen:
                 seen.add(neighbour)
                 stack.append(neighbour)
-        if len(regions) >= limits.max_regions and stack:
+        if len(regions) >= most and stack:
             status = MPQPStatus.REGION_LIMIT
             break
-        if time.perf_counter() > limits.deadline and stack:
+        if time.perf_counter() > deadline and stack:
             status = MPQPStatus.TIME_LIMIT
             break
     sizes = np.cumsum([0] + [len(rows) for rows in regions.values()])

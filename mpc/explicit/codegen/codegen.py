@@ -18,7 +18,7 @@ from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import distinct_planes, is_scan, region_points
 from mpc.halfspaces import box_of
-from mpc.tolerances import CUT_OFF, FAR_AWAY, INSIDE, INSIDE_FLOAT
+from mpc.tolerances import FAR_AWAY, INSIDE, INSIDE_FLOAT, NO_BOUND
 
 _TOLERANCE = {"double": INSIDE, "float": INSIDE_FLOAT}
 _LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
@@ -103,7 +103,7 @@ def write_c(
         "border": _border(law, scalar), "regions": search.regions, "body": search.body,
         "law": law_text, "summary": f"{len(law)} regions, {count} laws, {method} search",
         "low": table(low, scalar), "high": table(high, scalar), "nearest": table(nearest, scalar),
-        "large": real(CUT_OFF, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
+        "large": real(NO_BOUND, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
         "far": real(FAR_AWAY, scalar),
         "outside": "the input where the straight line to an inner point enters it" if complete
         else "the law of the nearest region, saturated",

@@ -85,7 +85,7 @@ def consider(qp: QPData, graph: Graph, mask: Bits) -> int:
     A = np.empty((m + len(qp.Tb), n))
     b = np.empty(m + len(qp.Tb))
     centre = np.empty(n)
-    kind = region_rows(qp, act, k, graph.tied, A, b)
+    kind = region_rows(qp, act, k, A, b)
     if kind == FULL and interior_point(A, b, 0.0, centre) == 0.0:
         kind = FLAT
     index = graph.counts[KNOWN]

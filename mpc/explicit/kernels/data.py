@@ -42,7 +42,7 @@ class Graph(NamedTuple):
 
     masks : (capacity, words) bits of each active set; kinds : what is known about each; table : hash table of their
     numbers; queue : numbers of those with a region, in the order found; counts : sets KNOWN, regions QUEUED, regions
-    DONE, facet ROWS stored; tied : (m,) rows that were active, or not, without any effect on a region.
+    DONE, facet ROWS stored.
     """
 
     masks: Bits
@@ -50,7 +50,6 @@ class Graph(NamedTuple):
     table: Ints
     queue: Ints
     counts: Ints
-    tied: Flags
 
 
 class Facets(NamedTuple):

@@ -60,7 +60,7 @@ def explore(qp: QPData, graph: Graph, facets: Facets, budget: int) -> int:
         budget -= 1
         mask[:] = graph.masks[graph.queue[counts[DONE]]]
         k = from_mask(mask, act)
-        region_rows(qp, act, k, graph.tied, A, b)
+        region_rows(qp, act, k, A, b)
         radius = interior_point(A, b, np.inf, centre)
         count = irredundant(A, b, centre, kept, hits)
         room = min(len(graph.masks), len(graph.table) // 2)

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from mpc.checks import Array
-from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL, Flags, Ints, QPData
+from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL, Ints, QPData
 from mpc.explicit.kernels.halfspace import project
 from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, REFINED_ROW, ROUNDING, ZERO_ROW
 
@@ -130,11 +130,10 @@ def row_levers(L: Array, k: int) -> Array:
 
 
 @njit(cache=True)
-def region_rows(qp: QPData, act: Ints, k: int, tied: Flags, A: Array, b: Array) -> int:
+def region_rows(qp: QPData, act: Ints, k: int, A: Array, b: Array) -> int:
     """Unit half-spaces of the critical region of an active set, row i for constraint i, then the parameter set.
 
-    Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT. Rows whose
-    multiplier or slack is zero everywhere are noted in `tied`.
+    Returns FULL when there is something to look at, FLAT when a constant row is violated, DEPENDENT.
     """
     m = len(qp.D)
     n = qp.D.shape[1] - 1
@@ -185,10 +184,8 @@ def region_rows(qp: QPData, act: Ints, k: int, tied: Flags, A: Array, b: Array) 
         if norm <= zero:
             if row[n] < -10.0 * zero:
                 return FLAT
-            if row[n] <= 10.0 * zero:
-                tied[i] = True
-                if row[n + 1] <= 0.0:
-                    return FLAT
+            if row[n] <= 10.0 * zero and row[n + 1] <= 0.0:
+                return FLAT
             for c in range(n):
                 A[i, c] = 0.0
             b[i] = 1.0

@@ -10,7 +10,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.data import Flags, Ints
 from mpc.explicit.kernels.growth import side_of
-from mpc.tolerances import CROSSING, CUT_OFF, FAR_AWAY, INSIDE
+from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE, NO_BOUND
 
 
 class Locator(NamedTuple):
@@ -28,14 +28,6 @@ class Locator(NamedTuple):
     inner: Array
     centre: Array
     half: Array
-
-
-class Found(NamedTuple):
-    """Region of every point, whether the point lies outside, and its input. All to be filled in."""
-
-    region: Ints
-    outside: Flags
-    u: Array
 
 
 @njit(cache=True)
@@ -139,8 +131,9 @@ def pull_back(columns: Array, room: Array, inner: Array, t: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array], found: Found) -> None:
-    """Region, outside and input of every point: law[region] [point; 1], outside at the border and within the limits.
+def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array],
+           found: tuple[Ints, Flags, Array]) -> None:  # fmt: skip
+    """Fill in region, outside and input of every point: law[region] [point; 1], outside at the border and limited.
 
     The arrays are taken out of their tuples first: inside the loop that would cost more than the search.
     """
@@ -156,7 +149,7 @@ def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array], found
     border_first = len(border) <= 32  # a short border is looked at before the tree
     for q in range(len(points)):
         for j in range(n):
-            t[j] = min(max((points[q, j] - centre[j]) / half[j], -CUT_OFF), CUT_OFF)
+            t[j] = min(max((points[q, j] - centre[j]) / half[j], -NO_BOUND), NO_BOUND)
         beyond = border_first and is_beyond(columns, height, t)
         if beyond:
             pull_back(columns, room, inner, t)

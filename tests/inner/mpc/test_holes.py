@@ -38,21 +38,21 @@ def explore(search):
 
 def forget_all_but_the_first(search):
     """Keep one region, with all its facets open, and no other active set."""
-    graph, counts = search.regions.graph, search.regions.graph.counts
+    graph, counts = search.graph, search.graph.counts
     graph.masks[0] = graph.masks[graph.queue[0]]
     graph.kinds[0], graph.queue[0], graph.table[:] = FULL, 0, -1
     counts[[KNOWN, QUEUED, DONE]] = 1
-    counts[ROWS] = search.regions.facets.offsets[1]
-    search.regions.facets.state[: counts[ROWS]] = OPEN
-    search.regions.rehash()
+    counts[ROWS] = search.facets.offsets[1]
+    search.facets.state[: counts[ROWS]] = OPEN
+    search.rehash()
 
 
 def test_points_beyond_a_facet_lie_above_it_and_behind_no_other_side(search):
-    rows, offsets = search.regions.facets.rows, search.regions.facets.offsets
+    rows, offsets = search.facets.rows, search.facets.offsets
     for r in range(search.done):
         own = rows[offsets[r] : offsets[r + 1]]
         for facet, (a, b) in enumerate(zip(own[:, :-1], own[:, -1])):
-            for point in points_beyond(own, facet, search.regions.qp):
+            for point in points_beyond(own, facet, search.qp):
                 height = a @ point - b
                 assert height >= 0.99 * CROSSING
                 foot = point - height * a
@@ -62,31 +62,31 @@ def test_points_beyond_a_facet_lie_above_it_and_behind_no_other_side(search):
 def test_every_region_is_found_from_the_open_facets_of_one(search):
     regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
     forget_all_but_the_first(search)
-    while search.holes.look_across(np.inf):
+    while search.look_across(np.inf):
         explore(search)
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
-    assert search.holes.uncovered == 0
+    assert search.uncovered == 0
 
 
 def test_facets_beyond_which_nothing_is_found_are_counted(search, monkeypatch):
     forget_all_but_the_first(search)
-    monkeypatch.setattr(search.regions, "consider", lambda act: None)
-    assert not search.holes.look_across(np.inf)
+    monkeypatch.setattr(search, "consider", lambda act: None)
+    assert not search.look_across(np.inf)
     # it borders on regions all round, and two points are looked at beyond each facet
-    count = 2 * search.regions.graph.counts[ROWS]
-    assert search.found(MPQPStatus.INACCURATE).uncovered == search.holes.uncovered == count
+    count = 2 * search.graph.counts[ROWS]
+    assert search.found(MPQPStatus.INACCURATE).uncovered == search.uncovered == count
 
 
 def test_looking_across_stops_at_the_deadline(search):
     forget_all_but_the_first(search)
-    assert search.holes.look_across(-np.inf)
+    assert search.look_across(-np.inf)
     assert search.done == search.queued
-    assert (search.regions.facets.state[: search.regions.graph.counts[ROWS]] == OPEN).all()
+    assert (search.facets.state[: search.graph.counts[ROWS]] == OPEN).all()
 
 
 def test_points_behind_facets_that_led_somewhere_lie_above_one_of_them(search):
-    rows, offsets = search.regions.facets.rows, search.regions.facets.offsets
-    points = search.holes.behind_facets(1000)
+    rows, offsets = search.facets.rows, search.facets.offsets
+    points = search.behind_facets(1000)
     assert len(points) == 1000
     for point in points:
         feet = []
@@ -101,27 +101,27 @@ def test_points_behind_facets_that_led_somewhere_lie_above_one_of_them(search):
 
 def hollow(search):
     """Take away a region in the middle, so that all facets around it have led to a region that is not there."""
-    first, last = search.regions.facets.offsets[:2]
-    search.regions.facets.rows[first:last, -1] = -10.0
-    assert np.abs(search.regions.facets.centres[0]).max() < 0.5
+    first, last = search.facets.offsets[:2]
+    search.facets.rows[first:last, -1] = -10.0
+    assert np.abs(search.facets.centres[0]).max() < 0.5
 
 
 @pytest.mark.parametrize("source", ["POINTS_ANYWHERE", "POINTS_BETWEEN", "POINTS_BEHIND"])
 def test_a_hole_is_seen_by_each_way_of_looking(search, monkeypatch, source):
     hollow(search)
-    assert search.holes.uncovered == 0
+    assert search.uncovered == 0
     for name in ("POINTS_ANYWHERE", "POINTS_BETWEEN", "POINTS_BEHIND"):
         monkeypatch.setattr(holes, name, 300 if name == source else 0)
     monkeypatch.setattr(holes, "REGIONS_PER_POINT", 10**9)
-    assert not search.holes.look_around(np.inf)
-    assert search.holes.uncovered > 0
+    assert not search.look_around(np.inf)
+    assert search.uncovered > 0
 
 
 def test_points_between_facets_are_feasible_whatever_the_compiled_solver_says(search, monkeypatch):
     hollow(search)
     monkeypatch.setattr("mpc.explicit.kernels.places.look_at", lambda qp, graph, t: np.zeros(len(t), dtype=bool))
-    assert not search.holes.look_around(np.inf)
-    assert search.holes.uncovered > 0
+    assert not search.look_around(np.inf)
+    assert search.uncovered > 0
 
 
 def test_what_is_pending_is_asked_about_the_next_time(search, monkeypatch):
@@ -129,27 +129,27 @@ def test_what_is_pending_is_asked_about_the_next_time(search, monkeypatch):
     for name in ("POINTS_ANYWHERE", "POINTS_BETWEEN", "POINTS_BEHIND"):
         monkeypatch.setattr(holes, name, 0)
     monkeypatch.setattr(holes, "REGIONS_PER_POINT", 10**9)
-    search.holes.pending = np.tile(search.regions.facets.centres[0], (40, 1))
-    assert not search.holes.look_around(np.inf)
-    assert search.holes.uncovered == 40
-    assert not len(search.holes.pending)
+    search.pending = np.tile(search.facets.centres[0], (40, 1))
+    assert not search.look_around(np.inf)
+    assert search.uncovered == 40
+    assert not len(search.pending)
 
 
 def test_the_second_look_keeps_its_deadline(search):
-    assert search.holes.look_around(-np.inf)
+    assert search.look_around(-np.inf)
     assert search.queued == search.done
 
 
 def test_a_thin_gap_is_no_hole(search):
     forget_all_but_the_first(search)
-    hit, row = search.regions.facets.hits[0], search.regions.facets.rows[0]
+    hit, row = search.facets.hits[0], search.facets.rows[0]
     for distance, count in ((0.5 * THIN, 0), (2 * THIN, 1)):
-        search.holes.feasible = (hit + (distance + row[-1] - row[:-1] @ hit) * row[:-1])[None]
-        assert search.holes.uncovered == count
+        search.feasible = (hit + (distance + row[-1] - row[:-1] @ hit) * row[:-1])[None]
+        assert search.uncovered == count
 
 
 def test_a_solver_that_fails_does_not_make_a_parameter_infeasible(search, monkeypatch):
-    online = OnlineQP(search.regions.qp)
+    online = OnlineQP(search.qp)
     far = QPResult(np.full(5, 1e3), np.zeros(20), Residuals(1.0, 1.0, 1.0, 1.0), False, "none")
     monkeypatch.setattr(online.solver, "solve", lambda *_, **__: far)
     assert online.at(np.zeros(2)) == ([], True)
@@ -159,15 +159,15 @@ def test_a_solver_that_fails_does_not_make_a_parameter_infeasible(search, monkey
 def test_a_region_is_found_though_every_facet_claims_to_have_led_somewhere(search):
     regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
     forget_all_but_the_first(search)
-    search.regions.facets.state[: search.regions.graph.counts[ROWS]] = CROSSED
-    while search.holes.look_around(np.inf):
+    search.facets.state[: search.graph.counts[ROWS]] = CROSSED
+    while search.look_around(np.inf):
         explore(search)
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions
 
 
 def test_two_solvers_that_call_it_infeasible_without_a_proof_are_not_believed(search, monkeypatch):
-    online = OnlineQP(search.regions.qp)
-    rows = len(search.regions.qp.M)
+    online = OnlineQP(search.qp)
+    rows = len(search.qp.M)
     verdict = QPResult(np.full(5, 1e3), np.ones(rows), Residuals(1.0, 1.0, 1.0, 1.0), True, "none")
     monkeypatch.setattr(online.solver, "solve", lambda *_, **__: verdict)
     assert online.at(np.zeros(2)) == ([], True)
@@ -175,7 +175,7 @@ def test_two_solvers_that_call_it_infeasible_without_a_proof_are_not_believed(se
 
 
 def test_a_proof_of_infeasibility_is_believed_and_costs_no_linear_program(search, monkeypatch):
-    online = OnlineQP(search.regions.qp)
+    online = OnlineQP(search.qp)
     monkeypatch.setattr(online, "_has_room", lambda bounds: pytest.fail("asked though it is proven"))
     corners = np.random.default_rng(0).uniform(0.9, 1.0, size=(20, 2))
     assert all(online.at(t) == ([], False) for t in corners)
@@ -183,53 +183,45 @@ def test_a_proof_of_infeasibility_is_believed_and_costs_no_linear_program(search
 
 def test_no_point_is_asked_about_when_time_is_up(search):
     hollow(search)
-    points = np.tile(search.regions.facets.centres[0], (3, 1))
-    search.holes.ask_at(points, -np.inf)
-    assert not len(search.holes.feasible)
-    search.holes.ask_at(points, np.inf)
-    assert len(search.holes.feasible) == 3
+    points = np.tile(search.facets.centres[0], (3, 1))
+    search.ask_at(points, -np.inf)
+    assert not len(search.feasible)
+    search.ask_at(points, np.inf)
+    assert len(search.feasible) == 3
 
 
 def test_pending_points_are_asked_about_one_by_one_while_there_is_time(search, monkeypatch):
     hollow(search)
     ticks = iter(range(1000))
     monkeypatch.setattr(holes, "time", SimpleNamespace(perf_counter=lambda: next(ticks)))
-    search.holes.pending = np.tile(search.regions.facets.centres[0], (100, 1))
-    assert search.holes._ask(10)  # time for one look before all of them, and for one before each of ten
-    assert len(search.holes.feasible) == 10
+    search.pending = np.tile(search.facets.centres[0], (100, 1))
+    assert search._ask(10)  # time for one look before all of them, and for one before each of ten
+    assert len(search.feasible) == 10
 
 
 def test_many_rows_are_looked_at_in_portions(search):
-    rows = len(search.regions.qp.M)
-    portions = list(search.holes.portions(np.zeros((3 * (20_000 // rows) + 1, 2))))
+    rows = len(search.qp.M)
+    portions = list(search.portions(np.zeros((3 * (20_000 // rows) + 1, 2))))
     assert [len(part) for part in portions] == [20_000 // rows] * 3 + [1]
-    assert not list(search.holes.portions(np.zeros((0, 2))))
+    assert not list(search.portions(np.zeros((0, 2))))
 
 
 def test_memory_that_grows_does_not_change_the_portion(search, monkeypatch):
     portion = search.portion
-    monkeypatch.setattr(search.regions, "explore", lambda regions: None)
+    monkeypatch.setattr(search, "explore", lambda regions: None)
     search.advance(10_000)
     assert search.portion == portion
 
 
-def test_a_search_that_starts_again_knows_of_the_holes_found(search):
-    hollow(search)
-    hole = search.regions.facets.centres[:1]
-    search.holes.feasible, search.holes.pending = hole, 1.01 * hole
-    other = search._started_again(np.arange(len(search.regions.qp.M)), np.inf)
-    assert np.allclose(other.holes.pending, np.vstack([hole, 1.01 * hole]))
-
-
 def test_the_active_sets_at_a_parameter_carry_its_optimum(search):
-    online = OnlineQP(search.regions.qp)
+    online = OnlineQP(search.qp)
     for t in np.random.default_rng(0).uniform(-1, 1, size=(50, 2)):
         candidates, feasible = online.at(t)
         for act in map(list, candidates):
-            d = search.regions.qp.D @ np.append(t, 1.0)
-            pull = np.linalg.solve(search.regions.qp.gram[np.ix_(act, act)], d[act])
+            d = search.qp.D @ np.append(t, 1.0)
+            pull = np.linalg.solve(search.qp.gram[np.ix_(act, act)], d[act])
             assert (pull <= 1e-9).all()
-            assert (search.regions.qp.M @ (search.regions.qp.M[act].T @ pull) <= d + 1e-7).all()
+            assert (search.qp.M @ (search.qp.M[act].T @ pull) <= d + 1e-7).all()
         assert bool(candidates) == feasible
 
 

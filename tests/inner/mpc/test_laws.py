@@ -10,12 +10,12 @@ from scipy.optimize import linprog
 
 from invariant_sets import Polytope
 from mpc import Constraint, ExplicitMPC, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
-from mpc.explicit.exploration import Limits, Search, explore_compiled
+from mpc.explicit.exploration import Search, explore_compiled
 from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws, checked_laws, in_units
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
-UNLIMITED = Limits(10_000, np.inf)
+UNLIMITED = 10_000, np.inf
 
 
 def uneven_controller(seed):
@@ -85,7 +85,7 @@ def test_dependent_rows_are_seen_in_any_order_where_no_pivot_is_small(size, kind
     for rows in (np.arange(size), order, order[::-1].copy()):
         data = QPData(M[rows], D, np.ones(size), M[rows] @ M[rows].T, np.array([[1.0], [-1.0]]), np.ones(2))
         A, b = np.empty((size + 2, 1)), np.empty(size + 2)
-        found = region_rows(data, np.arange(size), size, np.zeros(size, bool), A, b)
+        found = region_rows(data, np.arange(size), size, A, b)
         assert (found == DEPENDENT) == (kind == DEPENDENT)
 
 
@@ -93,7 +93,8 @@ def test_dependent_rows_are_seen_in_any_order_where_no_pivot_is_small(size, kind
 def explored():
     mpc = LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))
     qp = scale_qp(mpc.build(), scale_parameters(mpc.X, 2))
-    return qp, explore_compiled(qp, UNLIMITED)
+    found = explore_compiled(qp, *UNLIMITED)
+    return found.qp, found
 
 
 def test_a_law_is_accepted_in_its_own_region_only(explored):
@@ -143,8 +144,8 @@ def test_a_feasible_parameter_in_no_region_is_reported(explored):
     search.begin()
     while search.done < search.queued:
         search.advance(10_000)
-    search.holes.feasible = np.vstack([found.centres[7], [0.99, 0.99]])
-    assert search.holes.uncovered == 1
+    search.feasible = np.vstack([found.centres[7], [0.99, 0.99]])
+    assert search.uncovered == 1
 
 
 def test_a_row_that_gives_up_its_slack_for_others_is_no_implied_equality():

@@ -1,4 +1,4 @@
-"""Rows that others imply are left out where multipliers prove it, and the restart without them loses nothing."""
+"""Rows that others imply are left out where multipliers prove it, and nothing is lost without them."""
 
 import time
 from dataclasses import replace
@@ -14,7 +14,7 @@ from slow_exploration import solve_slowly
 
 from mpc import ExplicitMPC, InfeasibleError, LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit import exploration
-from mpc.explicit.exploration import Limits, Search, explore_compiled, irredundant_rows, is_implied
+from mpc.explicit.exploration import Search, explore_compiled, irredundant_rows, is_implied
 from mpc.explicit.kernels.data import KNOWN
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
@@ -40,7 +40,7 @@ def test_every_row_left_out_is_implied_by_those_kept(seed, kind):
     mpc, _ = hard_controller(np.random.default_rng(seed), kind)
     qp = scaled(mpc)
     J, h = qp.joint
-    kept = irredundant_rows(qp)[0]
+    kept = irredundant_rows(qp)
     rest = np.concatenate([kept, np.arange(len(qp.M), len(J))])
     dropped = np.setdiff1d(np.arange(len(qp.M)), kept)
     for i in dropped[:: max(1, len(dropped) // 30)]:
@@ -66,12 +66,9 @@ def test_a_solver_that_says_redundant_without_multipliers_is_not_believed(monkey
 
 def test_rows_not_looked_at_in_time_are_kept(touched):
     qp = scale_qp(touched[0], scale_parameters(touched[1], 2))
-    rows, finished = irredundant_rows(qp, time.perf_counter() - 1.0)
-    assert not finished
+    rows = irredundant_rows(qp, time.perf_counter() - 1.0)
     np.testing.assert_array_equal(rows, np.arange(len(qp.M)))
-    rows, finished = irredundant_rows(qp)
-    assert finished
-    assert len(rows) < len(qp.M)
+    assert len(irredundant_rows(qp)) < len(qp.M)
 
 
 @pytest.mark.parametrize("solve", [solve_mpqp, solve_slowly])
@@ -87,30 +84,30 @@ def test_the_slow_exploration_keeps_what_it_found_when_its_restart_is_late(touch
     import slow_exploration as reference
 
     qp = scale_qp(touched[0], scale_parameters(touched[1], 2))
-    whole = reference.explore_all(qp, Limits(1000, np.inf))
+    whole = reference.explore_all(qp, 1000, np.inf)
     first = reference._explore
 
-    def late_again(problem, limits, feasible=None):
-        return first(problem, limits if len(problem.M) == len(qp.M) else limits._replace(deadline=0.0))
+    def late_again(problem, most, deadline, feasible=None):
+        return first(problem, most, deadline if len(problem.M) == len(qp.M) else 0.0)
 
     monkeypatch.setattr(reference, "_explore", late_again)
-    found = reference.explore_all(qp, Limits(1000, np.inf))
+    found = reference.explore_all(qp, 1000, np.inf)
     assert found.status is MPQPStatus.TIME_LIMIT
     assert len(found.active_sets) >= len(whole.active_sets)
 
 
-def test_a_restart_that_finds_nothing_leaves_the_first_search_as_it_was(touched, monkeypatch):
+def test_where_fewer_rows_lead_to_no_region_all_are_explored(touched, monkeypatch):
     qp = scale_qp(touched[0], scale_parameters(touched[1], 2))
     begin = Search.begin
-    restarts = []
+    tried = []
 
-    def begin_once(search, deadline):
-        return begin(search) if len(search.regions.qp.M) == len(qp.M) else restarts.append(search)
+    def begin_once(search, known, deadline):
+        return begin(search) if len(search.qp.M) == len(qp.M) else tried.append(search)
 
     monkeypatch.setattr(Search, "begin", begin_once)
-    found = explore_compiled(qp, Limits(1000, np.inf))
+    found = explore_compiled(qp, 1000, np.inf)
     assert found.status is MPQPStatus.COMPLETE
-    assert len(restarts) == 1
+    assert len(tried) == 1
     assert len(found.active_sets) >= 31
 
 
@@ -130,14 +127,14 @@ def test_the_second_look_takes_place_when_memory_is_nearly_full():
     search.begin()
     while search.done < search.queued:
         search.advance(1000)
-    regions = search.regions
+    regions = search
     graph = regions.graph
     full = int(graph.counts[KNOWN]) + 1
     regions.graph = graph._replace(masks=graph.masks[:full], kinds=graph.kinds[:full], queue=graph.queue[:full])
     asked = []
     seed = regions.seed
     regions.seed = lambda targets: asked.append(len(targets)) or seed(targets)
-    assert not search.holes.look_around(np.inf)
+    assert not search.look_around(np.inf)
     assert asked == [4 + search.done // 8]
     assert len(regions.graph.masks) > full
 
@@ -146,6 +143,6 @@ def test_a_search_that_is_late_before_the_second_look_is_not_complete(monkeypatc
     clock = iter([0.0] * 2 + [1e9] * 10_000)  # the first portion begins in time and ends late
     monkeypatch.setattr(exploration, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     mpc = LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=2, X=box([5, 5]), U=box([1]))
-    found = explore_compiled(scaled(mpc), Limits(1000, 1.0))
+    found = explore_compiled(scaled(mpc), 1000, 1.0)
     assert found.status is MPQPStatus.TIME_LIMIT
     assert len(found.active_sets) == 9
