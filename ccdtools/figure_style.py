@@ -94,6 +94,11 @@ def generation_colour(generation: int) -> str:
     return GENERATIONS[generation % len(GENERATIONS)]
 
 
+def whole_ticks(ax: Axes, most: int = 10) -> None:
+    """Mark a horizontal axis at whole numbers, in at most so many intervals."""
+    ax.xaxis.set_major_locator(MaxNLocator(most, integer=True))
+
+
 def without_grid(ax: Axes) -> Axes:
     """Axes for a map: framed, no grid."""
     ax.grid(False)

@@ -205,7 +205,7 @@ class Generations:
     def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
         """State after a deployment, kept or rolled back."""
         delivery = deployed.values["delivery"]
-        now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["updates"])
+        now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["changes"])
         service, reference = after_deployment(
             now, state.service, state.served, replaces=delivery["replaces"], carried=delivery["carried"]
         )

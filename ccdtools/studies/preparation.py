@@ -28,7 +28,7 @@ from ccdtools.studies.run_folder import DISTURBANCE, RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
-FORMAT = 4  # This is the version of run.json.
+FORMAT = 5  # This is the version of run.json.
 PLANT_NUMBERS = ("design", "dt", "continuous", "substeps", "state_names", "input_names")
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ccdtools.evidence.percent import share, signed_percent, with_minus
+from ccdtools.evidence.percent import number, share, signed_percent, with_minus
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, limits_of, number
+from ccdtools.studies.names import FORMER
+from ccdtools.studies.report.formatting import capitalised, design_text, limits_of
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
 from ccdtools.studies.report.verdicts import outside_text, percent_of_reference, reference_of, size_of, verdict

@@ -16,11 +16,11 @@ from small_runs import tiny
 from spring_run import run_spring
 
 from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective, figure_style as style
+from ccdtools.evidence.percent import number
 from ccdtools.exceptions import InputError
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
 from ccdtools.studies.report import set_figure
 from ccdtools.studies.report.finished_run import FinishedRun
-from ccdtools.studies.report.formatting import number
 from ccdtools.studies.report.gains import gain_text
 from ccdtools.studies.report.landscape import draw_curve, draw_path
 from ccdtools.studies.report.report import render, write_report
