@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -131,7 +131,7 @@ class Generations:
             "comparison": list(state.rows),
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
-            "configuration": config.as_dict(),
+            "configuration": asdict(config),
             "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         }  # fmt: skip
         return dict(jsonable(contents | {"headline": headline(contents)}))

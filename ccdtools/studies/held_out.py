@@ -105,8 +105,8 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
         for source, design in ((SOURCES[0], start), ("design", first.designed.design))
     ]
     changes = [("policy", first.designed), ("updates", first.after)]
-    for before, generation in pairwise(history[1:]):
-        if not generation.after.same_as(before.after):
+    for former, generation in pairwise(history[1:]):
+        if not generation.after.same_as(former.after):
             if same_design(evaluation.problem.design, generation.after.design, generation.designed.design):
                 changes.append(("redesign", generation.designed))
             changes.append(("updates", generation.after))

@@ -109,7 +109,7 @@ def _kept_recording(folder: RunFolder, options: Options) -> Recorded | None:
 def fingerprint(study: Study, sources: Mapping[str, str], config: StudyConfig) -> dict[str, Any]:
     """Study, sources and configuration as flat JSON values; long ones hashed."""
     declared = {field.name: getattr(study, field.name) for field in dataclasses.fields(study)}
-    parts = {"study": declared, "source": sources, "configuration": config.as_dict()}
+    parts = {"study": declared, "source": sources, "configuration": asdict(config)}
     return dict(_flat(jsonable_of(parts))) | {"ccdtools": version("ccdtools")}
 
 
