@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
@@ -15,6 +15,7 @@ from ccdtools.evidence.percent import in_measure, percent_interval
 from ccdtools.evidence.verdict import Status, Verdict, decide
 from ccdtools.statistics import PairedDifference, Summary, summarise_returns
 from ccdtools.studies.tolerances import FALSE_ALARM
+from ccdtools.studies.trust_region import Trust
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
@@ -38,6 +39,25 @@ class Agreement(Enum):
     def kept(self) -> bool | None:
         """True if the prediction was right, False if wrong, None if undecided."""
         return {Agreement.AGREED: True, Agreement.LESS: False}.get(self)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a deployment, for the generations after it.
+
+    Attributes
+    ----------
+    changes : sequence of int
+        Samples logged before every update that was accepted.
+    replaces, carried : bool
+        As in `Delivery`.
+    trust : Trust
+    """
+
+    changes: Sequence[int]
+    replaces: bool
+    carried: bool
+    trust: Trust
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
 from ccdtools.studies.names import FORMER, POLICY_ALONE
 from ccdtools.studies.redesign import Redesign, RedesignJudge, described, predicted, same_design
-from ccdtools.studies.service import Deployed, judge_deployment
+from ccdtools.studies.service import Deployed, Outcome, judge_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
@@ -119,7 +119,7 @@ class LoopStages:
             "region": {"radius": radius, **asdict(doubt), "text": doubt.describe(), "edges": held},
         }  # fmt: skip
         found = self._co_designed(result, current if best is None else proposals[best], twin, redesign)
-        return replace(found, values=found.values | {"decided": asdict(Redesign(best is not None, moved, said))})
+        return found.deciding(Redesign(best is not None, moved, said))
 
     def _redesigned(
         self, rng: np.random.Generator, current: Deployable, twin: DigitalTwin, region: CoDesignProblem,
@@ -202,7 +202,7 @@ class LoopStages:
             place = evaluation.problem.design.describe(designed.design)
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
-        redesign = redesign_of(found)
+        redesign = None if twin is None or twin.discrepancy is None else found.decided(Redesign)
         redesigned = redesign is not None and redesign.accepted
         changes = tuple(update.after for update in deployment.updates if update.accepted)
         known = () if twin is None else twin.logs
@@ -222,9 +222,10 @@ class LoopStages:
             "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
             "deployed_return": asdict(summarise_returns(rewards, runs=len(log.diverged))),
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
-            "changes": changes, "report": [sentence, *report],
+            "report": [sentence, *report],
         }  # fmt: skip
-        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
+        stage = Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
+        return stage.deciding(Outcome(changes, delivery.replaces, delivery.carried, trust.after(kept)))
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""
@@ -250,7 +251,7 @@ class LoopStages:
         scores = updated.scores
         report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
         policy = self.evaluation.deployed(Deployable(deployed.networks["agent"], log.design))
-        since = max(deployed.values["changes"], default=0)
+        since = max(deployed.decided(Outcome).changes, default=0)
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:
             report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
@@ -283,12 +284,6 @@ def _shares(values: Sequence[float]) -> str:
 def deployable_of(found: Stage) -> Deployable:
     """Deployable of a co-design's stage."""
     return Deployable(found.networks["agent"], found.arrays["design"], found.values["name"])
-
-
-def redesign_of(found: Stage) -> Redesign | None:
-    """Decision on the redesign of a co-design's stage; None for the first one."""
-    decided = found.values.get("decided")
-    return None if decided is None else Redesign(**decided)
 
 
 def deployed_of(
