@@ -4,6 +4,8 @@ import csv
 import json
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -190,6 +192,11 @@ def test_every_decision_stands_on_the_page_with_all_its_evidence(spring):
         said += [one["percent"] for decision in [*decisions, generation["delivery"]] for one in decision["evidence"]]
     assert len(said) > 4
     assert [cell for cell in shown if cell in said] == said
+
+
+def test_the_report_is_imported_without_torch():
+    code = "import sys, ccdtools.studies.report.report; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_folder_without_results_is_an_error(tmp_path):
