@@ -173,7 +173,7 @@ def codesign(
         from ccdtools.studies.asked_study import asked_study
         from ccdtools.studies.loading import blamed_on_source
 
-        own = asked_study(options).study
+        own = asked_study(options)[0]
         from ccdtools.co_design.compare_methods import compare_methods
         from ccdtools.studies.report.method_page import write_methods, write_table
     _single_thread()

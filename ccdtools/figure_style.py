@@ -12,9 +12,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
+from matplotlib.axes import Axes as Axes
 from matplotlib.colors import BoundaryNorm
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -92,6 +92,11 @@ def controller_colours(names: Sequence[str]) -> dict[str, str]:
 def generation_colour(generation: int) -> str:
     """Colour of a generation, the same in every figure; 0 is the start."""
     return GENERATIONS[generation % len(GENERATIONS)]
+
+
+def whole_ticks(ax: Axes, most: int = 10) -> None:
+    """Mark a horizontal axis at whole numbers, in at most so many intervals."""
+    ax.xaxis.set_major_locator(MaxNLocator(most, integer=True))
 
 
 def without_grid(ax: Axes) -> Axes:

@@ -12,6 +12,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_mapping, shown
 from ccdtools.comparison.tolerances import METRIC_CHANGE
+from ccdtools.evidence.percent import word_of_change
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -132,13 +133,10 @@ def _change(name: str, before: float, after: float, first: Array, second: Array,
     spread = paired_difference(second, first)
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)
-    floor = METRIC_CHANGE * abs(before)
-    word = "open"
-    if -floor <= low and high <= floor:
-        word = "same"
-    elif abs(change) >= floor and (low > 0 or high < 0):
-        word = "better" if (change > 0) == larger else "worse"
-    return MetricChange(name, before, after, PairedDifference(change, (low, high)), word)
+    better, worse = ("more", "less") if larger else ("less", "more")
+    word = word_of_change(change, low, high, METRIC_CHANGE * abs(before))
+    said = {better: "better", worse: "worse"}.get(word, word)
+    return MetricChange(name, before, after, PairedDifference(change, (low, high)), said)
 
 
 def _units(run: Trajectory) -> Iterator[Trajectory]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
@@ -15,8 +16,9 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.comparison.tolerances import RECOVERED, UNSTABLE_COST
 from ccdtools.controllers.controllers import PID, Controller, Passive
 from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.simulation import Simulable, Step, simulate
+from ccdtools.simulation import Simulable, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
 REFERENCE = "LQR"
@@ -64,7 +66,7 @@ def tuned_pid(
     steep = isinstance(problem.model, SampledModel)  # a step of it costs a hundred of its linearisation's
     own = trial
     if steep:
-        trial = replace(trial, plant=_Linearisation(problem, trial.design))
+        trial = replace(trial, plant=_linearised(problem, trial.design))
     nu = problem.model.nu
     C_all = _default_outputs(trial.B) if outputs is None else as_array("outputs", outputs, ("k", nu, problem.model.nx))
     gains = rng.choice([-1.0, 1.0], (screened, 3, nu)) * 10 ** rng.uniform(-2, 1.5, (screened, 3, nu))
@@ -147,19 +149,13 @@ class _Trial:
         return f"its gains recover {(passive - own) / (passive - lqr):.1%} of what LQR gains over the passive plant"
 
 
-class _Linearisation:
-    """Linearised model at one design, driven by disturbances or state errors."""
-
-    def __init__(self, problem: CoDesignProblem, p: Array) -> None:
-        model = problem.model
-        self.nx, self.nu, self.dt, self.design = model.nx, model.nu, model.dt, model.design
-        self._A, self._B, E = model.matrices(p)
-        self._E = E if problem.discrepancy is None else np.eye(model.nx)
-        self.nw = self._E.shape[1]
-
-    def stepper(self, p: Array, *, batch: int) -> Step:
-        """Step function x⁺ = A x + B u + E w."""
-        return lambda x, u, w: x @ self._A.T + u @ self._B.T + w @ self._E.T
+def _linearised(problem: CoDesignProblem, p: Array) -> LinearModel:
+    """Model linearised at one design, driven by disturbances or state errors."""
+    model = problem.model
+    *dynamics, E = model.matrices(p)
+    driven_by = E if problem.discrepancy is None else np.eye(model.nx)
+    A, B, entering = (ca.SX(ca.DM(M)) for M in (*dynamics, driven_by))
+    return LinearModel(ca.SX.sym("p", len(p)), A, B, entering, model.dt, model.design)
 
 
 def _tried(problem: CoDesignProblem) -> Simulable:

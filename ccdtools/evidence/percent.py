@@ -1,9 +1,25 @@
-"""Changes in per cent, as people read them."""
+"""Numbers and changes in per cent, as people read them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Number to so many significant digits, as a power of ten if extreme."""
+    if value is None or not math.isfinite(value):
+        return "n/a"
+    if value != 0 and not 1e-3 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}"
+    shown = float(f"{value:.{digits}g}")
+    if shown == 0:
+        return "0"
+    decimals = max(0, digits - 1 - int(f"{shown:e}".split("e")[1]))
+    return f"{shown:.{decimals}f}"
 
 
 def share(fraction: float | None) -> str:
@@ -32,6 +48,15 @@ def percent_interval(mean: float | None, ci95: Sequence[float | None], size: flo
         values = [signed_percent(part, 1) for part in parts]  # an end would stand on the estimate
     ends = f" [{', '.join(value.removesuffix(' %') for value in values[1:])}]" if len(values) == 3 else ""
     return values[0] + ends
+
+
+def word_of_change(change: float, low: float, high: float, floor: float) -> str:
+    """Word "more" or "less" beyond chance and a floor, "same" within it, or "open"."""
+    if -floor <= low and high <= floor:
+        return "same"
+    if abs(change) >= floor and (low > 0 or high < 0):
+        return "more" if change > 0 else "less"
+    return "open"
 
 
 def in_measure(measure: str) -> str:

@@ -82,6 +82,11 @@ class Verdict:
         """Whether the candidate replaces the current one."""
         return self.status.replaces
 
+    @property
+    def percent(self) -> str:
+        """Gain on what the candidate was made for, in per cent; "n/a" without evidence."""
+        return self.evidence[0].percent if self.evidence else "n/a"
+
     def on(self, distribution: str) -> Evidence | None:
         """Evidence on one distribution, if there is any."""
         return next((one for one in self.evidence if one.distribution == distribution), None)

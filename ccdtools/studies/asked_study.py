@@ -9,22 +9,21 @@ from typing import Any
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
 from ccdtools.exceptions import InputError
-from ccdtools.studies.loading import LoadedStudy, load_with_sources
+from ccdtools.studies.loading import load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
 
-def asked_study(options: Options, recording: Recorded | None = None) -> LoadedStudy:
-    """Study that the options ask for, or on a kept recording.
+def asked_study(options: Options, recording: Recorded | None = None) -> tuple[Study, dict[str, str]]:
+    """Study that the options ask for, or on a kept recording, and its sources.
 
     Raises
     ------
     InputError
         If there is no such study, or an option does not fit it.
     """
-    loaded = load_with_sources(options.study)
-    study = loaded.study
+    study, sources = load_with_sources(options.study)
     _check_effect(options, study)
     source = recording if recording is not None else _source(options, study)
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
@@ -35,7 +34,7 @@ def asked_study(options: Options, recording: Recorded | None = None) -> LoadedSt
     with blamed_on_source_options(options):
         if source is not None:
             changes["real"] = replace(study.real, disturbance=source)
-        return LoadedStudy(replace(study, **changes) if changes else study, loaded.sources)
+        return replace(study, **changes) if changes else study, sources
 
 
 def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:

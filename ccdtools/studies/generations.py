@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -23,7 +23,7 @@ from ccdtools.studies.held_out import GenerationRecord, held_out_stage
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.service import Deployed, after_deployment
+from ccdtools.studies.service import Deployed, Outcome, after_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of
 from ccdtools.studies.study import Study
@@ -131,7 +131,7 @@ class Generations:
             "comparison": list(state.rows),
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
-            "configuration": config.as_dict(),
+            "configuration": asdict(config),
             "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         }  # fmt: skip
         return dict(jsonable(contents | {"headline": headline(contents)}))
@@ -175,7 +175,7 @@ class Generations:
         discrepancy = twin.discrepancy
         returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
                               lambda _: self.evaluation.returns(designed, known, discrepancy))  # fmt: skip
-        stayed = deployed.values["delivery"]["replaces"]
+        stayed = deployed.decided(Outcome).replaces
         record = GenerationRecord(deployable_of(found), following.service, stayed=stayed)
         entry = {"generation": generation} | self._entry(found, deployed, learned, returns, following.service.design)
         return replace(
@@ -204,12 +204,12 @@ class Generations:
 
     def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
         """State after a deployment, kept or rolled back."""
-        delivery = deployed.values["delivery"]
-        now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, deployed.values["updates"])
+        outcome = deployed.decided(Outcome)
+        now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, outcome.changes)
         service, reference = after_deployment(
-            now, state.service, state.served, replaces=delivery["replaces"], carried=delivery["carried"]
+            now, state.service, state.served, replaces=outcome.replaces, carried=outcome.carried
         )
-        return replace(state, service=service, served=reference, trust=Trust(**deployed.values["trust"]))
+        return replace(state, service=service, served=reference, trust=outcome.trust)
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """Stage of a name, read back or computed."""

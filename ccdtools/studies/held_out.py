@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -17,23 +17,14 @@ from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import change_of_level
 from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.names import SOURCES
 from ccdtools.studies.redesign import same_design
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.twin.deployable import Deployable
 
+Step: TypeAlias = tuple[str, Controller, Array]  # source of a change, the controller changed to, and its design
 OWN_START = "the study's start"
-SOURCES = ("start", "design", "policy", "updates", "redesign")
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Controller at its design, and the source of the change to it."""
-
-    source: str
-    controller: Controller
-    design: Array
-    key: bytes  # equal for equal controllers at equal designs
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,35 +95,35 @@ def steps_of(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> lis
     """Steps from LQR at the first design to the last deployed.
 
     The first generation brings a design (LQR there against LQR at the start) and a policy (against that LQR). A later
-    one that stayed brings its redesign; updates while deployed come last. One that was rolled back brings nothing.
+    one that stayed brings its redesign; updates while deployed come last. What was rolled back, or changed nothing,
+    brings nothing.
     """
     start = history[0].after.design
     first = history[1]
-    steps = [_lqr(evaluation, SOURCES[0], start), _lqr(evaluation, "design", first.designed.design),
-             _learned(evaluation, "policy", first.designed), _learned(evaluation, "updates", first.after)]  # fmt: skip
-    before = first.after
-    for generation in history[2:]:
-        service = generation.after
-        if service.same_as(before):
-            continue
-        if same_design(evaluation.problem.design, service.design, generation.designed.design):
-            steps.append(_learned(evaluation, "redesign", generation.designed))
-        steps.append(_learned(evaluation, "updates", service))
-        before = service
+    steps: list[Step] = [
+        (source, saturated_lqr(evaluation.problem, design), design)
+        for source, design in ((SOURCES[0], start), ("design", first.designed.design))
+    ]
+    changes = [("policy", first.designed), ("updates", first.after)]
+    for former, generation in pairwise(history[1:]):
+        if not generation.after.same_as(former.after):
+            if same_design(evaluation.problem.design, generation.after.design, generation.designed.design):
+                changes.append(("redesign", generation.designed))
+            changes.append(("updates", generation.after))
+    for (_, before), (source, after) in pairwise([("", history[0].after), *changes]):
+        if source == "policy" or not after.same_as(before):
+            steps.append((source, evaluation.deployed(after), after.design))
     return steps
 
 
 def gains_in(evaluation: Evaluation, scenario: Scenario, steps: Sequence[Step]) -> dict[str, Any]:
     """Gains by source on the runs of a scenario; see `gains_by_source`."""
-    known: dict[bytes, Any] = {}
-    for step in steps:
-        if step.key not in known:
-            known[step.key] = scenario.run(step.controller, design=step.design, limit=evaluation.problem.limit)
-    runs = [known[step.key] for step in steps]
+    limit = evaluation.problem.limit
+    runs = [scenario.run(controller, design=design, limit=limit) for _, controller, design in steps]
     kept = ~np.any([run.diverged for run in runs], axis=0)
     rewards = [run.rewards(evaluation.study.objective)[kept] for run in runs]
-    gains = gains_by_source([step.source for step in steps], rewards, runs=len(scenario.x0))
-    paid = float(evaluation.study.objective.cost_of_design(steps[0].design, scenario.steps))
+    gains = gains_by_source([source for source, *_ in steps], rewards, runs=len(scenario.x0))
+    paid = float(evaluation.study.objective.cost_of_design(runs[0].design, scenario.steps))
     metrics = evaluation.study.metrics
     changes: Sequence[MetricChange] = () if metrics is None else metric_changes(metrics, runs[0], runs[-1])
     of = {"runs": len(scenario.x0), "steps": scenario.steps, "left_out": 1 - kept.mean(), "design_cost": paid}
@@ -174,15 +165,3 @@ def gains_by_source(sources: Sequence[str], rewards: Sequence[Array], *, runs: i
     return {"start": start} | {
         source: asdict(change_of_level(change, first, runs=runs)) for source, change in changes.items()
     }
-
-
-def _lqr(evaluation: Evaluation, source: str, design: Array) -> Step:
-    """Step to LQR at a design."""
-    return Step(source, saturated_lqr(evaluation.problem, design), design, b"LQR" + design.tobytes())
-
-
-def _learned(evaluation: Evaluation, source: str, service: Deployable) -> Step:
-    """Step to a policy at its design."""
-    weights = [value.numpy(force=True).tobytes() for value in service.agent.state_dict().values()]
-    key = b"".join([*weights, np.asarray(service.design, dtype=float).tobytes()])
-    return Step(source, evaluation.deployed(service), service.design, key)

@@ -8,7 +8,6 @@ import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -18,14 +17,6 @@ from ccdtools.studies.options import known_studies, study_names
 from ccdtools.studies.study import Study
 from ccdtools_ground.packages import NAMES, what_hides_ours
 from ccdtools_ground.user_functions import in_words
-
-
-@dataclass(frozen=True, eq=False)
-class LoadedStudy:
-    """Study with the SHA-256 of its source files by file name."""
-
-    study: Study
-    sources: dict[str, str]
 
 
 def load_study(name: str | Path) -> Study:
@@ -38,11 +29,11 @@ def load_study(name: str | Path) -> Study:
     InputError
         If there is no such study, or the file declares none or stops with an error.
     """
-    return load_with_sources(name).study
+    return load_with_sources(name)[0]
 
 
-def load_with_sources(name: str | Path) -> LoadedStudy:
-    """Study of a name or file, with its sources."""
+def load_with_sources(name: str | Path) -> tuple[Study, dict[str, str]]:
+    """Study of a name or file, with the SHA-256 of its source files by name."""
     if not isinstance(name, str | Path):
         raise InputError("study", f"a {type(name).__name__}", known_studies())
     text = str(name)
@@ -57,7 +48,7 @@ def load_with_sources(name: str | Path) -> LoadedStudy:
     if not isinstance(study, Study):
         raise InputError("study", f"{text}, which declares no `study`", "a ccdtools.studies.Study of that name")
     files = [Path(m.__file__) for m in (module, *neighbours) if m.__file__]
-    return LoadedStudy(study, {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files})
+    return study, {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def _executed(path: Path) -> tuple[ModuleType, list[ModuleType]]:

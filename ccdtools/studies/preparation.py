@@ -22,14 +22,13 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.studies.asked_study import asked_study, blamed_on_source_options
 from ccdtools.studies.evaluation import Evaluation
-from ccdtools.studies.loading import LoadedStudy
 from ccdtools.studies.options import Options
 from ccdtools.studies.presets import StudyConfig, configuration
 from ccdtools.studies.run_folder import DISTURBANCE, RunFolder
 from ccdtools.studies.study import Study
 from invariant_sets import Polytope
 
-FORMAT = 4  # This is the version of run.json.
+FORMAT = 5  # This is the version of run.json.
 PLANT_NUMBERS = ("design", "dt", "continuous", "substeps", "state_names", "input_names")
 
 
@@ -52,23 +51,22 @@ class PreparedRun:
         folder.write_json("run.json", {"format": FORMAT, "options": options, "begun_with": self.begun_with})
 
 
-def prepare(options: Options, asked: LoadedStudy | None = None) -> PreparedRun:
-    """Run that the options ask for; `asked` is its study if made.
+def prepare(options: Options, asked: tuple[Study, dict[str, str]] | None = None) -> PreparedRun:
+    """Run that the options ask for; `asked` is its study, with sources, if made.
 
     Raises
     ------
     InputError
         If the study, a recording or what they give together cannot be run; it names an option only if it was given.
     """
-    asked = asked_study(options) if asked is None else asked
-    study = asked.study
+    study, sources = asked_study(options) if asked is None else asked
     with blamed_on_source_options(options):
         config = configuration(
             study, preset=options.preset, quick=options.quick, expert=options.expert, method=options.method,
             design_gradient=options.design_gradient, sets=options.sets, sets_time_limit=options.sets_time_limit,
         )
         Evaluation(study, config, options.seed).check_recording()
-    return PreparedRun(options, study, config, fingerprint(asked, config))
+    return PreparedRun(options, study, config, fingerprint(study, sources, config))
 
 
 def prepare_again(folder: RunFolder) -> PreparedRun:
@@ -108,10 +106,10 @@ def _kept_recording(folder: RunFolder, options: Options) -> Recorded | None:
         raise InputError("folder", got, "the recording the run was begun with") from None
 
 
-def fingerprint(loaded: LoadedStudy, config: StudyConfig) -> dict[str, Any]:
+def fingerprint(study: Study, sources: Mapping[str, str], config: StudyConfig) -> dict[str, Any]:
     """Study, sources and configuration as flat JSON values; long ones hashed."""
-    declared = {field.name: getattr(loaded.study, field.name) for field in dataclasses.fields(loaded.study)}
-    parts = {"study": declared, "source": loaded.sources, "configuration": config.as_dict()}
+    declared = {field.name: getattr(study, field.name) for field in dataclasses.fields(study)}
+    parts = {"study": declared, "source": sources, "configuration": asdict(config)}
     return dict(_flat(jsonable_of(parts))) | {"ccdtools": version("ccdtools")}
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 from ccdtools.checks import as_choice, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
@@ -66,10 +65,6 @@ class StudyConfig:
     redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=200, policy_rate=3e-4))
     online: OnlineConfig = field(default_factory=OnlineConfig)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, for results.json."""
-        return asdict(self)
 
 
 def configuration(

@@ -29,6 +29,23 @@ from ccdtools.twin.updated_plant import UpdatedPlant
 POLICY_PRICE = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
 
 
+@dataclass(frozen=True)
+class Redesign:
+    """Decision on a redesign, as its deployment needs it.
+
+    Attributes
+    ----------
+    accepted, moved : bool
+        Whether one is deployed, and whether it moves the design.
+    text : str
+        What it changes and predicts, or why it was refused.
+    """
+
+    accepted: bool
+    moved: bool
+    text: str
+
+
 @dataclass(frozen=True, eq=False)
 class RedesignJudge:
     """Judge that compares redesigns with what is deployed, on the same runs.
@@ -77,7 +94,7 @@ class RedesignJudge:
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
             "needed": np.nan if made is None else made.needed, "size": np.nan if made is None else made.size,
             "nominal_before": before, "nominal_after": after, "price": str(POLICY_PRICE if cheaper else study.price),
-            "predicted": "n/a" if made is None else made.percent, "measure": measure(study.judged_in),
+            "predicted": verdict.percent, "measure": measure(study.judged_in),
             "reason": "" if verdict.replaces else str(verdict),
         }  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
@@ -11,9 +11,11 @@ import numpy as np
 from scipy import stats
 
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Pairing, Violation
+from ccdtools.evidence.percent import in_measure, percent_interval
 from ccdtools.evidence.verdict import Status, Verdict, decide
-from ccdtools.statistics import Summary, summarise_returns
+from ccdtools.statistics import PairedDifference, Summary, summarise_returns
 from ccdtools.studies.tolerances import FALSE_ALARM
+from ccdtools.studies.trust_region import Trust
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
@@ -37,6 +39,25 @@ class Agreement(Enum):
     def kept(self) -> bool | None:
         """True if the prediction was right, False if wrong, None if undecided."""
         return {Agreement.AGREED: True, Agreement.LESS: False}.get(self)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a deployment, for the generations after it.
+
+    Attributes
+    ----------
+    changes : sequence of int
+        Samples logged before every update that was accepted.
+    replaces, carried : bool
+        As in `Delivery`.
+    trust : Trust
+    """
+
+    changes: Sequence[int]
+    replaces: bool
+    carried: bool
+    trust: Trust
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,16 +139,37 @@ class Delivery:
     carried: bool = False
     former: int | None = None
 
+    @property
+    def replaces(self) -> bool:
+        """Whether it stays."""
+        return self.verdict.replaces
+
+    @property
+    def change(self) -> PairedDifference:
+        """Measured change of the return."""
+        return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
+
+    @property
+    def measure(self) -> str:
+        """Measure of the returns that the change is in."""
+        return self.verdict.evidence[0].measure if self.verdict.evidence else "mean"
+
+    @property
+    def percent(self) -> str:
+        """Measured change in per cent of the deployed return."""
+        return percent_interval(self.change.mean, self.change.ci95, self.size) + in_measure(self.measure)
+
+    @property
+    def breach(self) -> str:
+        """Limits that were left too far, in words; empty if none."""
+        return next((str(one.violation) for one in self.verdict.evidence if one.violation is not None), "")
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""
-        evidence = self.verdict.evidence
-        broken = next((one.violation for one in evidence if one.violation is not None), None)
         return self.verdict.as_dict() | {
             "predicted": asdict(self.predicted), "returns": asdict(self.returns), "agreement": self.agreement.value,
-            "change": asdict(evidence[0].gain if evidence else NOTHING), "size": self.size, "carried": self.carried,
-            "former": self.former, "paired": self.former is not None,
-            "measure": evidence[0].measure if evidence else "mean",
-            "breach": "" if broken is None else str(broken),
+            "change": asdict(self.change), "size": self.size, "carried": self.carried, "former": self.former,
+            "paired": self.former is not None, "measure": self.measure, "breach": self.breach,
         }  # fmt: skip
 
 

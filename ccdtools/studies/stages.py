@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,18 +11,19 @@ import numpy as np
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.evidence.evidence import Pairing, Violation
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import summarise_returns
-from ccdtools.studies.account import account, region_line
+from ccdtools.studies.account import account, proposed, refused, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
-from ccdtools.studies.redesign import RedesignJudge, described, predicted, same_design
-from ccdtools.studies.report.formatting import FORMER
-from ccdtools.studies.service import Deployed, judge_deployment
+from ccdtools.studies.names import FORMER, POLICY_ALONE
+from ccdtools.studies.redesign import Redesign, RedesignJudge, described, predicted, same_design
+from ccdtools.studies.service import Deployed, Outcome, judge_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
@@ -37,7 +38,6 @@ from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 
-POLICY_ALONE = "its policy at the present design"
 LOGGED = ("states", "inputs", "disturbances", "diverged_at", "design")
 
 
@@ -90,21 +90,11 @@ class LoopStages:
                 problem, agent=current.agent, design=current.design, rng=rng, method=config.method,
                 config=config.codesign, progress=self.progress,
             )  # fmt: skip
-            return self._co_designed(first, Deployable(first.agent, first.design, name), twin, None)
+            return self._co_designed(first, Deployable(first.agent, first.design, name), twin)
         doubt = attribute_errors(twin, problem.state_scale)
-        limited = trust.limits(doubt)
-        region = within(problem, current.design, trust.radius) if limited else problem
-        window, before = self.evaluation.training_episode(twin.logs, region.design)
-        starts = self.evaluation.served.trained_from(current.design, self.evaluation.rng("starts"))
-        ranking = replay_problem(problem, twin.logs, window, warm_up=before, starts=starts)
-        training = updated_problem(problem, twin, window, warm_up=before, starts=starts)
-        if limited:  # only now: a log may be from outside the region
-            training, ranking = (within(one, current.design, trust.radius) for one in (training, ranking))
-        result = codesign(
-            training, agent=current.agent, design=current.design, rng=rng, method=config.method,
-            config=config.redesign, judge=ranking, progress=self.progress,
-        )  # fmt: skip
-        result = in_whole_box(result, region.design, problem.design)
+        radius = trust.radius if trust.limits(doubt) else None
+        region = problem if radius is None else within(problem, current.design, radius)
+        result = in_whole_box(self._redesigned(rng, current, twin, region, radius), region.design, problem.design)
         judge = RedesignJudge(self.evaluation, current, twin)
         proposals = self._proposals(Deployable(result.agent, result.design, name), current, history)
         verdicts: dict[str, Verdict] = {}
@@ -113,18 +103,41 @@ class LoopStages:
                 verdicts[name] = judge.verdict(proposal)
         deployed = [name for name, verdict in verdicts.items() if verdict.replaces]
         best = max(deployed, key=lambda name: verdicts[name].evidence[0].gain.mean, default=None)
+        name = "redesign" if best is None else best
+        moved = judge.moved(proposals[name])
         space = problem.design
+        held = edges(result.design, region.design, space)
+        place = space.describe(proposals[name].design)
+        said = refused(verdicts[name], moved=moved)
+        if best is not None:
+            said = proposed(best, verdicts[name], place, held, moved=moved)
         decisions = {name: judge.as_dict(proposals[name], verdict) for name, verdict in verdicts.items()}
         redesign = {
             "proposed": space.as_dict(result.design), "accepted": best is not None, "chosen": best,
             "from": space.as_dict(current.design), "decisions": decisions,
             "texts": [described(name, decision) for name, decision in decisions.items()],
-            "region": {
-                "radius": trust.radius if limited else None, **asdict(doubt), "text": doubt.describe(),
-                "edges": edges(result.design, region.design, problem.design),
-            },
+            "region": {"radius": radius, **asdict(doubt), "text": doubt.describe(), "edges": held},
         }  # fmt: skip
-        return self._co_designed(result, current if best is None else proposals[best], twin, redesign)
+        found = self._co_designed(result, current if best is None else proposals[best], twin, redesign)
+        return found.deciding(Redesign(best is not None, moved, said))
+
+    def _redesigned(
+        self, rng: np.random.Generator, current: Deployable, twin: DigitalTwin, region: CoDesignProblem,
+        radius: float | None,
+    ) -> LearnedCoDesign:  # fmt: skip
+        """Co-design on the updated model, within the region of a radius if there is one."""
+        problem = self.evaluation.problem
+        window, before = self.evaluation.training_episode(twin.logs, region.design)
+        starts = self.evaluation.served.trained_from(current.design, self.evaluation.rng("starts"))
+        ranking = replay_problem(problem, twin.logs, window, warm_up=before, starts=starts)
+        training = updated_problem(problem, twin, window, warm_up=before, starts=starts)
+        if radius is not None:  # only now: a log may be from outside the region
+            training, ranking = (within(one, current.design, radius) for one in (training, ranking))
+        config = self.evaluation.config
+        return codesign(
+            training, agent=current.agent, design=current.design, rng=rng, method=config.method,
+            config=config.redesign, judge=ranking, progress=self.progress,
+        )  # fmt: skip
 
     def _proposals(
         self, redesign: Deployable, current: Deployable, history: Sequence[GenerationRecord]
@@ -136,8 +149,9 @@ class LoopStages:
         return proposals | {FORMER + name: service for name, service in formerly_deployed(history, current).items()}
 
     def _co_designed(
-        self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin, redesign: dict[str, Any] | None
-    ) -> Stage:
+        self, result: LearnedCoDesign, chosen: Deployable, twin: DigitalTwin,
+        redesign: dict[str, Any] | None = None,
+    ) -> Stage:  # fmt: skip
         """Stage of a co-design, with what is deployed, decided and predicted."""
         history = result.history
         space = self.evaluation.problem.design
@@ -188,30 +202,30 @@ class LoopStages:
             place = evaluation.problem.design.describe(designed.design)
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
-        redesign = found.values["redesign"]
-        redesigned = redesign is not None and redesign["accepted"]
-        values: dict[str, Any] = {
-            "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates]
-        }
+        redesign = None if twin is None or twin.discrepancy is None else found.decided(Redesign)
+        redesigned = redesign is not None and redesign.accepted
+        changes = tuple(update.after for update in deployment.updates if update.accepted)
         known = () if twin is None else twin.logs
         delivery = judge_deployment(
-            deployed_of(generation, designed, deployment.agent, log, values["updates"]), former, current,
+            deployed_of(generation, designed, deployment.agent, log, changes), former, current,
             Pairing(study.objective, study.judged_in, evaluation.window),
             lambda steps: predicted(evaluation, designed, known, steps), redesigned=redesigned, limits=self._violation,
         )  # fmt: skip
-        moved = redesigned and redesign["decisions"][redesign["chosen"]]["moved"]
+        moved = redesign is not None and redesign.accepted and redesign.moved
         kept = delivery.agreement.kept if moved else None  # only a design that moved shows how errors follow the design
         rewards = log.rewards(study.objective)[~log.diverged]
-        values |= {
+        place = evaluation.problem.design.describe(designed.design)
+        sentence = account(generation, delivery, deployment.updates, redesign, place)
+        report = [f"update {k} refused, {update.verdict.status.value}: {update.verdict.reason}"
+                  for k, update in enumerate(deployment.updates, 1) if not update.accepted]  # fmt: skip
+        values = {
+            "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
             "deployed_return": asdict(summarise_returns(rewards, runs=len(log.diverged))),
-            "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)),
+            "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
+            "report": [sentence, *report],
         }  # fmt: skip
-        sentence = account(generation, values, redesign, evaluation.problem.design.describe(designed.design))
-        refused = [f"update {k} refused, {update['status']}: {update['reason']}"
-                   for k, update in enumerate(values["updates"], 1) if not update["accepted"]]  # fmt: skip
-        arrays = {name: getattr(log, name) for name in LOGGED}
-        values |= {"account": sentence, "report": [sentence, *refused]}
-        return Stage(values, arrays, {"agent": deployment.agent})
+        stage = Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
+        return stage.deciding(Outcome(changes, delivery.replaces, delivery.carried, trust.after(kept)))
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""
@@ -237,7 +251,7 @@ class LoopStages:
         scores = updated.scores
         report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
         policy = self.evaluation.deployed(Deployable(deployed.networks["agent"], log.design))
-        since = max((update["after"] for update in deployed.values["updates"] if update["accepted"]), default=0)
+        since = max(deployed.decided(Outcome).changes, default=0)
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:
             report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
@@ -273,9 +287,8 @@ def deployable_of(found: Stage) -> Deployable:
 
 
 def deployed_of(
-    generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, updates: Sequence[Mapping[str, Any]]
+    generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, changes: Sequence[int]
 ) -> Deployed:  # fmt: skip
-    """Deployment of a deployable with its kept updates."""
-    changes = tuple(update["after"] for update in updates if update["accepted"])
+    """Deployment of a deployable with its kept updates, after so many samples each."""
     after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
-    return Deployed(generation, designed, after, log, changes)
+    return Deployed(generation, designed, after, log, tuple(changes))

@@ -101,32 +101,12 @@ def suspension_metrics(
     stop : float
         Travel at which the suspension meets its stop [m].
     static_load : float
-        Load of the wheel at rest [N].
+        Load of the wheel at rest [N]. The tyre carries nothing where the dynamic load takes all of it away; a linear
+        tyre then pulls at the road, and results with such samples are those of a model that no longer holds.
     recovered : float
-        Fraction of the braking work that returns to the battery, see `actuator_energy`.
-
-    Raises
-    ------
-    InputError
-        If an argument is not as described.
-    """
-    travel_rms, travel_peak, travel_share = suspension_travel(travel, stop)
-    load_rms, lift_off = tyre_load(tyre_force, static_load)
-    energy = actuator_energy(force, travel, recovered=recovered)
-    return SuspensionMetrics(
-        comfort(acceleration, dt), travel_rms, travel_peak, travel_share, load_rms, lift_off, energy
-    )
-
-
-def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Array]:
-    """Root mean square [m], peak [m] and share of the stop of travels (..., T).
-
-    Parameters
-    ----------
-    travel : (..., T) array_like
-        From the rest of the suspension [m].
-    stop : float
-        Travel at which it meets its stop [m].
+        Fraction of the braking work that returns to the battery. The work of a step is force times change of travel,
+        exact for a force that is held over it, and counts with its sign: the true energy without recovery is larger
+        where the travel turns within a step. Losses are not in it.
 
     Raises
     ------
@@ -135,56 +115,14 @@ def suspension_travel(travel: ArrayLike, stop: float) -> tuple[Array, Array, Arr
     """
     z = as_signal("travel", travel)
     peak = np.abs(z).max(axis=-1)
-    return root_mean_square(z), peak, peak / as_positive("stop", stop, unit="m")
-
-
-def tyre_load(tyre_force: ArrayLike, static_load: float) -> tuple[Array, Array]:
-    """Relative root mean square of the dynamic load, and fraction without load, each (...,).
-
-    Parameters
-    ----------
-    tyre_force : (..., T) array_like
-        Dynamic load between tyre and road, positive when it presses [N].
-    static_load : float
-        Load at rest [N]. The tyre carries nothing where the dynamic load takes all of it away; a linear tyre then
-        pulls at the road, and results with such samples are those of a model that no longer holds.
-
-    Raises
-    ------
-    InputError
-        If an argument is not as described.
-    """
+    share = peak / as_positive("stop", stop, unit="m")
     dynamic = as_signal("tyre_force", tyre_force)
     static = as_positive("static_load", static_load, unit="N")
-    return root_mean_square(dynamic) / static, np.mean(dynamic <= -static, axis=-1)
-
-
-def actuator_energy(force: ArrayLike, travel: ArrayLike, *, recovered: float = 0.0) -> Array:
-    """Work of the actuator over each run, (...,) [J].
-
-    The work of a step is force times change of travel, exact for a force that is held over it. It counts with its
-    sign, so a step that both drives and brakes counts as their difference: the true energy without recovery is larger
-    where the travel turns within a step. Losses are not in it.
-
-    Parameters
-    ----------
-    force : (..., T) array_like
-        Held over each step, positive when it extends the suspension [N].
-    travel : (..., T + 1) array_like
-        At the beginnings of the steps and the end of the last [m].
-    recovered : float
-        From 0, braking costs and yields nothing, to 1, all of it comes back.
-
-    Raises
-    ------
-    InputError
-        If an argument is not as described.
-    """
     u = as_signal("force", force)
-    z = as_signal("travel", travel)
     if z.shape != (*u.shape[:-1], u.shape[-1] + 1):
         raise InputError("force, travel", f"shapes {u.shape} and {z.shape}", "(..., T) and (..., T + 1)")
-    share = as_number("recovered", recovered, expected="a fraction from 0 to 1", low=0.0, high=1.0)
+    returned = as_number("recovered", recovered, expected="a fraction from 0 to 1", low=0.0, high=1.0)
     work = u * np.diff(z, axis=-1)
-    energy: Array = np.maximum(work, 0.0).sum(axis=-1) + share * np.minimum(work, 0.0).sum(axis=-1)
-    return energy
+    energy = np.maximum(work, 0.0).sum(axis=-1) + returned * np.minimum(work, 0.0).sum(axis=-1)
+    load, lift_off = root_mean_square(dynamic) / static, np.mean(dynamic <= -static, axis=-1)
+    return SuspensionMetrics(comfort(acceleration, dt), root_mean_square(z), peak, share, load, lift_off, energy)

@@ -40,29 +40,6 @@ def road_roughness(road_class: RoadClass) -> float:
     return SMOOTHEST * 4.0 ** classes.index(as_choice("road_class", road_class, classes))
 
 
-def road_spectrum(frequency: ArrayLike, road_class: RoadClass, *, band: ArrayLike = BAND) -> Array:
-    """One-sided spectrum G(n) = G(n₀) (n/n₀)⁻² [m³] of a class; 0 outside the band.
-
-    Parameters
-    ----------
-    frequency : (...) array_like
-        n [1/m], cycles per metre.
-    road_class : {"A", …, "H"}
-    band : (2,) array_like
-        Lowest and highest n [1/m].
-
-    Raises
-    ------
-    InputError
-        If an argument is not as described.
-    """
-    n = finite("frequency", as_floats("frequency", frequency))
-    low, high = as_band("band", band)
-    roughness = road_roughness(road_class)
-    inside = (n >= low) & (n <= high)
-    return np.where(inside, roughness * (np.where(inside, n, low) / REFERENCE_FREQUENCY) ** -2, 0.0)
-
-
 def track_coherency(frequency: ArrayLike, track: float) -> Array:
     """Coherency γ(n) of two parallel tracks of an isotropic road.
 

@@ -10,11 +10,11 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_flag, as_positive
 from ccdtools.vehicles.iso8608 import BAND, SPACING, RoadClass, as_band, as_spacing, generate_profile, road_roughness
-from ccdtools.vehicles.roads import Driver, Drives, generate_obstacles, generate_speed, road_disturbance
+from ccdtools.vehicles.roads import Driver, drives, generate_obstacles, generate_speed, road_disturbance
 
 
 @dataclass(frozen=True)
-class ISORoad(Drives):
+class ISORoad:
     """Disturbance ż₀ [m/s] or z₀ [m] under every wheel, on fresh ISO 8608 roads.
 
     `ISORoad("C", speed=20.0, dt=0.01).sample(runs, steps, rng)` is ż₀ (runs, steps, nw). Each value is the mean of
@@ -81,6 +81,10 @@ class ISORoad(Drives):
     def nw(self) -> int:
         """Number of channels: 1, 2 or 4."""
         return len(self.wheels)
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, nw)."""
+        return drives(self._drive, runs, steps, rng)
 
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:
         """One drive on a fresh road, (steps, nw)."""

@@ -80,16 +80,11 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
     deflection, wheel, travel, body = ca.vertsplit(x[:4])
     demanded = corner.active(u)
     lift = (x[4] if lagging else demanded) - corner.passive(travel, body - wheel)
-    dynamics = motion(car, x, w, lift, corner.ground(deflection))
+    ground = corner.ground(deflection)
+    dynamics = ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)
     names = list(STATES)
     if lagging:
         dynamics = ca.vertcat(dynamics, (demanded - x[4]) / car.lag)
         names.append("active force [N]")
     design = DesignSpace(["k_s", "c_s"], lower=[1e4, 500.0], upper=[4e4, 3000.0], units=["N/m", "N·s/m"])
     return Plant(x, u, w, p, dynamics, design, dt=dt, state_names=names, input_names=["u [N]"])
-
-
-def motion(car: QuarterCar, x: ca.SX, w: ca.SX, lift: ca.SX, ground: ca.SX) -> ca.SX:
-    """State derivative dx/dt (4, 1) from the forces [N] of strut and road."""
-    _, wheel, _, body = ca.vertsplit(x[:4])
-    return ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
@@ -111,17 +110,8 @@ def _instants(time: Array, dt: float, steps: int | None) -> Array:
 # ── a road ──
 
 
-@dataclass(frozen=True)
-class Feature:
-    """Kind of obstacle, with a profile between 0 and 1.
-
-    `profile(x, length)` is the share of the height at the distance x [m] into an obstacle of that length [m].
-    """
-
-    length: tuple[float, float]  # [m]
-    height: tuple[float, float]  # [m]
-    profile: Callable[[Array, float], Array]
-    signs: tuple[int, ...] = (1,)
+Range: TypeAlias = tuple[float, float]
+Profile: TypeAlias = Callable[[Array, float], Array]  # share of the height by distance into an obstacle and its length
 
 
 def _plateau(x: Array, length: float, edge: float) -> Array:
@@ -134,11 +124,11 @@ def _sinusoid(x: Array, length: float) -> Array:
     return 0.5 - 0.5 * np.cos(2 * np.pi * x / length)
 
 
-FEATURES = {
-    "jump": Feature((2.0, 10.0), (0.05, 0.13), lambda x, length: _plateau(x, length, 0.4), (-1, 1)),  # a steep slope
-    "bump": Feature((3.0, 8.0), (0.03, 0.12), _sinusoid),
-    "dent": Feature((0.8, 2.5), (0.03, 0.08), _sinusoid, (-1,)),
-    "ramp": Feature((20.0, 60.0), (0.1, 0.5), lambda x, length: _plateau(x, length, length / 3), (-1, 1)),
+OBSTACLES: dict[str, tuple[Range, Range, tuple[int, ...], Profile]] = {  # lengths and heights [m], signs, profile
+    "jump": ((2.0, 10.0), (0.05, 0.13), (-1, 1), lambda x, length: _plateau(x, length, 0.4)),  # a steep slope
+    "bump": ((3.0, 8.0), (0.03, 0.12), (1,), _sinusoid),
+    "dent": ((0.8, 2.5), (0.03, 0.08), (-1,), _sinusoid),
+    "ramp": ((20.0, 60.0), (0.1, 0.5), (-1, 1), lambda x, length: _plateau(x, length, length / 3)),
 }
 GAP = (5.0, 45.0)  # The plain road between two obstacles is this long [m].
 
@@ -191,14 +181,14 @@ def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
 def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
     """Elevation (S,) [m] of random obstacles with plain road between."""
     elevation = np.zeros_like(distance)
-    kinds = tuple(FEATURES.values())
+    kinds = tuple(OBSTACLES.values())
     begin = rng.uniform(*GAP)
     while begin < distance[-1]:  # GAP[0] > 0 bounds the number of turns
-        kind = kinds[rng.integers(len(kinds))]
-        length = rng.uniform(*kind.length)
-        height = rng.choice(kind.signs) * rng.uniform(*kind.height)
+        lengths, heights, signs, profile = kinds[rng.integers(len(kinds))]
+        length = rng.uniform(*lengths)
+        height = rng.choice(signs) * rng.uniform(*heights)
         here = slice(*np.searchsorted(distance, (begin, begin + length)))
-        elevation[here] += height * kind.profile(distance[here] - begin, length)
+        elevation[here] += height * profile(distance[here] - begin, length)
         begin += length + rng.uniform(*GAP)
     return elevation
 
@@ -206,18 +196,9 @@ def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
 # ── a driver ──
 
 
-@dataclass(frozen=True)
-class Style:
-    """Style of a driver."""
-
-    speeds: tuple[float, float]  # range of the speeds aimed at [m/s]
-    hold: tuple[float, float]  # how long one is aimed at [s]
-    acceleration: float  # largest, in either direction [m/s²]
-
-
-STYLES: dict[str, Style] = {
-    "mild": Style(speeds=(8.0, 22.0), hold=(20.0, 60.0), acceleration=0.5),
-    "aggressive": Style(speeds=(18.0, 36.0), hold=(6.0, 20.0), acceleration=3.0),
+STYLES: dict[str, tuple[Range, Range, float]] = {  # speeds aimed at [m/s], for how long [s], acceleration [m/s²]
+    "mild": ((8.0, 22.0), (20.0, 60.0), 0.5),
+    "aggressive": ((18.0, 36.0), (6.0, 20.0), 3.0),
 }
 
 
@@ -247,45 +228,39 @@ def generate_speed(
     InputError
         If `driver` is unknown, or `duration` or `dt` is not a finite number > 0.
     """
-    style = STYLES[as_choice("driver", driver, get_args(Driver))]
+    as_choice("driver", driver, get_args(Driver))
     as_generator("rng", rng)
     intervals = math.ceil(as_positive("duration", duration, unit="s") / as_positive("dt", dt, unit="s") - 1e-9)
     time = dt * np.arange(intervals + 1, dtype=np.float64)
-    knots, aims = _plan(time[-1], style, rng)
+    knots, aims = _plan(time[-1], driver, rng)
     return time, np.interp(time, knots, aims)
 
 
-def _plan(duration: float, style: Style, rng: np.random.Generator) -> tuple[Array, Array]:
+def _plan(duration: float, driver: Driver, rng: np.random.Generator) -> tuple[Array, Array]:
     """Knots of the speed: hold, change, hold, …"""
-    speed = rng.uniform(*style.speeds)
+    speeds, hold, acceleration = STYLES[driver]
+    speed = rng.uniform(*speeds)
     knots = [0.0]
     aims = [speed]
-    while knots[-1] < duration:  # style.hold[0] > 0 bounds the number of turns
-        knots.append(knots[-1] + rng.uniform(*style.hold))
+    while knots[-1] < duration:  # hold[0] > 0 bounds the number of turns
+        knots.append(knots[-1] + rng.uniform(*hold))
         aims.append(speed)
-        change = rng.uniform(*style.speeds) - speed
-        rate = style.acceleration * rng.uniform(0.3, 1.0)
+        change = rng.uniform(*speeds) - speed
+        rate = acceleration * rng.uniform(0.3, 1.0)
         speed += change
         knots.append(knots[-1] + abs(change) / rate)
         aims.append(speed)
     return np.array(knots), np.array(aims)
 
 
-class Drives(ABC):
-    """Disturbance of a drive of its own for every run."""
-
-    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
-        """Sequences (runs, steps, nw)."""
-        check_draw(runs, steps, rng)
-        return np.stack([self._drive(steps, child) for child in rng.spawn(runs)])
-
-    @abstractmethod
-    def _drive(self, steps: int, rng: np.random.Generator) -> Array:
-        """One drive, (steps, nw)."""
+def drives(one: Callable[[int, np.random.Generator], Array], runs: int, steps: int, rng: np.random.Generator) -> Array:
+    """Drives (runs, steps, nw), each of a generator of its own."""
+    check_draw(runs, steps, rng)
+    return np.stack([one(steps, child) for child in rng.spawn(runs)])
 
 
 @dataclass(frozen=True)
-class GeneratedRoad(Drives):
+class GeneratedRoad:
     """Disturbance ż₀ [m/s] of a fresh road and drive per run.
 
     Attributes
@@ -306,6 +281,10 @@ class GeneratedRoad(Drives):
     def nw(self) -> int:
         """Number of channels."""
         return 1
+
+    def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
+        """Sequences (runs, steps, 1)."""
+        return drives(self._drive, runs, steps, rng)
 
     def _drive(self, steps: int, rng: np.random.Generator) -> Array:
         """One drive on a fresh road, (steps, 1)."""

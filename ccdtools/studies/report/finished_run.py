@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import History
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from ccdtools.studies.tolerances import SET_SECONDS
 from invariant_sets import ParametricSet
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from ccdtools.co_design.result import History
+    from ccdtools.figure_style import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +56,8 @@ class FinishedRun:
     @cached_property
     def sets(self) -> ParametricSet:
         """Sets X_fea(p), each computed within `SET_SECONDS`."""
+        from ccdtools.co_design.expert import feasible_sets  # loads torch
+
         return replace(feasible_sets(self.problem), time_limit=SET_SECONDS)
 
     @cached_property
@@ -68,6 +69,8 @@ class FinishedRun:
     @cached_property
     def histories(self) -> list[History]:
         """Histories of all co-designs."""
+        from ccdtools.co_design.result import History  # loads torch
+
         names = History.__dataclass_fields__
         stages = [self.folder.read_stage(f"codesign-{g}").arrays for g in range(1, self.last + 1)]
         return [History(**{name: arrays[f"history_{name}"] for name in names}) for arrays in stages]

@@ -2,27 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
-SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 PLACES = {"nominal": "nominal model", "real": "real plant"}
-FORMER = "return to "  # begins the name of a proposal that was deployed before, or is the start
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """Number to so many significant digits, as a power of ten if extreme."""
-    if value is None or not math.isfinite(value):
-        return "n/a"
-    if value != 0 and not 1e-3 <= abs(value) < 1e6:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}"
-    shown = float(f"{value:.{digits}g}")
-    if shown == 0:
-        return "0"
-    decimals = max(0, digits - 1 - int(f"{shown:e}".split("e")[1]))
-    return f"{shown:.{decimals}f}"
 
 
 def capitalised(text: str) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.evidence.percent import percent_interval, signed_percent, with_minus
-from ccdtools.studies.held_out import SOURCES
-from ccdtools.studies.report.formatting import generation_name, number
+from ccdtools.evidence.percent import number, percent_interval, signed_percent, with_minus
+from ccdtools.studies.names import SOURCES
+from ccdtools.studies.report.formatting import generation_name
 from ccdtools.studies.report.verdicts import on_same_runs, reference_of, saw_fewer_runs, size_of, verdict
 
 Values = Mapping[str, Any]

@@ -5,15 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ccdtools.evidence.percent import share, signed_percent, with_minus
+from ccdtools.evidence.percent import number, share, signed_percent, with_minus
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.studies.report.formatting import FORMER, capitalised, design_text, limits_of, number
+from ccdtools.studies.names import FORMER
+from ccdtools.studies.report.formatting import capitalised, design_text, limits_of
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
 from ccdtools.studies.report.verdicts import outside_text, percent_of_reference, reference_of, size_of, verdict
 from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT, SMALL_PART
 
 Results = Mapping[str, Any]
+BESIDE_LQR = {  # by the verdict on the return
+    "equal": "the learned policy equals LQR{within}",
+    "better": "the learned policy costs {part} less than LQR at the same design",
+    "worse": "the learned policy costs {part} more than LQR at the same design",
+    "not worse": "the learned policy is not worse than LQR at the same design",
+    "open": "the learned policy and LQR cannot be told apart on these runs",
+}
 
 
 def headline(results: Results) -> str:
@@ -192,15 +200,9 @@ def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) ->
     """Sentence on the learned policy's return beside LQR's."""
     if percent is None:
         return "the learned policy equals LQR" if word == "equal" else ""
-    if word == "equal":
-        exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL_PERCENT
-        return "the learned policy equals LQR" + ("" if exact else f" within {NOT_WORSE_PERCENT:g} %")
-    if word in ("better", "worse"):
-        less = signed_percent(abs(percent[0])).removeprefix("+")
-        return f"the learned policy costs {less} {'less' if word == 'better' else 'more'} than LQR at the same design"
-    if word == "not worse":
-        return "the learned policy is not worse than LQR at the same design"
-    return "the learned policy and LQR cannot be told apart on these runs"
+    exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL_PERCENT
+    within = "" if exact else f" within {NOT_WORSE_PERCENT:g} %"
+    return BESIDE_LQR[word].format(within=within, part=signed_percent(abs(percent[0])).removeprefix("+"))
 
 
 def _generations(results: Results) -> list[str]:

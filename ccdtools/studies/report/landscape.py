@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.risk import Mean, measure
-from ccdtools.evidence.percent import share, with_minus
+from ccdtools.evidence.percent import number, share, with_minus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
-from ccdtools.studies.report.formatting import axis_label, number
+from ccdtools.studies.report.formatting import axis_label
 from ccdtools.studies.tolerances import DIVERGED_RUNS, LANDSCAPE
 from mpc import MPCError
 
@@ -105,7 +103,9 @@ def _return_at(run: FinishedRun, design: Array, scenario: Scenario) -> tuple[flo
     return float(kept.mean()), 1.96 * float(kept.std()) / np.sqrt(len(kept)), float(loop.diverged.mean())
 
 
-def draw_curve(ax: Axes, designs: Array, mean: Array, interval: Array, fine: NDArray[np.bool_], *, whole: bool) -> None:
+def draw_curve(
+    ax: style.Axes, designs: Array, mean: Array, interval: Array, fine: NDArray[np.bool_], *, whole: bool
+) -> None:
     """Draw LQR's return over one design parameter; whole numbers with nothing between them.
 
     Designs that are not fine, because too many runs diverge, are shaded and do not set the scale.
@@ -114,7 +114,7 @@ def draw_curve(ax: Axes, designs: Array, mean: Array, interval: Array, fine: NDA
     name = "LQR at this design"
     if whole:
         ax.errorbar(designs, mean, yerr=interval, fmt="_", color=colour, ms=14, mew=2, capsize=3, label=name)
-        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        style.whole_ticks(ax)
     else:
         ax.fill_between(designs, mean - interval, mean + interval, color=colour, alpha=0.2, lw=0)
         ax.plot(designs, mean, color=colour, label=name)
@@ -128,7 +128,7 @@ def draw_curve(ax: Axes, designs: Array, mean: Array, interval: Array, fine: NDA
         ax.axvline(edge, **style.BOUND)
 
 
-def draw_path(ax: Axes, x: Array, y: Array, g: int, *, line: str) -> None:
+def draw_path(ax: style.Axes, x: Array, y: Array, g: int, *, line: str) -> None:
     """Draw the design's path through one generation: square, dots, star."""
     colour = style.generation_colour(g + 1)
     ax.plot(x, y, ls=line, marker="o", color=colour, ms=4, lw=1.5, label=f"path of generation {g + 1}", zorder=4)

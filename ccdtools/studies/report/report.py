@@ -15,10 +15,9 @@ from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import Mean, measure
 from ccdtools.design_limits import DesignLimits, limits_at
-from ccdtools.evidence.percent import share, with_minus
+from ccdtools.evidence.percent import number, share, with_minus
 from ccdtools.plants.sampling_guard import sampling_note
-from ccdtools.studies.report.figures import figures
-from ccdtools.studies.report.finished_run import FinishedRun
+from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import (
     axis_label,
     capitalised,
@@ -27,10 +26,13 @@ from ccdtools.studies.report.formatting import (
     generation_name,
     holding_text,
     limits_of,
-    number,
     place,
 )
 from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
+from ccdtools.studies.report.landscape import landscape
+from ccdtools.studies.report.return_figures import changes, comparison, history
+from ccdtools.studies.report.set_figure import feasible_set_figure
+from ccdtools.studies.report.signal_figures import policy_surface, quantiles, trajectories
 from ccdtools.studies.report.summary import decided, in_first_place, next_steps
 from ccdtools.studies.report.tables import fewer_runs_notes, held_out_metrics, metric_table, write_tables
 from ccdtools.studies.report.verdicts import (
@@ -44,6 +46,8 @@ from ccdtools.studies.report.verdicts import (
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
 from ccdtools.studies.tolerances import SET_SECONDS
+
+FIGURES = (changes, history, landscape, comparison, feasible_set_figure, policy_surface, trajectories, quantiles)
 
 
 def write_report(study: Study, folder: RunFolder) -> Path:
@@ -64,12 +68,19 @@ def write_report(study: Study, folder: RunFolder) -> Path:
     run = FinishedRun(study, folder, folder.read_json("results.json"))
     write_tables(run.results, folder)
     shown = []
-    for figure in figures(run):
-        image = style.png(figure.figure)
-        folder.write_bytes(f"figures/{figure.name}.png", image)
-        shown.append({"name": figure.name, "title": figure.title, "caption": figure.caption,
-                      "image": base64.b64encode(image).decode("ascii")})  # fmt: skip
+    for make in FIGURES:
+        with style.styled():
+            made = make(run)
+        shown += [_kept_figure(figure, folder) for figure in made]
     return folder.write_text("report.html", render(run, shown))
+
+
+def _kept_figure(figure: ReportFigure, folder: RunFolder) -> dict[str, str]:
+    """Figure for the page, written to its file."""
+    image = style.png(figure.figure)
+    folder.write_bytes(f"figures/{figure.name}.png", image)
+    texts = {"name": figure.name, "title": figure.title, "caption": figure.caption}
+    return texts | {"image": base64.b64encode(image).decode("ascii")}
 
 
 def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:

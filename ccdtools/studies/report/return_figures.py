@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.evidence.percent import share, signed_percent
-from ccdtools.studies.held_out import SOURCES
+from ccdtools.studies.names import SOURCES
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import axis_label, generation_name, place
 from ccdtools.studies.report.gains import gain_percent
@@ -40,7 +38,7 @@ def changes(run: FinishedRun) -> list[ReportFigure]:
     return [ReportFigure("changes", "What changed", caption, figure)]
 
 
-def _draw_changes(ax: Axes, rows: Sequence[Change]) -> None:
+def _draw_changes(ax: style.Axes, rows: Sequence[Change]) -> None:
     """Draw changes in per cent with their intervals."""
     ax.axvline(0, color="#444444", lw=1)
     for y, row in enumerate(rows):
@@ -54,7 +52,7 @@ def _draw_changes(ax: Axes, rows: Sequence[Change]) -> None:
     ax.set_xlabel("change from LQR at the start design [%]; less is better")
 
 
-def _draw_gains(ax: Axes, places: Sequence[Mapping[str, Any]]) -> None:
+def _draw_gains(ax: style.Axes, places: Sequence[Mapping[str, Any]]) -> None:
     """Draw the gain in return by source and place."""
     for i, source in enumerate(SOURCES[1:]):
         parts = [(gain_percent(place, source) or (0.0,))[0] for place in places]
@@ -83,7 +81,7 @@ def history(run: FinishedRun) -> list[ReportFigure]:
             _draw_bounds(ax, space.lower[i], space.upper[i])
             _draw_course(ax, course.iteration, course.design[:, i], chosen, colour)
         grid[-1, g].set_xlabel("iteration")
-        grid[-1, g].xaxis.set_major_locator(MaxNLocator(5, integer=True))
+        style.whole_ticks(grid[-1, g], 5)
     grid[0, 0].set_ylabel("return")
     for ax, i in zip(grid[1:, 0], designed):
         ax.set_ylabel(axis_label(space.names[i], space.units[i]))
@@ -95,13 +93,13 @@ def history(run: FinishedRun) -> list[ReportFigure]:
     return [ReportFigure("history", "Return and design", caption, figure)]
 
 
-def _draw_course(ax: Axes, steps: Array, values: Array, chosen: int, colour: Any) -> None:
+def _draw_course(ax: style.Axes, steps: Array, values: Array, chosen: int, colour: Any) -> None:
     """Draw a quantity over the iterations, with a star at the end."""
     ax.plot(steps, values, "-o", color=colour, ms=2.5, lw=1.5)
     ax.plot(steps[chosen], values[chosen], "*", color=style.CHOSEN, mec="k", mew=0.6, ms=13, zorder=5)
 
 
-def _draw_bounds(ax: Axes, lower: float, upper: float) -> None:
+def _draw_bounds(ax: style.Axes, lower: float, upper: float) -> None:
     """Draw the bounds of a design parameter, hatched beyond."""
     room = 0.08 * (upper - lower)
     ax.set_ylim(lower - room, upper + room)
@@ -124,7 +122,12 @@ def comparison(run: FinishedRun) -> list[ReportFigure]:
         ends += _draw_differences(grid[r, c], names, chosen)
         where = place(next(iter(chosen.values())))
         grid[r, c].set_title(f"{generation_name(g)}: {where}", color=style.generation_colour(g))
-    _per_cent_axis(grid[0, 0], min(ends), max(ends))
+    grid[0, 0].set_xscale("symlog", linthresh=1.0, linscale=1.5)
+    powers = 10.0 ** np.arange(0, 9)
+    marks = [*-powers[::-1], 0, *powers]
+    grid[0, 0].set_xticks(marks, [f"{mark:g}" for mark in marks])
+    grid[0, 0].set_xticks([], minor=True)
+    grid[0, 0].set_xlim(min(1.6 * min(ends), -2.0), max(1.6 * max(ends), 2.0))
     _rows(grid[0, 0], names)
     for ax in grid[-1]:
         ax.set_xlabel("difference to LQR's return [% of |LQR|]; right is better")
@@ -136,7 +139,7 @@ def comparison(run: FinishedRun) -> list[ReportFigure]:
     return [ReportFigure("comparison", "Controllers beside LQR", caption, figure)]
 
 
-def _draw_differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mapping[str, Any]]) -> list[float]:
+def _draw_differences(ax: style.Axes, names: Sequence[str], chosen: Mapping[str, Mapping[str, Any]]) -> list[float]:
     """Draw one panel and return the ends of its intervals."""
     colours = style.controller_colours(names)
     ends: list[float] = []
@@ -156,23 +159,15 @@ def _draw_differences(ax: Axes, names: Sequence[str], chosen: Mapping[str, Mappi
     return ends
 
 
-def _interval(ax: Axes, percent: tuple[float, float, float], y: int, colour: str, *, size: int) -> None:
+def _interval(ax: style.Axes, percent: tuple[float, float, float], y: int, colour: str, *, size: int) -> None:
     """Draw a mean with its interval in a row."""
     mean, low, high = percent
     ax.errorbar(mean, y, xerr=[[mean - low], [high - mean]], fmt="o", color=colour, ms=size, capsize=4, lw=2)
 
 
-def _rows(ax: Axes, names: Sequence[str]) -> None:
+def _rows(ax: style.Axes, names: Sequence[str]) -> None:
     """Name the rows of an axis, from the top down."""
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.5, -0.5)
 
 
-def _per_cent_axis(ax: Axes, low: float, high: float) -> None:
-    """Scale an axis linearly between −1 and 1 per cent, logarithmically beyond."""
-    ax.set_xscale("symlog", linthresh=1.0, linscale=1.5)
-    ax.set_xlim(min(1.6 * low, -2.0), max(1.6 * high, 2.0))
-    powers = 10.0 ** np.arange(0, 9)
-    ax.xaxis.set_major_locator(FixedLocator([*-powers[::-1], 0, *powers]))
-    ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

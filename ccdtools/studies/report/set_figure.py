@@ -7,7 +7,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
@@ -114,7 +113,7 @@ def _nearest(space: DesignSpace, design: Array) -> Array | None:
 
 
 def _draw_sets(
-    ax: Axes, sets: dict[str, Polytope], lines: dict[str, _Line], frame: Polytope, *, filled: str
+    ax: style.Axes, sets: dict[str, Polytope], lines: dict[str, _Line], frame: Polytope, *, filled: str
 ) -> list[Any]:
     """Draw planar sets by name over their frame X (dashed), one of them shaded."""
     bound = {"facecolor": "none", "edgecolor": style.BOUND["color"], "linestyle": style.BOUND["ls"]}

@@ -10,7 +10,6 @@ import numpy as np
 from ccdtools import figure_style as style
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.controllers.learned import load_policy
 from ccdtools.evidence.percent import share
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
@@ -23,6 +22,8 @@ from invariant_sets import plot_polytope
 
 def policy_surface(run: FinishedRun) -> list[ReportFigure]:
     """Figure of the policy, LQR and their difference over two states."""
+    from ccdtools.controllers.learned import load_policy  # loads torch
+
     plant = run.study.plant
     if plant.nx != 2:
         return []

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ccdtools.evidence.percent import percent_interval, with_minus
-from ccdtools.studies.report.formatting import number
+from ccdtools.evidence.percent import number, percent_interval, with_minus, word_of_change
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
@@ -137,7 +136,9 @@ def _cost(place: Values) -> Iterator[Change]:
     after = before - place["total"]["mean"]
     mean, low, high = gain
     percent = None if low is None or high is None else (-mean, -high, -low)
-    yield Change(COST, place["place"], before, after, percent, _word(percent), place["steps"])
+    word = "open" if percent is None else word_of_change(*percent, NOT_WORSE_PERCENT)
+    said = {"more": "worse", "less": "better"}.get(word, word)
+    yield Change(COST, place["place"], before, after, percent, said, place["steps"])
 
 
 def _metrics(place: Values) -> Iterator[Change]:
@@ -147,15 +148,3 @@ def _metrics(place: Values) -> Iterator[Change]:
         ends = (metric["change"]["mean"], *metric["change"]["ci95"])
         percent = None if not before or None in ends else tuple(100 * end / abs(before) for end in ends)
         yield Change(metric["name"], place["place"], before, metric["after"], percent, metric["word"])
-
-
-def _word(percent: tuple[float, float, float] | None) -> str:
-    """Word for a change of the cost, as in `metric_changes`."""
-    if percent is None:
-        return "open"
-    mean, low, high = percent
-    if low >= -NOT_WORSE_PERCENT and high <= NOT_WORSE_PERCENT:
-        return "same"
-    if abs(mean) < NOT_WORSE_PERCENT or low <= 0 <= high:
-        return "open"
-    return "worse" if mean > 0 else "better"

@@ -6,15 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ccdtools.evidence.percent import share
-from ccdtools.studies.held_out import SOURCES
+from ccdtools.evidence.percent import number, share
+from ccdtools.studies.names import SOURCES
 from ccdtools.studies.report.formatting import (
     active_bounds_text,
     design_text,
     generation_name,
     holding_text,
     limits_of,
-    number,
     place,
 )
 from ccdtools.studies.report.gains import console_lines

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.studies.report.formatting import generation_name, number, place
+from ccdtools.evidence.percent import number
+from ccdtools.studies.report.formatting import generation_name, place
 from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT
 
 Row = Mapping[str, Any]

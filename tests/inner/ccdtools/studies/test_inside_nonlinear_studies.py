@@ -8,7 +8,6 @@ import pytest
 
 from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, Study
 from ccdtools.studies import configuration
-from ccdtools.studies.loading import LoadedStudy
 from ccdtools.studies.preparation import fingerprint
 
 NOISE = Gaussian([0.1])
@@ -36,7 +35,7 @@ def test_another_accuracy_is_another_run():
     one = study(tank(rate=30.0))
     config = configuration(one)
     before, now = (
-        fingerprint(LoadedStudy(own, {}), config) for own in (one, replace(one, accuracy=1e-4, method="rk4"))
+        fingerprint(own, {}, config) for own in (one, replace(one, accuracy=1e-4, method="rk4"))
     )
     assert {name for name in before if before[name] != now.get(name)} == {"study.accuracy", "study.method"}
-    assert fingerprint(LoadedStudy(study(tank(rate=30.0)), {}), config) == before
+    assert fingerprint(study(tank(rate=30.0)), {}, config) == before

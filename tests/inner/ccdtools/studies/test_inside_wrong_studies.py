@@ -44,13 +44,13 @@ def test_a_study_imports_its_neighbour_and_names_its_line(tmp_path):
     (tmp_path / "helper_beside.py").write_text("VALUE = 2\n")
     path = tmp_path / "mine.py"
     path.write_text(HEAD + "\nimport helper_beside\nstudy = study_with(p0=[helper_beside.VALUE])\n")
-    loaded = load_with_sources(str(path))
-    assert loaded.study.p0.tolist() == [2.0]
-    assert set(loaded.sources) == {"mine.py", "helper_beside.py"}
+    study, sources = load_with_sources(str(path))
+    assert study.p0.tolist() == [2.0]
+    assert set(sources) == {"mine.py", "helper_beside.py"}
     (tmp_path / "helper_beside.py").write_text("VALUE = 3\n")
-    changed = load_with_sources(str(path))  # read again: nothing of the first loading is left behind
-    assert changed.study.p0.tolist() == [3.0]
-    assert changed.sources["helper_beside.py"] != loaded.sources["helper_beside.py"]
+    changed, sources_then = load_with_sources(str(path))  # read again: nothing of the first loading is left behind
+    assert changed.p0.tolist() == [3.0]
+    assert sources_then["helper_beside.py"] != sources["helper_beside.py"]
     (tmp_path / "helper_beside.py").write_text("\n\nVALUE = 1 / 0\n")
     with pytest.raises(InputError, match=r"helper_beside.py:3, which stops with ZeroDivisionError"):
         load_study(str(path))

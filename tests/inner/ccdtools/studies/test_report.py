@@ -4,6 +4,8 @@ import csv
 import json
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -16,11 +18,11 @@ from small_runs import tiny
 from spring_run import run_spring
 
 from ccdtools import CVaR, DesignSpace, Gaussian, Plant, QuadraticObjective, figure_style as style
+from ccdtools.evidence.percent import number
 from ccdtools.exceptions import InputError
 from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configuration, load_study
 from ccdtools.studies.report import set_figure
 from ccdtools.studies.report.finished_run import FinishedRun
-from ccdtools.studies.report.formatting import number
 from ccdtools.studies.report.gains import gain_text
 from ccdtools.studies.report.landscape import draw_curve, draw_path
 from ccdtools.studies.report.report import render, write_report
@@ -190,6 +192,11 @@ def test_every_decision_stands_on_the_page_with_all_its_evidence(spring):
         said += [one["percent"] for decision in [*decisions, generation["delivery"]] for one in decision["evidence"]]
     assert len(said) > 4
     assert [cell for cell in shown if cell in said] == said
+
+
+def test_the_report_is_imported_without_torch():
+    code = "import sys, ccdtools.studies.report.report; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_a_folder_without_results_is_an_error(tmp_path):

@@ -7,19 +7,30 @@ import numpy as np
 import pytest
 
 from ccdtools import CVaR, QuadraticObjective
-from ccdtools.evidence.evidence import Asked, Pairing, Violation
-from ccdtools.evidence.verdict import Status
-from ccdtools.statistics import Summary, summarise
-from ccdtools.studies.account import account
-from ccdtools.studies.report.formatting import FORMER
+from ccdtools.evidence.evidence import Asked, Evidence, Pairing, Violation
+from ccdtools.evidence.verdict import Status, Verdict
+from ccdtools.statistics import PairedDifference, Summary, summarise
+from ccdtools.studies.account import account, proposed, refused
+from ccdtools.studies.names import FORMER
+from ccdtools.studies.redesign import Redesign
 from ccdtools.studies.report.headline import _brought, _phrase
-from ccdtools.studies.service import Agreement, Deployed, _agreement, after_deployment, judge_deployment, measured
+from ccdtools.studies.service import (
+    Agreement,
+    Delivery,
+    Deployed,
+    _agreement,
+    after_deployment,
+    judge_deployment,
+    measured,
+)
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.online import OnlineUpdate
 
 OBJECTIVE = QuadraticObjective([[1.0]], [[1.0]])
 PAIRING = Pairing(OBJECTIVE)
 RUNS, STEPS = 60, 20
+BROKEN = Violation((0.1, 0.2), (0.0, 0.0), (0.01, 0.05), "v > 1", False)
 PREDICTED = summarise(np.linspace(-1.1, -0.9, 40) * STEPS)
 
 
@@ -164,10 +175,9 @@ def test_more_lost_runs_are_never_taken_however_good_the_rest():
 
 
 def test_limits_that_were_broken_come_before_a_gain():
-    broken = Violation((0.1, 0.2), (0.0, 0.0), (0.01, 0.05), "v > 1", False)
-    delivery = judged(second(log(0.9)), first(log(1.0)), limits=lambda after, before: broken)
+    delivery = judged(second(log(0.9)), first(log(1.0)), limits=lambda after, before: BROKEN)
     assert delivery.verdict.status is Status.LIMITS
-    assert delivery.as_dict()["breach"] == str(broken)
+    assert delivery.as_dict()["breach"] == str(BROKEN)
 
 
 @pytest.mark.parametrize(
@@ -245,31 +255,30 @@ def test_changes_are_parts_of_what_control_makes_whatever_the_design_costs(const
 # ── the sentence of a generation ──
 
 
-def decision(*, accepted, moved=True):
-    """The values of a redesign's decision."""
-    return {"predicted": "+1 % [+0.5, +1.5]", "reason": "less than its price: +0.1 % on the replayed log, price 0.5 %",
-            "accepted": accepted, "moved": moved}  # fmt: skip
+def made(status, change=-1.0, *, broken=None, size=50.0, measure="mean", reason=""):
+    """A verdict on a change of a return of that size."""
+    gain = PairedDifference(change, (change - 0.5, change + 0.5))
+    one = Evidence("B", "A", "the replayed log", Asked.GAIN, gain, (-51.0, -50.0), size, 20, "20 runs",
+                   violation=broken, measure=measure)  # fmt: skip
+    return Verdict(status, (one,), reason)
 
 
-def redesign(*, accepted, moved=True, chosen="redesign", edges=None):
-    """The values of a redesign."""
-    decisions = dict.fromkeys(("redesign", chosen), decision(accepted=accepted, moved=moved))
-    region = {"edges": edges or {}}
-    return {"accepted": accepted, "chosen": chosen if accepted else None, "decisions": decisions, "region": region}
+REFUSED = made(Status.BELOW_PRICE, reason="+0.1 % on the replayed log, price 0.5 %", change=1.0, size=100.0)
 
 
-def delivery(status, **others):
-    """The values of a delivery that is compared with generation 1."""
-    return {"former": 1, "status": status.value, "replaces": status.replaces, "agreement": "within chance",
-            "size": 50.0, "change": {"mean": -1.0, "ci95": [-1.5, -0.5]}, "predicted": {"mean": -40.0},
-            "returns": {"mean": -51.0}, "measure": "mean",
-            "carried": False, "breach": "", "reason": ""} | others  # fmt: skip
+def delivery(status, *, agreement=Agreement.AGREED, carried=False, **of):
+    """A delivery that is compared with generation 1."""
+    predicted, returns = (Summary(mean, 1.0, mean, 20, (mean - 1, mean + 1)) for mean in (-40.0, -51.0))
+    return Delivery(predicted, returns, agreement, made(status, **of), 50.0, carried, 1)
 
 
 def said(status, *, accepted=False, updates=(False, False), moved=True, chosen="redesign", edges=None, **others):
     """The account of a generation 3."""
-    values = {"delivery": delivery(status, **others), "updates": [{"accepted": taken} for taken in updates]}
-    return account(3, values, redesign(accepted=accepted, moved=moved, chosen=chosen, edges=edges), "m = 1 kg")
+    text = refused(REFUSED, moved=moved)
+    if accepted:
+        text = proposed(chosen, REFUSED, "m = 1 kg", edges or {}, moved=moved)
+    tried = [OnlineUpdate(100, made(Status.BETTER if taken else Status.NO_GAIN)) for taken in updates]
+    return account(3, delivery(status, **others), tried, Redesign(accepted, moved, text), "m = 1 kg")
 
 
 def test_a_generation_that_changed_nothing_says_so_and_why():
@@ -281,7 +290,7 @@ def test_a_generation_that_changed_nothing_says_so_and_why():
 
 
 def test_a_redesign_rolled_back_says_what_was_predicted_and_measured():
-    assert said(Status.WORSE, accepted=True, agreement="less than predicted") == (
+    assert said(Status.WORSE, accepted=True, agreement=Agreement.LESS) == (
         "generation 3 moved the design to m = 1 kg, predicted +1 % [+0.5, +1.5] and measured −2 % [−3, −1] against "
         "generation 1; worse, so design and policy of generation 1 stay deployed; less than predicted, a deployed "
         "return of −40.00; 0 of 2 updates accepted, none of it is due to updates"
@@ -295,11 +304,10 @@ def test_a_redesign_that_the_trust_region_holds_back_and_a_return_to_the_start_s
     assert text.startswith("generation 3 returned to the start, m = 1 kg, predicted +1 %")
 
 
-@pytest.mark.parametrize("agreement", ["within chance", "less than predicted"])
+@pytest.mark.parametrize("agreement", [Agreement.AGREED, Agreement.LESS])
 def test_the_first_generation_says_that_less_was_measured_than_predicted(agreement):
-    values = {"delivery": delivery(Status.FIRST, agreement=agreement), "updates": []}
-    less = ", less than predicted" if agreement == "less than predicted" else ""
-    assert account(1, values, None, "m = 1 kg") == (
+    less = ", less than predicted" if agreement is Agreement.LESS else ""
+    assert account(1, delivery(Status.FIRST, agreement=agreement), [], None, "m = 1 kg") == (
         "generation 1 designed m = 1 kg on the nominal model; predicted a deployed return of −40.00, measured "
         f"−51.00{less}; no update was tried; the policy is as designed"
     )
@@ -318,13 +326,13 @@ def test_updates_alone_are_named_and_so_is_what_was_rolled_back():
     )
     assert "the deployed policy is that of generation 1 before its updates" in carried
     assert "in the mean of the worst 10 %)" in said(Status.WORSE, carried=True, measure="mean of the worst 10 %")
-    assert "(it leaves v > 1)" in said(Status.LIMITS, breach="it leaves v > 1")
+    assert f"({BROKEN})" in said(Status.LIMITS, broken=BROKEN)
 
 
 def test_the_headline_says_whose_updates_were_rolled_back():
     generation = {"generation": 2, "redesign": {"accepted": False}, "online_updates": [],
-                  "delivery": delivery(Status.WORSE, carried=True)}  # fmt: skip
+                  "delivery": delivery(Status.WORSE, carried=True).as_dict()}  # fmt: skip
     assert _brought(generation)
     assert "updates of generation 1" in _phrase({}, generation, moved=False)
-    generation["delivery"] = delivery(Status.WORSE)
+    generation["delivery"] = delivery(Status.WORSE).as_dict()
     assert not _brought(generation)

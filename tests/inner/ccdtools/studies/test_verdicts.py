@@ -3,8 +3,7 @@
 import pytest
 
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.evidence.percent import percent_interval, share, signed_percent
-from ccdtools.studies.report.formatting import number
+from ccdtools.evidence.percent import number, percent_interval, share, signed_percent
 from ccdtools.studies.report.gains import held_out_rows
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.summary import next_steps

@@ -6,7 +6,7 @@ from scipy.integrate import trapezoid
 
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles import road_disturbance
-from ccdtools.vehicles.roads import FEATURES, STYLES, generate_road, generate_speed
+from ccdtools.vehicles.roads import OBSTACLES, STYLES, generate_road, generate_speed
 
 DT = 0.05
 SLOPE = ([0.0, 100.0], [0.0, 10.0])  # a road that rises by one in ten
@@ -53,14 +53,14 @@ def test_every_slope_is_finite_and_no_obstacle_is_steeper_than_a_jump():
     for seed in range(5):
         distance, elevation = generate_road(5000.0, rng=np.random.default_rng(seed))
         slopes.append(np.abs(np.diff(elevation) / np.diff(distance)).max())
-    steepest = FEATURES["jump"].height[1] / 0.4
+    steepest = OBSTACLES["jump"][1][1] / 0.4
     assert max(slopes) < steepest + 6 * 0.0318  # six standard deviations of the noise on top
 
 
 def test_every_kind_of_obstacle_reaches_its_height_between_level_ends():
-    for kind in FEATURES.values():
-        x = np.linspace(0.0, kind.length[0], 1001)
-        share = kind.profile(x, kind.length[0])
+    for (shortest, _), _, _, profile in OBSTACLES.values():
+        x = np.linspace(0.0, shortest, 1001)
+        share = profile(x, shortest)
         assert share[0] == pytest.approx(0.0, abs=1e-12)
         assert share[-1] == pytest.approx(0.0, abs=1e-12)
         assert share.max() == pytest.approx(1.0, abs=1e-5)
@@ -97,12 +97,12 @@ def test_an_aggressive_drive_is_clearly_rougher_than_a_mild_one():
 
 @pytest.mark.parametrize("driver", STYLES)
 def test_a_driver_keeps_to_the_speeds_and_the_acceleration_of_the_style(driver):
-    style = STYLES[driver]
+    (slowest, fastest), _, acceleration = STYLES[driver]
     for seed in range(5):
         time, speed = generate_speed(300.0, rng=np.random.default_rng(seed), driver=driver)
-        assert style.speeds[0] <= speed.min()
-        assert speed.max() <= style.speeds[1]
-        assert np.abs(np.diff(speed) / np.diff(time)).max() <= style.acceleration + 1e-9
+        assert slowest <= speed.min()
+        assert speed.max() <= fastest
+        assert np.abs(np.diff(speed) / np.diff(time)).max() <= acceleration + 1e-9
 
 
 @pytest.mark.parametrize("duration", [0.02, 5.0, 7.77, 750.0])

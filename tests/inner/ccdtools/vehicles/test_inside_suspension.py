@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from iso_spectrum import road_spectrum
 from scipy.integrate import quad
 from scipy.linalg import expm
 from study_plants import quarter_car
 
 import ccdtools as cc
 from ccdtools.vehicles import suspension_metrics
-from ccdtools.vehicles.car_metrics import actuator_energy, suspension_travel, tyre_load
-from ccdtools.vehicles.iso8608 import BAND, road_spectrum
+from ccdtools.vehicles.iso8608 import BAND
 from ccdtools.vehicles.ride_comfort import frequency_weighting
 
 K_S, C_S = 2e4, 1500.0  # N/m, N s/m
@@ -20,24 +20,31 @@ SPRUNG, UNSPRUNG, TYRE = 325.0, 65.0, 232.5e3  # kg, kg, N/m: of the paper's qua
 
 
 
+def metrics(travel=(0.0, 0.0), tyre_force=0.0, force=None, static_load=1.0, **others):
+    """The metrics of some signals, the others zero."""
+    travel = np.asarray(travel)
+    force = np.zeros(travel[..., 1:].shape) if force is None else force
+    return suspension_metrics(acceleration=[0.0], travel=travel, tyre_force=np.atleast_1d(tyre_force), force=force,
+                              dt=0.1, stop=0.08, static_load=static_load, **others)  # fmt: skip
+
+
 def test_travel_is_measured_from_the_rest_and_against_the_stop():
-    rms, peak, share = suspension_travel([[0.03, -0.04], [0.0, 0.1]], 0.08)
-    np.testing.assert_allclose(rms, [np.sqrt(0.00125), np.sqrt(0.005)])
-    np.testing.assert_allclose(peak, [0.04, 0.1])
-    np.testing.assert_allclose(share, [0.5, 1.25])
+    found = metrics([[0.03, -0.04], [0.0, 0.1]])
+    np.testing.assert_allclose(found.travel_rms, [np.sqrt(0.00125), np.sqrt(0.005)])
+    np.testing.assert_allclose(found.travel_peak, [0.04, 0.1])
+    np.testing.assert_allclose(found.travel_share, [0.5, 1.25])
 
 
 def test_a_tyre_that_loses_its_static_load_is_off_the_road():
-    rms, lift_off = tyre_load([1000.0, -1000.0, -3000.0, -4000.0], 3000.0)
-    assert rms == pytest.approx(np.sqrt(27e6 / 4) / 3000)
-    assert lift_off == 0.5
+    found = metrics(tyre_force=[1000.0, -1000.0, -3000.0, -4000.0], static_load=3000.0)
+    assert found.load_rms == pytest.approx(np.sqrt(27e6 / 4) / 3000)
+    assert found.lift_off == 0.5
 
 
 def test_braking_work_counts_as_far_as_it_is_recovered():
     force, travel = [100.0, 100.0, -50.0], [0.0, 0.1, 0.0, 0.2]  # works of 10, −10 and −10 J
-    assert actuator_energy(force, travel) == pytest.approx(10.0)
-    assert actuator_energy(force, travel, recovered=0.5) == pytest.approx(0.0)
-    assert actuator_energy(force, travel, recovered=1.0) == pytest.approx(-10.0)
+    for recovered, energy in ((0.0, 10.0), (0.5, 0.0), (1.0, -10.0)):
+        assert metrics(travel, force=force, recovered=recovered).energy == pytest.approx(energy)
 
 
 def test_the_work_of_a_held_force_is_the_energy_that_an_undamped_mass_and_spring_gain():
@@ -49,7 +56,7 @@ def test_the_work_of_a_held_force_is_the_energy_that_an_undamped_mass_and_spring
         states.append((step @ [*states[-1], u])[:2])
     z, v = np.array(states).T
     gained = 0.5 * mass * v[-1] ** 2 + 0.5 * stiffness * z[-1] ** 2
-    assert actuator_energy(force, z, recovered=1.0) == pytest.approx(gained, rel=1e-9)
+    assert metrics(z, force=force, recovered=1.0).energy == pytest.approx(gained, rel=1e-9)
 
 
 
@@ -88,6 +95,6 @@ def test_comfort_and_tyre_load_are_those_of_the_spectra_of_road_car_and_weightin
 
     low, high = 20.0 * np.array(BAND)
     felt, load = (quad(power, low, high, args=(row,), limit=400)[0] ** 0.5 for row in (0, 1))
-    metrics = metrics_of(drive("C", runs=16, steps=8000, dt=0.005))
-    assert np.sqrt(np.mean(metrics.comfort**2)) == pytest.approx(felt, rel=0.03)
-    assert np.sqrt(np.mean(metrics.load_rms**2)) * 9.81 * (SPRUNG + UNSPRUNG) == pytest.approx(load, rel=0.03)
+    measured = metrics_of(drive("C", runs=16, steps=8000, dt=0.005))
+    assert np.sqrt(np.mean(measured.comfort**2)) == pytest.approx(felt, rel=0.03)
+    assert np.sqrt(np.mean(measured.load_rms**2)) * 9.81 * (SPRUNG + UNSPRUNG) == pytest.approx(load, rel=0.03)

@@ -1,0 +1,5 @@
+"""Names that the loop writes into its results and the report reads."""
+
+SOURCES = ("start", "design", "policy", "updates", "redesign")  # what a gain is due to, from LQR at the start design on
+FORMER = "return to "  # begins the name of a proposal that was deployed before, or is the start
+POLICY_ALONE = "its policy at the present design"
