@@ -19,17 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.checks import (
-    as_count,
-    as_floats,
-    as_generator,
-    as_lengths,
-    as_samples,
-    as_sizes,
-    check_instance,
-    check_number,
-    spread,
-)  # fmt: skip
+from ccdtools_ground.door import as_count, as_floats, as_generator
+from learning.checks import as_lengths, as_samples, as_sizes, check_instance, check_number, spread
 from learning.exceptions import InputError
 from learning.networks import FeedForward
 

@@ -83,9 +83,7 @@ class LinearFeedback(Immutable):
         if K.ndim != 2 or K.size == 0:
             raise InputError("K", f"shape {K.shape}", "a gain (nu, nx)")
         object.__setattr__(self, "K", frozen(finite("K", K)))
-        for name in ("lower", "upper"):
-            object.__setattr__(self, name, _bounds(name, getattr(self, name), len(K)))
-        _check_order(self.lower, self.upper)
+        _set_bounds(self, len(K))
 
     def __call__(self, x: ArrayLike) -> Array:
         """Saturated inputs (n, nu) or (nu,)."""
@@ -135,9 +133,7 @@ class PID(Remembering):
         for name in ("kp", "ki", "kd"):
             set_(self, name, as_vector(name, getattr(self, name), len(self.C), of="one per output"))
         set_(self, "dt", as_positive("dt", self.dt, unit="s"))
-        for name in ("lower", "upper"):
-            set_(self, name, _bounds(name, getattr(self, name), len(self.C)))
-        _check_order(self.lower, self.upper)
+        _set_bounds(self, len(self.C))
         if not np.any([self.kp, self.ki, self.kd]):
             set_(self, "remark", NO_GAINS)
 
@@ -170,15 +166,14 @@ def as_states(x: ArrayLike, nx: int) -> Array:
     return states
 
 
-def _bounds(name: str, value: ArrayLike, size: int) -> Array:
-    """Bounds per input or one for all; infinite where there is none."""
-    bound = as_floats(name, value)
-    if bound.shape not in ((), (1,), (size,)) or np.isnan(bound).any():
-        raise InputError(name, f"shape {bound.shape}" if not np.isnan(bound).any() else "NaN", f"({size},) bounds")
-    return frozen(bound)
-
-
-def _check_order(lower: Array, upper: Array) -> None:
-    """Raise an `InputError` unless lower ≤ upper."""
+def _set_bounds(controller: LinearFeedback | PID, size: int) -> None:
+    """Check and freeze a controller's bounds, per input or one for all; infinite where there is none."""
+    for name in ("lower", "upper"):
+        bound = as_floats(name, getattr(controller, name))
+        unknown = np.isnan(bound).any()
+        if unknown or bound.shape not in ((), (1,), (size,)):
+            raise InputError(name, "NaN" if unknown else f"shape {bound.shape}", f"({size},) bounds")
+        object.__setattr__(controller, name, frozen(bound))
+    lower, upper = controller.lower, controller.upper
     if not (lower <= upper).all():
         raise InputError("lower, upper", f"{lower.tolist()} and {upper.tolist()}", "lower ≤ upper")

@@ -188,14 +188,10 @@ def score_quantiles(network: QuantileNetwork, inputs: Array, e_next: Array, trai
     levels = network.levels
     constant = np.broadcast_to(np.quantile(trained, levels, axis=0)[None], quantiles.shape)
     inside = (e_next >= quantiles[:, 0]) & (e_next <= quantiles[:, -1])
-
-    def root_mean_square(error: Array) -> tuple[float, ...]:
-        """Root mean square per column of the errors (n, nx)."""
-        return tuple(np.sqrt(np.mean(error**2, axis=0)).tolist())
-
+    rmse, nominal = (np.sqrt(np.mean(error**2, axis=0)) for error in (e_next - quantiles[:, len(levels) // 2], e_next))
     return QuantileScores(
-        rmse=root_mean_square(e_next - quantiles[:, len(levels) // 2]),
-        nominal_rmse=root_mean_square(e_next),
+        rmse=tuple(rmse.tolist()),
+        nominal_rmse=tuple(nominal.tolist()),
         pinball=tuple(pinball(e_next, quantiles, levels).tolist()),
         constant_pinball=tuple(pinball(e_next, constant, levels).tolist()),
         coverage=tuple(inside.mean(axis=0).tolist()),
