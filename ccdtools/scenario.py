@@ -68,9 +68,7 @@ class Scenario(Immutable):
             return output
         if output.random and seed is None:
             raise InputError("seed", "nothing", "a whole number, from which the noise of the measurement is drawn")
-        drawn = output.drawn(runs, steps, np.random.default_rng(seed)) if output.random else output
-        drawn.check_noise(runs, steps)
-        return drawn
+        return output.drawn(runs, steps, np.random.default_rng(seed))
 
     def __repr__(self) -> str:
         return f"Scenario({type(self.plant).__name__}, {len(self.x0)} runs of {self.steps} steps)"

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_floats, as_generator, finite, shown
 from ccdtools.controllers.controllers import Controller
-from ccdtools.controllers.signals import Driver, Reference, Surroundings
+from ccdtools.controllers.signals import Driver, Reference
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, Sensor, as_measurement
 from ccdtools.exceptions import CCDError, InputError
@@ -112,9 +112,10 @@ def simulate(
         given = _drawn(plant, x0, disturbance, steps, rng)
         x, w = matched_runs(plant, x0, given, steps)
         sensor = None if measurement is None else Sensor(measurement, plant, p, len(x), steps, rng)
-        record = _record(given, w)
-        surroundings = Surroundings(record, as_reference(plant, reference), sensor, disturbance is not None)
-        driver = Driver(controller, surroundings, len(x), plant.nu)
+        driver = Driver(
+            controller, len(x), plant.nu, disturbances=_record(given, w), recorded=disturbance is not None,
+            reference=as_reference(plant, reference), output=sensor,
+        )  # fmt: skip
         return _run(plant, driver, x, w, p, bound, progress)
     except MemoryError:
         raise InputError("steps", f"{steps}, which do not fit into memory", "fewer steps, or fewer runs") from None

@@ -1,5 +1,4 @@
 from learning.checkpoint import load as load, save as save
-from learning.copula_fit import fit_copula as fit_copula
 from learning.exceptions import InputError as InputError, LearningError as LearningError
 from learning.networks import ActorCritic as ActorCritic, NetworkConfig as NetworkConfig
 from learning.ppo import PPO as PPO, PPOConfig as PPOConfig, gae as gae, train as train

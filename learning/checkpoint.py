@@ -11,15 +11,14 @@ from typing import Any, TypeAlias
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from learning.copula import InnovationCopula
 from learning.exceptions import CheckpointError, InputError
 from learning.networks import ActionLimits, ActorCritic
 from learning.quantile import QuantileNetwork
 
 FORMAT = "ccdtools-1"
 LimitsReader: TypeAlias = Callable[[dict[str, Any]], ActionLimits]
-Network: TypeAlias = ActorCritic | QuantileNetwork | InnovationCopula
-_KINDS: dict[str, Any] = {kind.__name__: kind for kind in (ActorCritic, QuantileNetwork, InnovationCopula)}
+Network: TypeAlias = ActorCritic | QuantileNetwork
+_KINDS: dict[str, Any] = {kind.__name__: kind for kind in (ActorCritic, QuantileNetwork)}
 
 
 def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None) -> None:
@@ -34,7 +33,7 @@ def save(path: str | Path, network: Network, extra: dict[str, Any] | None = None
     """
     path = _path(path)
     if not isinstance(network, tuple(_KINDS.values())):
-        raise InputError("network", repr(network)[:60], "an ActorCritic, a QuantileNetwork or an InnovationCopula")
+        raise InputError("network", repr(network)[:60], "an ActorCritic or a QuantileNetwork")
     header = {"format": FORMAT, "kind": type(network).__name__, "shape": network.shape(), "extra": extra or {}}
     try:
         text = json.dumps(header)

@@ -1,4 +1,4 @@
-"""Checks of numbers, counts, arrays and generators in `learning`."""
+"""Checks of numbers, layers, bounds and samples in `learning`."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number
+from ccdtools_ground.door import as_count, as_floats, as_instance, as_number
 from learning.exceptions import InputError
 from learning.tolerances import ROUNDING
 
-__all__ = ["as_bounds", "as_count", "as_floats", "as_generator", "as_lengths", "as_samples", "as_sizes",
-           "check_instance", "check_number", "spread"]  # fmt: skip
 Array = np.ndarray
 
 

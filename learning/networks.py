@@ -12,7 +12,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from learning.checks import as_floats, as_sizes, check_instance, check_number
+from ccdtools_ground.door import as_floats
+from learning.checks import as_sizes, check_instance, check_number
 from learning.exceptions import InputError
 from learning.tolerances import LOG_STD
 

@@ -17,7 +17,8 @@ import torch
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.checks import as_count, check_instance, check_number
+from ccdtools_ground.door import as_count
+from learning.checks import check_instance, check_number
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
 from learning.rollout import Rollout, VectorEnv, collect

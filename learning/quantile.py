@@ -3,7 +3,8 @@
 References
 ----------
 Koenker and Bassett, "Regression quantiles", Econometrica 46(1), 1978 (the pinball loss);
-Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019 (the calibration).
+Romano, Patterson and Candès, "Conformalized quantile regression", NeurIPS 2019 (the calibration);
+Rüschendorf, "On the distributional transform, Sklar's theorem, and the empirical copula process", JSPI 139, 2009.
 """
 
 from __future__ import annotations
@@ -18,17 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 from tqdm import trange
 
-from learning.checks import (
-    as_count,
-    as_floats,
-    as_generator,
-    as_lengths,
-    as_samples,
-    as_sizes,
-    check_instance,
-    check_number,
-    spread,
-)  # fmt: skip
+from ccdtools_ground.door import as_count, as_floats, as_generator
+from learning.checks import as_lengths, as_samples, as_sizes, check_instance, check_number, spread
 from learning.exceptions import InputError
 from learning.networks import FeedForward
 
@@ -84,6 +76,9 @@ class QuantileNetwork(nn.Module):
 
     The median is one head, the gaps between neighbouring levels are positive. Inputs are clipped to the range
     of the training data: outside it the discrepancy is constant, not extrapolated.
+
+    Every fitted sample has a position among its quantiles: 0 at the lowest level, 1 at the next, linear between them
+    and beyond. Joint draws take the positions of one sample for all outputs, which is the empirical copula.
     """
 
     input_offset: Tensor
@@ -93,8 +88,12 @@ class QuantileNetwork(nn.Module):
     output_offset: Tensor
     output_scale: Tensor
     calibration: Tensor
+    positions: Tensor  # (samples, outputs); those of the median before a fit
 
-    def __init__(self, inputs: int, outputs: int, levels: Sequence[float], hidden: Sequence[int], *, seed: int = 0):
+    def __init__(
+        self, inputs: int, outputs: int, levels: Sequence[float], hidden: Sequence[int], *, seed: int = 0,
+        samples: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.levels = tuple(levels)
         self.hidden = tuple(hidden)
@@ -106,6 +105,7 @@ class QuantileNetwork(nn.Module):
         self.register_buffer("output_offset", torch.zeros(outputs))
         self.register_buffer("output_scale", torch.ones(outputs))
         self.register_buffer("calibration", torch.ones(len(self.levels) - 1, outputs))
+        self.register_buffer("positions", torch.full((samples, outputs), float(len(self.levels) // 2)))
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.median_network = FeedForward(inputs, outputs, hidden, skip=True)
@@ -130,6 +130,18 @@ class QuantileNetwork(nn.Module):
         """Inputs within the range of the training data."""
         return torch.maximum(torch.minimum(inputs, self.input_upper), self.input_lower)
 
+    def draw(self, quantiles: Tensor, uniform: Tensor) -> Tensor:
+        """Joint draws (..., m) among quantiles (..., levels, m), which they are differentiable in.
+
+        The first of the uniform numbers (..., ·) in [0, 1] picks the sample whose positions they have. A network of one
+        level has none.
+        """
+        samples = len(self.positions)
+        at = self.positions[(uniform[..., 0] * samples).long().clamp(max=samples - 1)].to(quantiles.dtype)
+        below = at.floor().clamp(0, len(self.levels) - 2)
+        low, high = (quantiles.gather(-2, k.long().unsqueeze(-2)).squeeze(-2) for k in (below, below + 1))
+        return low + (at - below) * (high - low)
+
     def predict(self, inputs: ArrayLike) -> Array:
         """Quantiles (..., levels, m) of inputs (..., d), in float64.
 
@@ -148,7 +160,7 @@ class QuantileNetwork(nn.Module):
         """Sizes for `from_shape`."""
         return {
             "inputs": len(self.input_offset), "outputs": self.outputs,
-            "levels": list(self.levels), "hidden": list(self.hidden),
+            "levels": list(self.levels), "hidden": list(self.hidden), "samples": len(self.positions),
         }  # fmt: skip
 
     @classmethod
@@ -204,6 +216,8 @@ def fit_quantiles(
     _set_scales(network, x, y)
     _descend(network, (x[~held], y[~held]), (x[held], y[held]), config, rng, progress)
     _calibrate(network, x[held], y[held])
+    if len(network.levels) > 1:
+        network.positions = torch.tensor(_positions(network.predict(x), y), dtype=torch.float32)
     return network.eval()
 
 
@@ -267,3 +281,10 @@ def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
             factor = np.clip(np.quantile(ratio, level if side > 0 else 1 - level, axis=0), 0.05, 20.0)
             network.calibration[min(k, k - side)] = torch.tensor(factor, dtype=torch.float32)
             inner = inner + factor * gap
+
+
+def _positions(quantiles: Array, targets: Array) -> Array:
+    """Return the positions of targets (n, m) among quantiles (n, levels, m): k at level k."""
+    k = np.clip((targets[:, None] >= quantiles).sum(axis=1) - 1, 0, quantiles.shape[1] - 2)[:, None]
+    low, high = (np.take_along_axis(quantiles, i, axis=1)[:, 0] for i in (k, k + 1))
+    return np.asarray(k[:, 0] + (targets - low) / np.maximum(high - low, np.finfo(np.float32).tiny))

@@ -8,7 +8,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from learning.checks import as_count, check_instance
+from ccdtools_ground.door import as_count
+from learning.checks import check_instance
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
 

@@ -3,6 +3,3 @@
 ROUNDING = 1e-9  # A column is constant if its spread is below this part of its size: networks work in single precision.
 LOG_STD = (-7.0, 1.0)  # The logarithm of the exploration [-] that a network of its own gives lies in this range.
 LEAK = 0.01  # While cloning, the clip keeps this slope outside its range, so that a saturated output can come back.
-UNIFORM_MARGIN = 1e-7  # Uniform draws keep this distance from 0 and 1: single precision has no number closer to 1.
-COLLINEAR = 0.01  # The shift ignores singular values of standardised inputs below this part of the largest one.
-NARROW = 0.05  # Directions with less than this part of the largest output variance keep the samples' own variance.

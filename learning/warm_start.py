@@ -10,7 +10,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from tqdm import trange
 
-from learning.checks import as_bounds, as_count, as_floats, as_generator, check_instance, check_number, spread
+from ccdtools_ground.door import as_count, as_floats, as_generator
+from learning.checks import as_bounds, check_instance, check_number, spread
 from learning.exceptions import InputError
 from learning.networks import ActionLimits, ActorCritic, NetworkConfig, scaled
 from learning.tolerances import LEAK, ROUNDING

@@ -19,7 +19,7 @@ from ccdtools.co_design.limit_tolerance import measured, measurement_errors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, Risk, fewest_runs, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
-from ccdtools.controllers.signals import Driver, Surroundings
+from ccdtools.controllers.signals import Driver
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import Summary
 
@@ -121,8 +121,7 @@ def closed_loop_returns(
     x0, w = x0[:n], w[:n]
     if (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
         x0, w = x0[:1], w[:1]
-    own = Surroundings(np.zeros((len(x0), 0, 0)), None, None, recorded=False)
-    driver = Driver(controller, own, len(x0), problem.model.nu)
+    driver = Driver(controller, len(x0), problem.model.nu, disturbances=np.zeros((len(x0), 0, 0)), recorded=False)
     sample = iter(range(problem.steps * 2))
     least, most = problem.input_bounds_at(p.numpy())
     beyond: list[float] = []

@@ -21,7 +21,7 @@ from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.filtered import Filtered
 from ccdtools.controllers.observed import Observed
-from ccdtools.controllers.signals import Driver, Surroundings, needs_of
+from ccdtools.controllers.signals import Driver, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, RunViolations, StateLimits, limits_in_words
@@ -319,8 +319,10 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
     """Median time [s] of one call for a state (nx,) at a design (np,)."""
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
-    around = Surroundings(scenario.disturbance[:1], scenario.reference, scenario.sensor(p))
-    driver = Driver(controller, around, 1, scenario.plant.nu)
+    driver = Driver(
+        controller, 1, scenario.plant.nu, disturbances=scenario.disturbance[:1], reference=scenario.reference,
+        output=scenario.sensor(p),
+    )  # fmt: skip
     times = []
     for _ in range(50):
         start = time.perf_counter()

@@ -83,9 +83,7 @@ class LinearFeedback(Immutable):
         if K.ndim != 2 or K.size == 0:
             raise InputError("K", f"shape {K.shape}", "a gain (nu, nx)")
         object.__setattr__(self, "K", frozen(finite("K", K)))
-        for name in ("lower", "upper"):
-            object.__setattr__(self, name, _bounds(name, getattr(self, name), len(K)))
-        _check_order(self.lower, self.upper)
+        _set_bounds(self, len(K))
 
     def __call__(self, x: ArrayLike) -> Array:
         """Saturated inputs (n, nu) or (nu,)."""
@@ -93,8 +91,15 @@ class LinearFeedback(Immutable):
         return u
 
 
+class Remembering(Immutable):
+    """Base of the dataclasses with values kept from sample to sample in `_memory`; copies begin without any."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state | {"_memory": {}})
+
+
 @dataclass(frozen=True, eq=False)
-class PID(Immutable):
+class PID(Remembering):
     """PID on outputs y = C x, with clamping anti-windup.
 
     u = clip(−(kp y + ki ∫y dt + kd dy/dt)), fixed gains. `reset` clears integral and last output; copies start afresh.
@@ -120,7 +125,7 @@ class PID(Immutable):
     lower: ArrayField = field(kw_only=True)
     upper: ArrayField = field(kw_only=True)
     remark: str = field(default="", kw_only=True, repr=False)
-    _memory: _Memory = field(init=False, repr=False)
+    _memory: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -128,20 +133,13 @@ class PID(Immutable):
         for name in ("kp", "ki", "kd"):
             set_(self, name, as_vector(name, getattr(self, name), len(self.C), of="one per output"))
         set_(self, "dt", as_positive("dt", self.dt, unit="s"))
-        for name in ("lower", "upper"):
-            set_(self, name, _bounds(name, getattr(self, name), len(self.C)))
-        _check_order(self.lower, self.upper)
+        _set_bounds(self, len(self.C))
         if not np.any([self.kp, self.ki, self.kd]):
             set_(self, "remark", NO_GAINS)
-        set_(self, "_memory", _Memory())
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        object.__setattr__(self, "_memory", _Memory())
 
     def reset(self, n: int) -> None:
         """Forget the past of `n` runs."""
-        self._memory.clear(as_count("n", n), len(self.C))
+        self._memory.update(integral=np.zeros((as_count("n", n), len(self.C))), last=None)
 
     def __call__(self, x: ArrayLike) -> Array:
         """Inputs (n, nu) or (nu,), advancing the memory one sample."""
@@ -150,27 +148,14 @@ class PID(Immutable):
             raise InputError("x", f"shape {states.shape}", f"({self.C.shape[1]},) or (n, {self.C.shape[1]})")
         y = np.atleast_2d(states) @ self.C.T
         memory = self._memory
-        if memory.integral is None or len(memory.integral) != len(y):
-            memory.clear(len(y), len(self.C))
-        rate = np.zeros_like(y) if memory.last is None else (y - memory.last) / self.dt
-        integral = memory.integral + self.dt * y
+        if len(memory.get("integral", ())) != len(y):
+            self.reset(len(y))
+        rate = np.zeros_like(y) if memory["last"] is None else (y - memory["last"]) / self.dt
+        integral = memory["integral"] + self.dt * y
         wanted = -(self.kp * y + self.ki * integral + self.kd * rate)
         u: Array = np.clip(wanted, self.lower, self.upper)
-        memory.integral = np.where(wanted == u, integral, memory.integral)
-        memory.last = y
+        memory.update(integral=np.where(wanted == u, integral, memory["integral"]), last=y)
         return u if states.ndim == 2 else u[0]
-
-
-class _Memory:
-    """Integral and last output (n, ny) of a PID, None at first."""
-
-    integral: Any = None
-    last: Any = None
-
-    def clear(self, runs: int, outputs: int) -> None:
-        """Forget the past of so many runs."""
-        self.integral = np.zeros((runs, outputs))
-        self.last = None
 
 
 def as_states(x: ArrayLike, nx: int) -> Array:
@@ -181,15 +166,14 @@ def as_states(x: ArrayLike, nx: int) -> Array:
     return states
 
 
-def _bounds(name: str, value: ArrayLike, size: int) -> Array:
-    """Bounds per input or one for all; infinite where there is none."""
-    bound = as_floats(name, value)
-    if bound.shape not in ((), (1,), (size,)) or np.isnan(bound).any():
-        raise InputError(name, f"shape {bound.shape}" if not np.isnan(bound).any() else "NaN", f"({size},) bounds")
-    return frozen(bound)
-
-
-def _check_order(lower: Array, upper: Array) -> None:
-    """Raise an `InputError` unless lower ≤ upper."""
+def _set_bounds(controller: LinearFeedback | PID, size: int) -> None:
+    """Check and freeze a controller's bounds, per input or one for all; infinite where there is none."""
+    for name in ("lower", "upper"):
+        bound = as_floats(name, getattr(controller, name))
+        unknown = np.isnan(bound).any()
+        if unknown or bound.shape not in ((), (1,), (size,)):
+            raise InputError(name, "NaN" if unknown else f"shape {bound.shape}", f"({size},) bounds")
+        object.__setattr__(controller, name, frozen(bound))
+    lower, upper = controller.lower, controller.upper
     if not (lower <= upper).all():
         raise InputError("lower, upper", f"{lower.tolist()} and {upper.tolist()}", "lower ≤ upper")

@@ -18,9 +18,9 @@ from ccdtools.exceptions import InputError
 from invariant_sets import AdmissibleInputs
 
 
-@dataclass(frozen=True)
+@dataclass
 class FilterCounts:
-    """Counts of what a filter has done.
+    """Counts of what a filter has done, shared with its copies in simulations.
 
     Attributes
     ----------
@@ -36,26 +36,18 @@ class FilterCounts:
     changed: int = 0
     helpless: int = 0
 
+    def add(self, changed: Any, admissible: Any) -> None:
+        """Count one call."""
+        self.inputs += len(changed)
+        self.changed += int(changed.sum())
+        self.helpless += int((~admissible).sum())
+
+    def __deepcopy__(self, memory: Any) -> FilterCounts:
+        return self
+
     def __str__(self) -> str:
         share = self.changed / self.inputs if self.inputs else 0.0
         return f"{self.changed} of {self.inputs} inputs changed ({share:.1%}), {self.helpless} had no admissible one"
-
-
-class _Counter:
-    """Counts that a controller shares with its copies in simulations."""
-
-    def __init__(self) -> None:
-        self.counts = FilterCounts()
-
-    def add(self, changed: Any, admissible: Any) -> None:
-        """Count one call."""
-        now = self.counts
-        self.counts = FilterCounts(
-            now.inputs + len(changed), now.changed + int(changed.sum()), now.helpless + int((~admissible).sum())
-        )
-
-    def __deepcopy__(self, memory: Any) -> _Counter:
-        return self
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +64,11 @@ class Filtered(Around):
         u = controller(x), batched; see `ccdtools.controllers.controllers`.
     admissible : AdmissibleInputs
         Of the model at the same design, for example `admissible_inputs(problem, design)`.
+
+    Attributes
+    ----------
+    counts : FilterCounts
+        What it has done since it was made, over all simulations.
 
     Raises
     ------
@@ -92,7 +89,7 @@ class Filtered(Around):
     passed_on: ClassVar[tuple[str, ...]] = ("needs", "horizon", "design", "reset", "agent", "loop")
     controller: Controller
     admissible: AdmissibleInputs
-    _counter: _Counter = field(default_factory=_Counter, kw_only=True)
+    counts: FilterCounts = field(default_factory=FilterCounts, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controller", as_controller(self.controller))
@@ -102,11 +99,6 @@ class Filtered(Around):
 
     def __repr__(self) -> str:
         return f"Filtered({self.controller!r}, {self.admissible!r})"
-
-    @property
-    def counts(self) -> FilterCounts:
-        """Counts since the filter was made, over all simulations."""
-        return self._counter.counts
 
     def uncounted(self) -> Filtered:
         """Copy with counts of its own."""
@@ -128,5 +120,5 @@ class Filtered(Around):
             u[known], admissible = self.admissible.project(rows[known], wanted[known])
             lower, upper = self.admissible.U.bounding_box()
             changed = (np.abs(u[known] - wanted[known]) > CHANGED_INPUT * (upper - lower)).any(axis=1)
-            self._counter.add(changed, admissible)
+            self.counts.add(changed, admissible)
         return u.reshape(shape)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_floats, has_method
-from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.controllers import Controller, Remembering
 from ccdtools.controllers.signals import Around, needs_in_loop, needs_of, opened
 from ccdtools.estimation.belief import Belief, Estimator
 from ccdtools.exceptions import InputError
@@ -19,18 +19,8 @@ SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
 EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"
 
 
-class _Memory:
-    """Beliefs of all runs and their controllers, empty before the first sample."""
-
-    belief: Belief | None = None
-    needs: frozenset[str] = frozenset()
-    controllers: list[Any] | None = None
-    batched = True
-    runs = 0
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Observed(Around):
+class Observed(Around, Remembering):
     """Controller u = κ(x̂_{k|k}) on an estimate from outputs and applied inputs.
 
     It needs "output" and "last_input", and asks for what the controller asks for besides (reference, preview, time);
@@ -63,17 +53,12 @@ class Observed(Around):
     passed_on: ClassVar[tuple[str, ...]] = ("horizon", "design", "agent")
     controller: Controller
     estimator: Estimator
-    _memory: _Memory = field(init=False, repr=False)
+    _memory: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         needs_of(self.controller)
         for method in ("start", "predict", "update"):
             has_method("estimator", self.estimator, method, EXPECTED)
-        object.__setattr__(self, "_memory", _Memory())
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        object.__setattr__(self, "_memory", _Memory())
 
     def __repr__(self) -> str:
         return f"Observed({self.controller!r}, {self.estimator!r})"
@@ -86,7 +71,8 @@ class Observed(Around):
     @property
     def estimate(self) -> Array | None:
         """Last estimate x̂_{k|k} (n, nx), None before the first; simulations use a copy."""
-        return None if self._memory.belief is None else self._memory.belief.mean
+        belief = self._memory.get("belief")
+        return None if belief is None else belief.mean
 
     def uncounted(self) -> Observed:
         """Copy whose filter, if any, counts on its own."""
@@ -95,10 +81,8 @@ class Observed(Around):
 
     def reset(self, n: int) -> None:
         """Start afresh with `n` runs."""
-        memory = self._memory
-        memory.runs = as_count("n", n)
-        memory.needs, memory.controllers, memory.batched = opened(self.controller, n)
-        memory.belief = None
+        runs = as_count("n", n)
+        self._memory.update(runs=runs, opened=opened(self.controller, runs), belief=None)
 
     def __call__(
         self, x: ArrayLike | None = None, *, y: ArrayLike | None = None, u_prev: ArrayLike | None = None, **signals: Any
@@ -111,27 +95,26 @@ class Observed(Around):
         if last.shape[0] != outputs.shape[0]:
             raise InputError("u_prev", f"{len(last)} rows", f"{len(outputs)}, as many as outputs")
         memory = self._memory
-        if memory.controllers is None or memory.runs != len(outputs):
+        if memory.get("runs") != len(outputs):
             self.reset(len(outputs))
+        before: Belief | None = memory["belief"]
         with np.errstate(all="ignore"):  # of a run that is lost
-            expected = self.estimator.start(len(outputs)) if memory.belief is None else \
-                self.estimator.predict(memory.belief, last)  # fmt: skip
-            memory.belief = self.estimator.update(expected, outputs, last)
-        known = np.isfinite(memory.belief.mean).all(axis=1, keepdims=True)
-        states = np.where(known, memory.belief.mean, 0.0)
+            start = self.estimator.start(len(outputs)) if before is None else self.estimator.predict(before, last)
+            belief = memory["belief"] = self.estimator.update(start, outputs, last)
+        known = np.isfinite(belief.mean).all(axis=1, keepdims=True)
+        states = np.where(known, belief.mean, 0.0)
         u = np.where(known, self._inputs(states, outputs, last, signals), np.nan)
         return u[0] if single else u
 
     def _inputs(self, states: Array, y: Array, last: Array, signals: dict[str, Any]) -> Array:
         """Inputs (n, nu) at the estimates (n, nx) of all runs."""
-        memory = self._memory
-        given = {name: value for name, value in (("y", y), ("u_prev", last)) if SIGNAL_OF[name] in memory.needs}
-        assert memory.controllers is not None
-        if memory.batched:
-            u = memory.controllers[0](states, **signals, **given)
+        needs, controllers, batched = self._memory["opened"]
+        given = {name: value for name, value in (("y", y), ("u_prev", last)) if SIGNAL_OF[name] in needs}
+        if batched:
+            u = controllers[0](states, **signals, **given)
         else:
             u = [controller(state, **signals, **{name: value[i] for name, value in given.items()})
-                 for i, (controller, state) in enumerate(zip(memory.controllers, states))]  # fmt: skip
+                 for i, (controller, state) in enumerate(zip(controllers, states))]  # fmt: skip
         u = np.asarray(u, dtype=float)
         if u.shape != last.shape:
             raise InputError("controller", f"inputs of shape {u.shape}", f"{last.shape}")

@@ -50,18 +50,19 @@ class Reference(Immutable):
                 raise InputError(f"reference.{name}", f"{rows.shape[1]} columns", str(size))
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """Signals beside the states: T samples of n runs."""
-
-    disturbances: Array  # (n, T, nw)
-    reference: Reference | None
-    output: Sensor | None  # what is measured; the state itself where it is None
-    recorded: bool = True  # whether the disturbances are a record, which a preview ends with; else there are none
-
-
 class Driver:
     """Controller with memory for n runs, called with what it needs.
+
+    Parameters
+    ----------
+    controller : callable
+    runs, nu : int
+    disturbances : (n, T, nw) array
+    recorded : bool
+        Whether these are a record, which a preview ends with.
+    reference : Reference, optional
+    output : Sensor, optional
+        What is measured; the state itself by default.
 
     Raises
     ------
@@ -70,15 +71,20 @@ class Driver:
         is longer than the whole record.
     """
 
-    def __init__(self, controller: Controller, surroundings: Surroundings, runs: int, nu: int) -> None:
+    def __init__(
+        self, controller: Controller, runs: int, nu: int, *, disturbances: Array, recorded: bool = True,
+        reference: Reference | None = None, output: Sensor | None = None,
+    ) -> None:  # fmt: skip
         self.needs, self.copies, self.batched = opened(controller, runs)
-        if "reference" in self.needs and surroundings.reference is None:
+        if "reference" in self.needs and reference is None:
             raise InputError("reference", "nothing", "a reference, which the controller needs")
-        self.surroundings = surroundings
+        self.disturbances = disturbances
+        self.reference = reference
+        self.output = output
         self.horizon = getattr(self.copies[0], "horizon", None)
         self.last = np.zeros((runs, nu))
-        length = surroundings.disturbances.shape[1]
-        if "preview" in self.needs and surroundings.recorded and (self.horizon or 0) > length:
+        length = disturbances.shape[1]
+        if "preview" in self.needs and recorded and (self.horizon or 0) > length:
             got = f"{self.horizon} samples, which the controller previews"
             cure = "Take a shorter horizon, or a longer disturbance."
             raise InputError("horizon", got, f"at most {length}, the samples of the disturbance", cure)
@@ -89,8 +95,7 @@ class Driver:
             return self.copies[0](x)
         y = None
         if "output" in self.needs:
-            sensor = self.surroundings.output
-            y = x if sensor is None else sensor(k, x, self.last)
+            y = x if self.output is None else self.output(k, x, self.last)
         if self.batched:
             return self.copies[0](x, **self._signals(k, y, slice(None)))
         return np.stack([
@@ -104,17 +109,16 @@ class Driver:
 
     def _signals(self, k: int, y: Array | None, run: int | slice) -> dict[str, Any]:
         """Keyword arguments of one call, for one run or all."""
-        around = self.surroundings
         ahead = self.horizon
         signals = dict[str, Any]()
         if "time" in self.needs:
             signals["time"] = k
-        if "reference" in self.needs and around.reference is not None:
-            signals["x_ref"] = _window(around.reference.x, k, None if ahead is None else ahead + 1)
-            if around.reference.u is not None:
-                signals["u_ref"] = _window(around.reference.u, k, ahead)
+        if "reference" in self.needs and self.reference is not None:
+            signals["x_ref"] = _window(self.reference.x, k, None if ahead is None else ahead + 1)
+            if self.reference.u is not None:
+                signals["u_ref"] = _window(self.reference.u, k, ahead)
         if "preview" in self.needs:
-            signals["w"] = _window(around.disturbances[run], k, ahead)
+            signals["w"] = _window(self.disturbances[run], k, ahead)
         if "last_input" in self.needs:
             signals["u_prev"] = self.last[run]
         if y is not None:

@@ -66,28 +66,23 @@ class Measurement(Immutable):
         """Output function h(x, u) at one design."""
         return output_at(self.output, nx, nu, p)
 
-    def check_noise(self, runs: int, steps: int) -> None:
-        """Raise an `InputError` unless the noise covers all runs, steps and outputs.
+    def drawn(self, runs: int, steps: int, rng: np.random.Generator | None) -> Measurement:
+        """Measurement with its noise drawn, which covers all runs, steps and outputs.
 
         How many outputs a function has shows when it is called.
         """
-        if self.noise is None or self.random:
-            return
-        _check_noise(self.noise, runs, steps)
-        if isinstance(self.output, Plant):
-            _check_channels(self.noise, self.output.ny)
-        elif isinstance(self.output, np.ndarray):
-            _check_channels(self.noise, len(self.output))
-
-    def drawn(self, runs: int, steps: int, rng: np.random.Generator | None) -> Measurement:
-        """Measurement with its noise drawn for all runs and steps."""
-        if not self.random:
+        noise = self.noise
+        if self.random:
+            noise = as_floats("output.noise", noise.sample(runs, steps, as_generator("rng", rng)))
+            if noise.ndim != 3:
+                raise InputError("output.noise", f"a sample of shape {noise.shape}", f"({runs}, {steps}, ny)")
+        if noise is None:
             return self
-        drawn = as_floats("output.noise", self.noise.sample(runs, steps, as_generator("rng", rng)))
-        if drawn.ndim != 3:
-            raise InputError("output.noise", f"a sample of shape {drawn.shape}", f"({runs}, {steps}, ny)")
-        _check_noise(drawn, runs, steps)
-        return replace(self, noise=finite("output.noise", drawn))
+        if len(noise) not in (1, runs) or noise.shape[1] < steps:
+            raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")
+        if isinstance(self.output, Plant | np.ndarray):
+            _check_channels(noise, self.output.ny if isinstance(self.output, Plant) else len(self.output))
+        return replace(self, noise=finite("output.noise", noise))
 
     def first(self, runs: int, steps: int) -> Measurement:
         """Measurement with drawn noise cut to the first runs and steps."""
@@ -110,7 +105,8 @@ class Sensor:
         self._measurement = measurement
         self._size = (runs, steps)
         self._rng = as_generator("rng", rng).spawn(1)[0] if measurement.random else None
-        measurement.check_noise(runs, steps)
+        if not measurement.random:
+            measurement.drawn(runs, steps, None)  # refused at once, not where a controller listens
 
     @cached_property
     def noise(self) -> Array | None:
@@ -150,12 +146,6 @@ def _as_noise(value: Any) -> Any:
         got = "a negative standard deviation" if noise.ndim == 1 and noise.size else f"shape {noise.shape}"
         raise InputError("output.noise", got, expected)
     return frozen(noise[None] if noise.ndim == 2 else noise)
-
-
-def _check_noise(noise: Array, runs: int, steps: int) -> None:
-    """Raise an `InputError` unless noise covers all runs and steps."""
-    if len(noise) not in (1, runs) or noise.shape[1] < steps:
-        raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")
 
 
 def _check_channels(noise: Array, outputs: int) -> None:

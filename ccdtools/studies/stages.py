@@ -241,7 +241,7 @@ class LoopStages:
         if log.diverged.all() and twin.discrepancy is not None and twin.scores is not None:
             report = ["every run diverged: nothing was learned from them"]
             values = {"scores": asdict(twin.scores), "free_running": None, "report": report}
-            return Stage(values, networks=_networks(twin.discrepancy))
+            return Stage(values, networks={"quantiles": twin.discrepancy.network})
         updated = twin.update(
             log, weight=self.evaluation.study.weight, rng=rng, config=self.evaluation.config.quantile,
             progress=self.progress,
@@ -256,7 +256,7 @@ class LoopStages:
         if bands is not None:
             report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
         values = {"scores": asdict(scores), "free_running": None if bands is None else bands.summary()}
-        return Stage(values | {"report": report}, networks=_networks(updated.discrepancy))
+        return Stage(values | {"report": report}, networks={"quantiles": updated.discrepancy.network})
 
     def learned_twin(self, twin: DigitalTwin, log: Trajectory, learned: Stage) -> DigitalTwin:
         """Twin after `learn`."""
@@ -264,16 +264,9 @@ class LoopStages:
             return twin
         taught = twin.remembering(log)
         discrepancy = Discrepancy(
-            learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport,
-            copula=learned.networks.get("copula"),
-        )  # fmt: skip
+            learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport
+        )
         return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
-
-
-def _networks(discrepancy: Discrepancy) -> dict[str, Any]:
-    """Networks of a discrepancy, by name."""
-    parts = {"quantiles": discrepancy.network, "copula": discrepancy.copula}
-    return {name: part for name, part in parts.items() if part is not None}
 
 
 def _shares(values: Sequence[float]) -> str:

@@ -28,7 +28,7 @@ from ccdtools.twin.distributions import Distribution, ServedDistributions, logge
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
-from ccdtools.twin.residuals import Residuals, check_errors, is_common, residuals
+from ccdtools.twin.residuals import Residuals, block_parts, check_errors, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
@@ -208,12 +208,12 @@ class _DeployedPolicy:
             return False
         errors = residuals(self.problem.model, piece)
         errors = replace(errors, numbers=before + errors.numbers)
-        first, rest = _split(errors, self.config.held_out)
-        if min(first.steps, rest.steps) < self.config.window:
+        first, rest = (block_parts(errors, self.config.held_out, 1, last=last) for last in (False, True))
+        if not (first and rest) or min(part.steps for part in first + rest) < self.config.window:
             return False
         self.logs.append(errors)
-        self.train.append(first)
-        self.test.append(rest if self._several else errors)
+        self.train += first
+        self.test += rest if self._several else [errors]
         return True
 
     @property
@@ -271,17 +271,6 @@ def _equally_long(logs: Sequence[Residuals]) -> list[Residuals]:
     """Last steps of the logs, cut to equal length by one step at most."""
     shortest = min(log.steps for log in logs)
     return [log.part(slice(None), slice(log.steps - shortest, None)) for log in logs]
-
-
-def _split(errors: Residuals, held_out: float) -> tuple[Residuals, Residuals]:
-    """Training part, and the held-out last runs or end of the only run."""
-    runs = errors.runs
-    steps = errors.steps
-    if runs > 1:
-        cut = max(1, runs - max(1, round(held_out * runs)))
-        return errors.part(slice(None, cut), slice(None)), errors.part(slice(cut, None), slice(None))
-    cut = steps - round(held_out * steps)
-    return errors.part(slice(None), slice(None, cut)), errors.part(slice(None), slice(cut, None))
 
 
 def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, slice]]:

@@ -16,7 +16,6 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, PlantOfModel, as_model
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import Transport
-from learning.copula import InnovationCopula
 from learning.quantile import QuantileNetwork, pinball
 
 NOISES = ("none", "quantiles", "replayed")
@@ -40,9 +39,6 @@ class Discrepancy(Immutable):
         own correlation in time.
     transport : Transport, optional
         From the design in whose coordinates the network works to any other. Without it e⁺ does not depend on p.
-    copula : InnovationCopula, optional
-        Distribution of the draws between and beyond the levels, their correlation between states and in time. Without
-        it they are linear between and beyond the levels, and independent.
     """
 
     network: QuantileNetwork
@@ -50,7 +46,6 @@ class Discrepancy(Immutable):
     design_as_feature: bool = False
     noise: str = "none"
     transport: Transport | None = None
-    copula: InnovationCopula | None = None
 
     def __post_init__(self) -> None:
         as_instance("network", self.network, QuantileNetwork, "a QuantileNetwork", "fit_quantiles makes one.")
@@ -59,19 +54,8 @@ class Discrepancy(Immutable):
         as_choice("noise", self.noise, NOISES)
         if self.transport is not None:
             as_instance("transport", self.transport, Transport, "a Transport or None")
-        self._check_draws()
-
-    def _check_draws(self) -> None:
-        """Raise an `InputError` if wanted draws cannot follow the quantiles."""
-        levels, states = len(self.network.levels), self.network.outputs
-        if self.copula is not None:
-            as_instance("copula", self.copula, InnovationCopula, "an InnovationCopula", "fit_copula makes one.")
-            if self.copula.outputs != states:
-                raise InputError("copula", f"{self.copula.outputs} states", f"{states}, as of the network")
-        elif self.noise == "quantiles":
-            object.__setattr__(self, "copula", InnovationCopula.independent(self.network))
-        if self.noise == "quantiles" and levels < 3:
-            raise InputError("noise", f"'quantiles' of {levels} level", "a network of at least three levels")
+        if self.noise == "quantiles" and len(self.network.levels) < 3:
+            raise InputError("noise", "'quantiles' of 1 level", "a network of at least three levels")
 
     def __repr__(self) -> str:
         levels = ", ".join(f"{level:g}" for level in self.network.levels)
@@ -92,7 +76,7 @@ class Discrepancy(Immutable):
             return np.asarray(median.double().numpy())
 
     def advance(self, e: Tensor, x: Tensor, u: Tensor, p: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
-        """Error e⁺ (n, nx), with the memory of correlated draws, and width penalty (n,).
+        """Error e⁺ (n, nx) and width penalty (n,).
 
         Parameters
         ----------
@@ -102,15 +86,13 @@ class Discrepancy(Immutable):
         w : (n, nx) tensor
             Draws uniform in [0, 1] or innovations, as `noise` says; it is not used for "none".
         """
-        inputs = self.features(e, x, u, p)
-        quantiles = self.network(inputs)
+        quantiles = self.network(self.features(e, x, u, p))
         median = quantiles[..., len(self.network.levels) // 2, :]
         width = quantiles[..., -1, :] - quantiles[..., 0, :]
         weight = x.new_tensor(self.weight.tolist())
         penalty = ((width @ weight) * width).sum(-1)
         if self.noise == "quantiles":
-            assert self.copula is not None
-            return self.copula.draw(quantiles, self.network.clipped(inputs), w), penalty
+            return self.network.draw(quantiles, w), penalty
         return (median + w if self.noise == "replayed" else median), penalty
 
     def double(self) -> Discrepancy:
@@ -206,14 +188,10 @@ def score_quantiles(network: QuantileNetwork, inputs: Array, e_next: Array, trai
     levels = network.levels
     constant = np.broadcast_to(np.quantile(trained, levels, axis=0)[None], quantiles.shape)
     inside = (e_next >= quantiles[:, 0]) & (e_next <= quantiles[:, -1])
-
-    def root_mean_square(error: Array) -> tuple[float, ...]:
-        """Root mean square per column of the errors (n, nx)."""
-        return tuple(np.sqrt(np.mean(error**2, axis=0)).tolist())
-
+    rmse, nominal = (np.sqrt(np.mean(error**2, axis=0)) for error in (e_next - quantiles[:, len(levels) // 2], e_next))
     return QuantileScores(
-        rmse=root_mean_square(e_next - quantiles[:, len(levels) // 2]),
-        nominal_rmse=root_mean_square(e_next),
+        rmse=tuple(rmse.tolist()),
+        nominal_rmse=tuple(nominal.tolist()),
         pinball=tuple(pinball(e_next, quantiles, levels).tolist()),
         constant_pinball=tuple(pinball(e_next, constant, levels).tolist()),
         coverage=tuple(inside.mean(axis=0).tolist()),

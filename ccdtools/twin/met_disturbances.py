@@ -59,27 +59,19 @@ class _LeastSquares:
             return w
         lengths = np.where(longest > 0, longest, np.inf)
         some: Indices = self._everyone
-        residual = self._residual(w, some)
-        part = np.ones(self.samples)
-        step = np.zeros_like(w)
-        fresh = np.ones(self.samples, dtype=bool)
+        part = np.ones(self.samples)  # of a whole step
         for _ in range(30):
-            if fresh.any():
-                effects = self._effects(w[some[fresh]], some[fresh]) / lengths
-                step[some[fresh]] = _least_squares(effects, residual[fresh]) / lengths
-                part[some[fresh]] = 1.0
-                moved = np.linalg.norm(np.einsum("nij,nj->ni", effects, step[some[fresh]] * lengths), axis=1)
-                keep = np.ones(len(some), dtype=bool)
-                keep[fresh] = moved > SETTLED_STEP * self.size[some[fresh]]
-                some, residual, fresh = some[keep], residual[keep], fresh[keep]
-            if not len(some):
+            effects = self._effects(w[some], some) / lengths
+            residual = self._residual(w[some], some)
+            step = part[some][:, None] * _least_squares(effects, residual)
+            moving = np.linalg.norm(np.einsum("nij,nj->ni", effects, step), axis=1) > SETTLED_STEP * self.size[some]
+            if not moving.any():
                 break
-            tried = w[some] + part[some][:, None] * step[some]
-            left = self._residual(tried, some)
-            fresh = np.linalg.norm(left, axis=1) < np.linalg.norm(residual, axis=1)
-            w[some[fresh]] = tried[fresh]
-            residual = np.where(fresh[:, None], left, residual)
-            part[some[~fresh]] /= 4
+            some = some[moving]
+            tried = w[some] + step[moving] / lengths
+            better = np.linalg.norm(self._residual(tried, some), axis=1) < np.linalg.norm(residual[moving], axis=1)
+            w[some[better]] = tried[better]
+            part[some] = np.where(better, 1.0, part[some] / 4)
         return w
 
     def bounded(self, w: Array) -> Array:

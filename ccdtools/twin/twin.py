@@ -17,7 +17,6 @@ from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantil
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
 from ccdtools.twin.tolerances import BLOCKS, FEWEST_FITTED, HELD_OUT
 from ccdtools.twin.transport import Transport, as_extent, carried
-from learning.copula_fit import fit_copula
 from learning.quantile import QuantileConfig, fit_quantiles
 
 
@@ -113,9 +112,6 @@ class DigitalTwin(Immutable):
         lengths = [part.runs * part.steps for part in parts]
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
         discrepancy = Discrepancy(network, weight, design_as_feature, transport=twin.transport)
-        if len(network.levels) > 1:
-            copula = fit_copula(network, inputs, train[-1])  # e and x hold the past
-            discrepancy = replace(discrepancy, copula=copula)
         return replace(twin, discrepancy=discrepancy, scores=score_quantiles(network, tests, test[-1], train[-1]))
 
     def remembering(self, log: Trajectory) -> DigitalTwin:

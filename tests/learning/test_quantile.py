@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom, norm
+import torch
+from scipy.stats import binom, ks_2samp, norm, spearmanr
 
-from learning import QuantileConfig, fit_quantiles
+from learning import QuantileConfig, fit_quantiles, load, save
 from learning.exceptions import InputError
 
 SHORT = QuantileConfig(hidden=(16, 16), steps=500, batch=256)
@@ -115,6 +116,64 @@ def test_a_constant_feature_or_target_is_no_division_by_zero():
     y = np.zeros((200, 1))
     q = fit_quantiles(x, y, rng=np.random.default_rng(0), config=QuantileConfig(hidden=(4,), steps=20)).predict(x)
     assert np.isfinite(q).all()
+
+
+# ── joint draws ──
+
+
+def drawn(network, inputs, n=20000):
+    """Draws (n, m) at one input (d,)."""
+    quantiles = torch.tensor(network.predict(np.tile(inputs, (n, 1))))
+    return network.draw(quantiles, torch.rand((n, 1), generator=torch.Generator().manual_seed(0))).numpy()
+
+
+def skewed(n=4000):
+    """Outputs of a constant distribution: the second is a monotone map of one correlated with the first."""
+    rng = np.random.default_rng(6)
+    normal = rng.standard_normal((n, 2)) @ np.linalg.cholesky([[1.0, 0.6], [0.6, 1.0]]).T
+    first = np.exp(normal[:, 0])
+    return np.ones((n, 1)), np.stack([first, 1e-3 * normal[:, 1] ** 3, -2 * first], axis=1)
+
+
+@pytest.fixture(scope="module")
+def constant():
+    x, y = skewed()
+    config = QuantileConfig(hidden=(4,), steps=100)
+    return fit_quantiles(x, y, rng=np.random.default_rng(0), config=config), y
+
+
+def test_draws_have_the_distribution_of_the_samples_in_their_tails_too(constant):
+    network, y = constant
+    for draws, samples in zip(drawn(network, [1.0]).T, y.T):
+        assert ks_2samp(draws, samples).statistic < 0.025
+        assert draws.std() == pytest.approx(samples.std(), rel=0.06)
+
+
+def test_draws_are_as_dependent_as_the_samples(constant):
+    network, y = constant
+    draws = drawn(network, [1.0])
+    np.testing.assert_allclose(spearmanr(draws)[0], spearmanr(y)[0], atol=0.03)
+    assert np.corrcoef(draws[:, 0], draws[:, 2])[0, 1] < -0.999  # one signal that drives both is drawn as one
+
+
+def test_draws_follow_the_width_and_cover_the_outer_levels_as_stated(fitted):
+    for inputs in ([0.0, 0.0], [0.0, 0.9]):
+        draws = drawn(fitted, inputs)
+        low, _, high = fitted.predict(np.array(inputs))
+        np.testing.assert_allclose(((draws >= low) & (draws <= high)).mean(axis=0), 0.8, atol=0.03)
+
+
+def test_draws_are_differentiable_in_the_quantiles(fitted):
+    quantiles = torch.tensor(fitted.predict(np.zeros((4, 2))), requires_grad=True)
+    uniform = torch.rand((4, 1), dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    assert torch.autograd.gradcheck(lambda q: fitted.draw(q, uniform), (quantiles,))
+
+
+def test_a_network_from_its_file_draws_the_same(tmp_path, constant):
+    network, _ = constant
+    save(tmp_path / "quantiles.safetensors", network)
+    again, _ = load(tmp_path / "quantiles.safetensors")
+    np.testing.assert_array_equal(drawn(again, [1.0], 50), drawn(network, [1.0], 50))
 
 
 @pytest.mark.parametrize(

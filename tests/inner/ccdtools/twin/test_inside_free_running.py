@@ -1,5 +1,6 @@
 """What test_free_running.py claims, seen from inside."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,10 @@ import torch
 from ccdtools import DigitalTwin, InputError, LinearFeedback, deploy, simulate
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.twin import free_running_bands
-from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
+from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.residuals import residuals
 from learning import QuantileConfig
-from learning.copula import InnovationCopula
 from mpc import lqr
 
 DESIGN = [2.0]
@@ -67,7 +67,8 @@ def test_one_signal_is_drawn_as_one(illustrative, twin):
     run = simulate(plant, law(illustrative), x0=np.zeros((200, 2)), steps=30, disturbance=w, design=DESIGN)
     e = residuals(illustrative.model, run).e_next.reshape(-1, 2)
     assert np.corrcoef(e.T)[0, 1] < -0.99
-    apart = replace(drawing, copula=None)
+    apart = copy.deepcopy(drawing)
+    apart.network.positions[:, 1] = apart.network.positions[torch.randperm(len(apart.network.positions)), 1]
     alone = simulate(TwinPlant(illustrative.model, apart), law(illustrative), x0=np.zeros((200, 2)), steps=30,
                      disturbance=w, design=DESIGN)  # fmt: skip
     assert np.corrcoef(residuals(illustrative.model, alone).e_next.reshape(-1, 2).T)[0, 1] > -0.9
@@ -112,16 +113,12 @@ def test_the_model_that_learning_runs_on_draws_the_same(illustrative, twin):
         np.testing.assert_allclose(x.detach(), run.states[:, k + 1], atol=1e-4)
 
 
-def test_a_copula_of_another_size_or_a_single_level_draws_nothing(twin):
-    network = twin.discrepancy.network
-    with pytest.raises(InputError, match="copula: got 3 states, expected 2"):
-        Discrepancy(network, np.eye(2), copula=InnovationCopula(5, 3, knots=3, widths=1))
-
-
 def test_a_median_alone_gives_no_bands(illustrative, log):
     alone = DigitalTwin(illustrative.model).update(
         log, weight=illustrative.weight, rng=np.random.default_rng(0), config=replace(SHORT, levels=(0.5,), steps=2)
     )
+    with pytest.raises(InputError, match="noise: got 'quantiles' of 1 level, expected a network of at least three"):
+        replace(alone.discrepancy, noise="quantiles")
     with pytest.raises(InputError, match="twin: got one that has learned 1 quantile, from which nothing can be drawn"):
         free_running_bands(alone, log, LAW, rng=np.random.default_rng(0))
     assert held_out_bands(alone, log, LAW, rng=np.random.default_rng(0)) is None
