@@ -1,18 +1,20 @@
-"""Limits on outputs: any h(x, u, p) ≤ 0, such as stress or power."""
+"""Limits on states, inputs and outputs: any h(x, u, p) ≤ 0, such as stress or power."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_floats, as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbolic_functions import as_symbolic
+from ccdtools.plants.symbolic_functions import SymbolicFunction, as_symbolic
 from ccdtools.tolerances import ON_LIMIT
 from invariant_sets import Polytope
 
@@ -32,6 +34,8 @@ class OutputLimits(Immutable):
         Infinite where there is no limit; by default h ≤ 0.
     names : sequence of str, optional
         With units; y1, y2, … by default.
+    texts : sequence of str, optional
+        What exceeding each limit is called, upper ones first; name and bound by default.
 
     Raises
     ------
@@ -43,6 +47,7 @@ class OutputLimits(Immutable):
     lower: ArrayField = -np.inf
     upper: ArrayField = 0.0
     names: Sequence[str] = ()
+    texts: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "outputs", as_symbolic("output_limits", self.outputs, ("x", "u", "p")))
@@ -80,6 +85,20 @@ class OutputLimits(Immutable):
         if len(self.names):
             as_names("output_limits, names", self.names, ny)
 
+    @cached_property
+    def scaled(self) -> SymbolicFunction:
+        """(x, u, p) → violation of each limit (m,), in half-widths, for CasADi columns."""
+
+        def beyond(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+            """Rows, each ≤ 0 where the limit is kept."""
+            y = self.outputs.function(x.numel(), u.numel(), p.numel())(x, u, p)
+            index, sign, bound, unit = self._sides(y.numel())
+            chosen = ca.vertcat(*(y[i] for i in index.tolist()))  # a list of places of a single entry would be a row
+            scaled: ca.SX = (ca.DM(sign) * chosen - ca.DM(bound)) / ca.DM(unit)
+            return scaled
+
+        return SymbolicFunction("output_limits", beyond, ("x", "u", "p"))
+
     def depths(self, x: Any, u: Any, p: Any) -> Any:
         """Violation of each limit, (..., m); negative within, infinite for NaN.
 
@@ -90,12 +109,9 @@ class OutputLimits(Immutable):
         x, u : (..., nx) and (..., nu)
         p : (np,) or (..., np)
         """
-        y = self.outputs.vector(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)
-        index, sign, bound, unit = self._sides(y.shape[-1])
-        if isinstance(y, np.ndarray):
-            beyond = (sign * y[..., index] - bound) / unit
+        beyond = self.scaled.vector(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)
+        if isinstance(beyond, np.ndarray):
             return np.where(np.isnan(beyond), np.inf, beyond)
-        beyond = (y[..., index.tolist()] * y.new_tensor(sign) - y.new_tensor(bound)) / y.new_tensor(unit)
         return beyond.masked_fill(beyond.isnan(), np.inf)
 
     def broken_at(self, x: Array, nu: int, designs: Array) -> list[str]:
@@ -103,36 +119,30 @@ class OutputLimits(Immutable):
 
         Only limits of outputs that do not depend on the input say so.
         """
-        nx = len(x)
-        index, *_ = self._sides(self.outputs.function(nx, nu, designs.shape[1]).numel_out(0))
-        of_input = self.outputs.function(nx, nu, designs.shape[1]).jac_sparsity(0, 1)
-        acted_on = np.isin(index, of_input.row())
-        states = np.tile(x, (len(designs), 1))
-        depths = np.where(acted_on, -np.inf, self.depths(states, np.zeros((len(designs), nu)), designs))
+        acted_on = self.scaled.function(len(x), nu, designs.shape[1]).jac_sparsity(0, 1).row()
+        depths = self.depths(np.tile(x, (len(designs), 1)), np.zeros((len(designs), nu)), designs)
+        depths[:, acted_on] = -np.inf
         worst = depths.argmax(axis=1)
         return [self.row_text(row) if depth[row] > ON_LIMIT else "" for row, depth in zip(worst, depths)]
 
     def row_text(self, row: int) -> str:
         """Text of exceeding one of the limits, such as "tyre load [N] > 500"."""
+        if len(self.texts):
+            return self.texts[row]
         index, sign, bound, _ = self._sides(self.outputs.values)
         i = int(index[row])
         name = self.names[i] if len(self.names) else f"y{i + 1}"
         return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
 
-    def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
-        """Half-spaces F x ≤ g of state-only outputs at a design, linearised at rest."""
-        value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
-        index, sign, bound, unit = self._sides(len(value))
-        F = sign[:, None] * J[index] / unit[:, None]
-        g = (bound - sign * value[index, 0]) / unit
-        known = np.isfinite(F).all(axis=1) & np.isfinite(g)
-        alone = known & (F[:, nx:] == 0).all(axis=1) & (F[:, :nx] != 0).any(axis=1) & (g > 0)
-        return F[alone, :nx], g[alone]
-
     def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
-        """States of X that keep these limits, where linear in the state alone."""
-        F, g = self.half_spaces(X.dim, nu, p)
-        return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
+        """States of X that keep these limits, where linear at rest in the state alone."""
+        value, J = (np.asarray(part) for part in self.scaled.linear(X.dim, nu, len(p))(p))
+        F, g = J[:, : X.dim], -value[:, 0]
+        known = np.isfinite(J).all(axis=1) & np.isfinite(g)
+        alone = known & (J[:, X.dim :] == 0).all(axis=1) & (F != 0).any(axis=1) & (g > 0)
+        if not alone.any():
+            return X
+        return Polytope(np.vstack([X.A, F[alone]]), np.concatenate([X.b, g[alone]]), X.A_eq, X.b_eq)
 
     def _sides(self, ny: int) -> tuple[Any, Array, Array, Array]:
         """Output, sign, bound and unit of every finite limit: sign · y ≤ bound."""
