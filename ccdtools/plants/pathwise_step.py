@@ -8,6 +8,7 @@ own machine, of many by NumPy. That is many times faster, and once differentiabl
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -18,8 +19,8 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import Tape, check_sizes
-from ccdtools.plants.on_rows import InPlace, Native, as_rows
+from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
+from ccdtools.plants.on_rows import as_rows, on_rows
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.tolerances import FEW_ROWS
 
@@ -37,14 +38,14 @@ class PathwiseStep:
         self._sizes = [step.substep.numel_in(i) for i in range(4)]
 
     @cached_property
-    def _of_sample(self) -> Native:
+    def _of_sample(self) -> Callable[..., Array]:
         """Slopes of the whole sample, for few runs."""
-        return Native(_slopes_of(self._step.function))
+        return on_rows(_slopes_of(self._step.function))
 
     @cached_property
-    def _of_part(self) -> Tape:
+    def _of_part(self) -> Vectorised:
         """Slopes of a part of the sample, for many runs."""
-        return Tape(_slopes_of(self._step.substep))
+        return Vectorised(_slopes_of(self._step.substep))
 
     def __call__(self, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:
         """Next states (n, nx).
@@ -77,13 +78,13 @@ class PathwiseStep:
             return np.split(self._of_sample(x, *held, multiplier), ends, axis=1)
         state = np.empty_like(states[0])
         factor = as_rows(multiplier)
-        part = InPlace(self._of_part, [state, *map(as_rows, held), factor])
-        total = np.zeros_like(part.out)
+        found, part = self._of_part.in_place([state, *map(as_rows, held), factor])
+        total = np.zeros_like(found)
         for before in reversed(states[:-1]):  # part by part backwards
             state[:] = before
-            part.run()
-            factor[:] = part.out[: len(state)]
-            total += part.out
+            part()
+            factor[:] = found[: len(state)]
+            total += found
         total[: len(state)] = factor
         return np.split(total.T, ends, axis=1)
 

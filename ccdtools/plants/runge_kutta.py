@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -9,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.plants.casadi_arrays import Tape, Vectorised, check_sizes
-from ccdtools.plants.on_rows import InPlace, Native, as_rows
+from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
+from ccdtools.plants.on_rows import as_rows, on_rows
 from ccdtools.plants.tolerances import FEW_ROWS, RUNS_AT_ONCE
 
 
@@ -57,18 +58,13 @@ class ExplicitStep:
 
     @cached_property
     def _vectorised(self) -> Vectorised:
-        """Substep on tensors."""
+        """Substep on tensors and on many rows."""
         return Vectorised(self.substep)
 
     @cached_property
-    def _native(self) -> Native:
+    def _native(self) -> Callable[..., Array]:
         """The whole step on few rows."""
-        return Native(self.function)
-
-    @cached_property
-    def _tape(self) -> Tape:
-        """Substep on many rows."""
-        return Tape(self.substep, "dynamics")
+        return on_rows(self.function)
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
@@ -99,10 +95,10 @@ class ExplicitStep:
     def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:
         """States (nx, n) before each part of the sample and at its end."""
         state = as_rows(x)
-        step = InPlace(self._tape, [state, *map(as_rows, held)])
+        after, step = self._vectorised.in_place([state, *map(as_rows, held)])
         states = [state.copy()]
         for _ in range(self.substeps):
-            step.run()
-            state[:] = step.out
+            step()
+            state[:] = after
             states.append(state.copy())
         return states
