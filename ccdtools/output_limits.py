@@ -11,11 +11,12 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_floats, as_names, shown
+from ccdtools.checks import as_floats, as_instance, as_names, shown
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbolic_functions import SymbolicFunction, as_symbolic
-from ccdtools.tolerances import ON_LIMIT
+from ccdtools.tolerances import FLAT_ROW, ON_LIMIT
 from invariant_sets import Polytope
 
 
@@ -154,3 +155,81 @@ class OutputLimits(Immutable):
         index = np.concatenate([above, below])
         sign = np.concatenate([np.ones(len(above)), -np.ones(len(below))])
         return index, sign, np.concatenate([high[above], -low[below]]), unit[index]
+
+
+def limits_of(given: Polytope | DesignLimits, names: Sequence[str] = ()) -> OutputLimits:
+    """X or U as limits of outputs, which are its rows in half-widths.
+
+    Parameters
+    ----------
+    given : Polytope or DesignLimits
+    names : sequence of str, optional
+        What is limited; x1, x2, … by default.
+    """
+    if isinstance(given, DesignLimits):
+        return _limits_of_design(given, as_names("names", tuple(names), given.dim, given.argument.lower()))
+    rows, bounds, texts = scaled_rows(given, names)
+    return OutputLimits(lambda x, u, p: ca.DM(rows) @ x - ca.DM(bounds), texts=texts)
+
+
+def _limits_of_design(given: DesignLimits, names: Sequence[str]) -> OutputLimits:
+    """Limits of a box whose bounds depend on the design."""
+
+    def beyond(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        """Distance beyond each bound, in half-widths."""
+        z = u if given.argument == "U" else x
+        lower, upper = ca.vertsplit(given.both.function(given.entries)(p), given.dim)
+        half = (upper - lower) / 2
+        return ca.vertcat((z - upper) / half, (lower - z) / half)
+
+    above, below = ([f"{name} {side} {given.argument}(p)" for name in names] for side in ("> upper", "< lower"))
+    return OutputLimits(beyond, texts=(*above, *below))
+
+
+def scaled_rows(X: Polytope, names: Sequence[str] = ()) -> tuple[Array, Array, tuple[str, ...]]:
+    """Rows (m, nx) and bounds (m,) of X in its half-widths, rows·x ≤ bounds, and texts of exceeding them.
+
+    Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
+    half-width.
+
+    Raises
+    ------
+    InputError
+        If X is no Polytope, or empty.
+    """
+    as_instance("X", X, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
+    if X.is_empty:
+        raise InputError("X", "an empty set", "one with at least one point")
+    minimal = X.minimal()
+    rows = np.vstack([minimal.A, minimal.A_eq, -minimal.A_eq])
+    bounds = np.concatenate([minimal.b, minimal.b_eq, -minimal.b_eq])
+    widths = _half_widths(minimal, rows, bounds)
+    rows, bounds = rows / widths[:, None], bounds / widths
+    names = as_names("names", tuple(names), X.dim, "x")
+    return rows, bounds, tuple(_row_text(i, row, bounds[i], names) for i, row in enumerate(rows))
+
+
+def _row_text(number: int, row: Array, bound: float, names: Sequence[str]) -> str:
+    """Text of exceeding a row, such as "velocity [m/s] > 0.5"."""
+    terms = np.flatnonzero(np.abs(row) > FLAT_ROW * np.abs(row).max())
+    if len(terms) > 3:  # a longer row is named by its number
+        return f"row {number + 1} of X"
+    first = row[terms[0]]
+    text = names[terms[0]]
+    for factor, name in ((row[i] / first, names[i]) for i in terms[1:]):
+        size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
+        text += f" {'+' if factor > 0 else '−'} {size}{name}"
+    return f"{text} {'>' if first > 0 else '<'} {bound / first:.4g}"
+
+
+def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
+    """Half-width of X along each row, never zero."""
+    low = -np.asarray(X.support(-rows))
+    high = np.asarray(X.support(rows))
+    lower, upper = X.bounding_box()
+    box = 0.5 * (upper - lower)
+    reach = np.abs(rows) @ np.where(np.isfinite(box), box, 0.0)
+    width = 0.5 * (high - low)
+    width = np.where(np.isfinite(width), width, np.abs(bounds))
+    width = np.where(width > FLAT_ROW * reach, width, reach)
+    return np.where(width > 0, width, np.linalg.norm(rows, axis=1))

@@ -15,7 +15,7 @@ from ccdtools.co_design.design_controllers import HORIZON
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.tolerances import DEPTH_TIME, NO_VIOLATION
 from ccdtools.exceptions import LimitWarning
-from ccdtools.limits import scaled_rows
+from ccdtools.output_limits import scaled_rows
 
 
 def least_depth(

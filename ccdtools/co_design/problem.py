@@ -28,8 +28,7 @@ from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_ru
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
-from ccdtools.limits import limits_of
-from ccdtools.output_limits import OutputLimits
+from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.tolerances import FEASIBLE

@@ -7,8 +7,7 @@ from typing import Any
 
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
-from ccdtools.limits import limits_of
-from ccdtools.output_limits import OutputLimits
+from ccdtools.output_limits import OutputLimits, limits_of
 
 ROW = re.compile(r"path (\d+)")
 PLACE = re.compile(r"( of phase \d+)|( at t = [^,]+)|(, by .*)")

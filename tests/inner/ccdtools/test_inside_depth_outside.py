@@ -7,7 +7,8 @@ import numpy as np
 from scipy import signal
 
 from ccdtools import depth_outside, excursions
-from ccdtools.limits import Excursions, further_outside, limits_of
+from ccdtools.limits import Excursions, further_outside
+from ccdtools.output_limits import limits_of
 from invariant_sets import Polytope
 
 BOX = Polytope.from_bounds([-1.0, -0.5], [3.0, 0.5])  # half-widths 2 and 0.5
