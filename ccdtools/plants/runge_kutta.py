@@ -66,6 +66,16 @@ class ExplicitStep:
         """The whole step on few rows."""
         return on_rows(self.function)
 
+    @cached_property
+    def _slopes_of_sample(self) -> Callable[..., Array]:
+        """Slopes of the whole sample, for few runs."""
+        return on_rows(_slopes_of(self.function))
+
+    @cached_property
+    def _slopes_of_part(self) -> Vectorised:
+        """Slopes of a part of the sample, for many runs."""
+        return Vectorised(_slopes_of(self.substep))
+
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
         check_sizes(self.substep, (x, u, w, p))
@@ -102,3 +112,31 @@ class ExplicitStep:
             state[:] = after
             states.append(state.copy())
         return states
+
+    def slopes(self, x: Array, held: tuple[Array, ...], states: list[Array], multiplier: Array) -> list[Array]:
+        """Products (n, ·) of a multiplier (n, nx) with ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂w, ∂x⁺/∂p.
+
+        For many runs `states` are those of `path`; for few they are empty.
+        """
+        ends = np.cumsum([self.substep.numel_in(i) for i in range(3)])
+        if not states:
+            return np.split(self._slopes_of_sample(x, *held, multiplier), ends, axis=1)
+        state = np.empty_like(states[0])
+        factor = as_rows(multiplier)
+        found, part = self._slopes_of_part.in_place([state, *map(as_rows, held), factor])
+        total = np.zeros_like(found)
+        for before in reversed(states[:-1]):  # part by part backwards
+            state[:] = before
+            part()
+            factor[:] = found[: len(state)]
+            total += found
+        total[: len(state)] = factor
+        return np.split(total.T, ends, axis=1)
+
+
+def _slopes_of(step: ca.Function) -> ca.Function:
+    """(x, u, w, p, m) → slopes of m'x⁺ by x, u, w and p, stacked."""
+    arguments: list[Any] = [ca.SX.sym(name, *step.size_in(i)) for i, name in enumerate("xuwp")]
+    multiplier = ca.SX.sym("m", *step.size_out(0))
+    slopes = ca.gradient(ca.dot(multiplier, step(*arguments)), ca.vertcat(*arguments))
+    return ca.Function("slopes", [*arguments, multiplier], [ca.densify(slopes)])
