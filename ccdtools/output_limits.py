@@ -85,6 +85,8 @@ class OutputLimits(Immutable):
             raise InputError("output_limits", f"{len(self.lower)} limits", f"{ny}, one per output")
         if len(self.names):
             as_names("output_limits, names", self.names, ny)
+        if len(self.texts):
+            as_names("output_limits, texts", self.texts, self.scaled.function(nx, nu, designs).numel_out(0))
 
     @cached_property
     def scaled(self) -> SymbolicFunction:
