@@ -14,9 +14,9 @@ from ccdtools.arrays import Array, frozen
 from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, shown
 from ccdtools_ground.errors import InputError
 
-__all__ = ["TOLERANCES", "as_array", "as_choice", "as_count", "as_flag", "as_floats", "as_generator", "as_instance",
-           "as_limit_tolerance", "as_mapping", "as_names", "as_number", "as_positive", "as_share", "as_vector",
-           "as_weight", "finite", "has_method", "nearest", "shown", "writable_path"]  # fmt: skip
+__all__ = ["TOLERANCES", "as_array", "as_choice", "as_count", "as_different", "as_flag", "as_floats", "as_generator",
+           "as_instance", "as_limit_tolerance", "as_mapping", "as_names", "as_number", "as_positive", "as_share",
+           "as_vector", "as_weight", "finite", "has_method", "nearest", "shown", "writable_path"]  # fmt: skip
 TOLERANCES = ("mpc", "off")  # of the state limits, in words
 
 
@@ -118,6 +118,17 @@ def as_names(argument: str, value: Any, size: int, default: str = "") -> tuple[s
     if len(names) != size or not all(isinstance(name, str) for name in names):
         raise InputError(argument, shown(value), f"{size} name{'' if size == 1 else 's'}")
     return names
+
+
+def as_different(argument: str, value: Any, low: int, high: int) -> tuple[int, ...]:
+    """Different whole numbers from `low` to `high`."""
+    expected = f"different whole numbers from {low} to {high}"
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+        raise InputError(argument, shown(value), expected)
+    numbers = tuple(as_count(argument, number, least=low) for number in value)
+    if len(set(numbers)) != len(numbers) or max(numbers, default=low) > high:
+        raise InputError(argument, shown(list(numbers)), expected)
+    return numbers
 
 
 def as_mapping(argument: str, value: Any, expected: str) -> dict[str, Any]:

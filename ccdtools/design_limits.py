@@ -134,23 +134,11 @@ class DesignLimits(Immutable):
             raise InputError(self.argument, got, "finite lower < upper at every design")
         return Polytope.from_bounds(lower, upper)
 
-    def depths(self, x: Any, p: Any) -> Any:
-        """Violations (..., 2 n) of the bounds by x (..., n), in half-widths.
-
-        Of arrays or torch tensors; negative within.
-        """
-        lower, upper = self.bounds(p)
-        half = (upper - lower) / 2
-        above, below = (x - upper) / half, (lower - x) / half
-        if isinstance(above, np.ndarray):
-            return np.concatenate([above, below], axis=-1)
-        import torch  # the tensors are here already
-
-        return torch.cat([above, below], dim=-1)
-
     def contains(self, x: Array, p: Array) -> Mask:
         """Whether x (n, ·) lie within the bounds at designs (n, np) or (np,)."""
-        return np.asarray((self.depths(x, p) <= ON_LIMIT).all(axis=-1))
+        lower, upper = self.bounds(p)
+        slack = ON_LIMIT * (upper - lower) / 2
+        return np.asarray(((lower - slack <= x) & (x <= upper + slack)).all(axis=-1))
 
     def followed_by(self, lower: Array, upper: Array) -> DesignLimits:
         """These limits, with further fixed bounds (m,) appended."""

@@ -1,19 +1,22 @@
-"""Limits on outputs: any h(x, u, p) ≤ 0, such as stress or power."""
+"""Limits on states, inputs and outputs: any h(x, u, p) ≤ 0, such as stress or power."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_floats, as_names, shown
+from ccdtools.checks import as_floats, as_instance, as_names, shown
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbolic_functions import as_symbolic
-from ccdtools.tolerances import ON_LIMIT
+from ccdtools.plants.symbolic_functions import SymbolicFunction, as_symbolic
+from ccdtools.tolerances import FLAT_ROW, ON_LIMIT
 from invariant_sets import Polytope
 
 
@@ -32,6 +35,8 @@ class OutputLimits(Immutable):
         Infinite where there is no limit; by default h ≤ 0.
     names : sequence of str, optional
         With units; y1, y2, … by default.
+    texts : sequence of str, optional
+        What exceeding each limit is called, upper ones first; name and bound by default.
 
     Raises
     ------
@@ -43,6 +48,7 @@ class OutputLimits(Immutable):
     lower: ArrayField = -np.inf
     upper: ArrayField = 0.0
     names: Sequence[str] = ()
+    texts: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "outputs", as_symbolic("output_limits", self.outputs, ("x", "u", "p")))
@@ -79,6 +85,22 @@ class OutputLimits(Immutable):
             raise InputError("output_limits", f"{len(self.lower)} limits", f"{ny}, one per output")
         if len(self.names):
             as_names("output_limits, names", self.names, ny)
+        if len(self.texts):
+            as_names("output_limits, texts", self.texts, self.scaled.function(nx, nu, designs).numel_out(0))
+
+    @cached_property
+    def scaled(self) -> SymbolicFunction:
+        """(x, u, p) → violation of each limit (m,), in half-widths, for CasADi columns."""
+
+        def beyond(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+            """Rows, each ≤ 0 where the limit is kept."""
+            y = self.outputs.function(x.numel(), u.numel(), p.numel())(x, u, p)
+            index, sign, bound, unit = self._sides(y.numel())
+            chosen = ca.vertcat(*(y[i] for i in index.tolist()))  # a list of places of a single entry would be a row
+            scaled: ca.SX = (ca.DM(sign) * chosen - ca.DM(bound)) / ca.DM(unit)
+            return scaled
+
+        return SymbolicFunction("output_limits", beyond, ("x", "u", "p"))
 
     def depths(self, x: Any, u: Any, p: Any) -> Any:
         """Violation of each limit, (..., m); negative within, infinite for NaN.
@@ -90,12 +112,9 @@ class OutputLimits(Immutable):
         x, u : (..., nx) and (..., nu)
         p : (np,) or (..., np)
         """
-        y = self.outputs.vector(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)
-        index, sign, bound, unit = self._sides(y.shape[-1])
-        if isinstance(y, np.ndarray):
-            beyond = (sign * y[..., index] - bound) / unit
+        beyond = self.scaled.vector(x.shape[-1], u.shape[-1], p.shape[-1])(x, u, p)
+        if isinstance(beyond, np.ndarray):
             return np.where(np.isnan(beyond), np.inf, beyond)
-        beyond = (y[..., index.tolist()] * y.new_tensor(sign) - y.new_tensor(bound)) / y.new_tensor(unit)
         return beyond.masked_fill(beyond.isnan(), np.inf)
 
     def broken_at(self, x: Array, nu: int, designs: Array) -> list[str]:
@@ -103,36 +122,30 @@ class OutputLimits(Immutable):
 
         Only limits of outputs that do not depend on the input say so.
         """
-        nx = len(x)
-        index, *_ = self._sides(self.outputs.function(nx, nu, designs.shape[1]).numel_out(0))
-        of_input = self.outputs.function(nx, nu, designs.shape[1]).jac_sparsity(0, 1)
-        acted_on = np.isin(index, of_input.row())
-        states = np.tile(x, (len(designs), 1))
-        depths = np.where(acted_on, -np.inf, self.depths(states, np.zeros((len(designs), nu)), designs))
+        acted_on = self.scaled.function(len(x), nu, designs.shape[1]).jac_sparsity(0, 1).row()
+        depths = self.depths(np.tile(x, (len(designs), 1)), np.zeros((len(designs), nu)), designs)
+        depths[:, acted_on] = -np.inf
         worst = depths.argmax(axis=1)
         return [self.row_text(row) if depth[row] > ON_LIMIT else "" for row, depth in zip(worst, depths)]
 
     def row_text(self, row: int) -> str:
         """Text of exceeding one of the limits, such as "tyre load [N] > 500"."""
+        if len(self.texts):
+            return self.texts[row]
         index, sign, bound, _ = self._sides(self.outputs.values)
         i = int(index[row])
         name = self.names[i] if len(self.names) else f"y{i + 1}"
         return f"{name} {'>' if sign[row] > 0 else '<'} {sign[row] * bound[row]:.4g}"
 
-    def half_spaces(self, nx: int, nu: int, p: Array) -> tuple[Array, Array]:
-        """Half-spaces F x ≤ g of state-only outputs at a design, linearised at rest."""
-        value, J = (np.asarray(part) for part in self.outputs.linear(nx, nu, len(p))(p))
-        index, sign, bound, unit = self._sides(len(value))
-        F = sign[:, None] * J[index] / unit[:, None]
-        g = (bound - sign * value[index, 0]) / unit
-        known = np.isfinite(F).all(axis=1) & np.isfinite(g)
-        alone = known & (F[:, nx:] == 0).all(axis=1) & (F[:, :nx] != 0).any(axis=1) & (g > 0)
-        return F[alone, :nx], g[alone]
-
     def within(self, X: Polytope, nu: int, p: Array) -> Polytope:
-        """States of X that keep these limits, where linear in the state alone."""
-        F, g = self.half_spaces(X.dim, nu, p)
-        return Polytope(np.vstack([X.A, F]), np.concatenate([X.b, g]), X.A_eq, X.b_eq) if len(g) else X
+        """States of X that keep these limits, where linear at rest in the state alone."""
+        value, J = (np.asarray(part) for part in self.scaled.linear(X.dim, nu, len(p))(p))
+        F, g = J[:, : X.dim], -value[:, 0]
+        known = np.isfinite(J).all(axis=1) & np.isfinite(g)
+        alone = known & (J[:, X.dim :] == 0).all(axis=1) & (F != 0).any(axis=1) & (g > 0)
+        if not alone.any():
+            return X
+        return Polytope(np.vstack([X.A, F[alone]]), np.concatenate([X.b, g[alone]]), X.A_eq, X.b_eq)
 
     def _sides(self, ny: int) -> tuple[Any, Array, Array, Array]:
         """Output, sign, bound and unit of every finite limit: sign · y ≤ bound."""
@@ -144,3 +157,81 @@ class OutputLimits(Immutable):
         index = np.concatenate([above, below])
         sign = np.concatenate([np.ones(len(above)), -np.ones(len(below))])
         return index, sign, np.concatenate([high[above], -low[below]]), unit[index]
+
+
+def limits_of(given: Polytope | DesignLimits, names: Sequence[str] = ()) -> OutputLimits:
+    """X or U as limits of outputs, which are its rows in half-widths.
+
+    Parameters
+    ----------
+    given : Polytope or DesignLimits
+    names : sequence of str, optional
+        What is limited; x1, x2, … by default.
+    """
+    if isinstance(given, DesignLimits):
+        return _limits_of_design(given, as_names("names", tuple(names), given.dim, given.argument.lower()))
+    rows, bounds, texts = scaled_rows(given, names)
+    return OutputLimits(lambda x, u, p: ca.DM(rows) @ x - ca.DM(bounds), texts=texts)
+
+
+def _limits_of_design(given: DesignLimits, names: Sequence[str]) -> OutputLimits:
+    """Limits of a box whose bounds depend on the design."""
+
+    def beyond(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+        """Distance beyond each bound, in half-widths."""
+        z = u if given.argument == "U" else x
+        lower, upper = ca.vertsplit(given.both.function(given.entries)(p), given.dim)
+        half = (upper - lower) / 2
+        return ca.vertcat((z - upper) / half, (lower - z) / half)
+
+    above, below = ([f"{name} {side} {given.argument}(p)" for name in names] for side in ("> upper", "< lower"))
+    return OutputLimits(beyond, texts=(*above, *below))
+
+
+def scaled_rows(X: Polytope, names: Sequence[str] = ()) -> tuple[Array, Array, tuple[str, ...]]:
+    """Rows (m, nx) and bounds (m,) of X in its half-widths, rows·x ≤ bounds, and texts of exceeding them.
+
+    Along a row that X does not limit on its other side, the distance of the limit from 0 takes the place of the
+    half-width.
+
+    Raises
+    ------
+    InputError
+        If X is no Polytope, or empty.
+    """
+    as_instance("X", X, Polytope, "a Polytope", "Use Polytope.from_bounds(lower, upper).")
+    if X.is_empty:
+        raise InputError("X", "an empty set", "one with at least one point")
+    minimal = X.minimal()
+    rows = np.vstack([minimal.A, minimal.A_eq, -minimal.A_eq])
+    bounds = np.concatenate([minimal.b, minimal.b_eq, -minimal.b_eq])
+    widths = _half_widths(minimal, rows, bounds)
+    rows, bounds = rows / widths[:, None], bounds / widths
+    names = as_names("names", tuple(names), X.dim, "x")
+    return rows, bounds, tuple(_row_text(i, row, bounds[i], names) for i, row in enumerate(rows))
+
+
+def _row_text(number: int, row: Array, bound: float, names: Sequence[str]) -> str:
+    """Text of exceeding a row, such as "velocity [m/s] > 0.5"."""
+    terms = np.flatnonzero(np.abs(row) > FLAT_ROW * np.abs(row).max())
+    if len(terms) > 3:  # a longer row is named by its number
+        return f"row {number + 1} of X"
+    first = row[terms[0]]
+    text = names[terms[0]]
+    for factor, name in ((row[i] / first, names[i]) for i in terms[1:]):
+        size = "" if np.isclose(abs(factor), 1.0) else f"{abs(factor):.3g} "
+        text += f" {'+' if factor > 0 else '−'} {size}{name}"
+    return f"{text} {'>' if first > 0 else '<'} {bound / first:.4g}"
+
+
+def _half_widths(X: Polytope, rows: Array, bounds: Array) -> Array:
+    """Half-width of X along each row, never zero."""
+    low = -np.asarray(X.support(-rows))
+    high = np.asarray(X.support(rows))
+    lower, upper = X.bounding_box()
+    box = 0.5 * (upper - lower)
+    reach = np.abs(rows) @ np.where(np.isfinite(box), box, 0.0)
+    width = 0.5 * (high - low)
+    width = np.where(np.isfinite(width), width, np.abs(bounds))
+    width = np.where(width > FLAT_ROW * reach, width, reach)
+    return np.where(width > 0, width, np.linalg.norm(rows, axis=1))

@@ -41,7 +41,7 @@ class Differences:
     problem, agent
         Taken over in double precision.
     scenarios : tensors (n, nx) and (n, T, nw)
-    prices : Prices, optional
+    prices : function, optional
         Of leaving X, which then counts as lost return.
     """
 
@@ -90,8 +90,7 @@ class Differences:
         values: Tensor = self.problem.risk.values(seen.total)
         if self.prices is None:
             return values
-        paid = self.prices.depth * seen.depth + self.prices.peak * seen.peak
-        return values - paid - self.prices.design.double() @ v
+        return values - self.prices(seen, v)
 
 
 def pathwise_by_run(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, scenarios: ScenarioTensors) -> Tensor:

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import fewest_runs
-from ccdtools.design_limits import DesignLimits
 from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
 
@@ -136,12 +135,7 @@ class Stepper:
 
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """
-        if isinstance(self.problem.X, DesignLimits):
-            depth: Tensor = self.problem.X.depths(x_next, self.p).amax(-1)
-        else:
-            X = self.problem.state_rows
-            F, g = (x_next.new_tensor(part.tolist()) for part in (X.rows, X.bounds))
-            depth = (x_next @ F.T - g).amax(-1)
+        depth: Tensor = self.problem.state_rows.depths(x_next, u, self.p).amax(-1)
         limits = self.problem.output_limits
         if limits is not None:
             depth = torch.maximum(depth, limits.depths(x, u, self.p).amax(-1))

@@ -15,7 +15,7 @@ from ccdtools.co_design.design_controllers import HORIZON
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.tolerances import DEPTH_TIME, NO_VIOLATION
 from ccdtools.exceptions import LimitWarning
-from ccdtools.limits import StateLimits
+from ccdtools.output_limits import scaled_rows
 
 
 def least_depth(
@@ -85,7 +85,7 @@ def warn_of_unavoidable_depth(problem: CoDesignProblem, design: Array) -> None:
 
 def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
     """Least s ≥ 0 with rows·x_k ≤ bounds + s for all k, in units of X and U."""
-    limits = StateLimits(problem.state_limits(p))
+    F, g, _ = scaled_rows(problem.state_limits(p))
     A, B, _ = problem.model.matrices(p)
     size = problem.state_scale
     applied = np.array(problem.input_bounds_at(p))
@@ -99,13 +99,13 @@ def _least(problem: CoDesignProblem, p: Array, x0: Array, steps: int) -> float:
                               sparse.csr_matrix((steps * nx, 1))], format="csr")  # fmt: skip
     first = np.zeros(steps * nx)
     first[:nx] = A @ (x0 / size)
-    m = len(limits.bounds)
-    rows = sparse.hstack([sparse.kron(eye, limits.rows * size), sparse.csr_matrix((steps * m, steps * nu)),
+    m = len(g)
+    rows = sparse.hstack([sparse.kron(eye, F * size), sparse.csr_matrix((steps * m, steps * nu)),
                           -np.ones((steps * m, 1))], format="csr")  # fmt: skip
     lower, upper = applied / reach
     bounds = [(None, None)] * (steps * nx) + list(zip(lower, upper)) * steps + [(0.0, None)]
     cost = np.zeros(steps * (nx + nu) + 1)
     cost[-1] = 1.0
-    upper = np.tile(limits.bounds, steps)
+    upper = np.tile(g, steps)
     found = linprog(cost, rows, upper, dynamics, first, bounds, method="highs", options=DEPTH_TIME)
     return max(float(found.fun), 0.0) if found.status == 0 else 0.0

@@ -17,7 +17,9 @@ moved by the measure itself, gradients of a differentiable stand-in).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import torch
 from torch import Tensor
@@ -46,6 +48,8 @@ from ccdtools.co_design.tolerances import (
     LEAST_TOLERANCE,
     RESOLVED_VIOLATION,
 )
+
+Prices: TypeAlias = Callable[[Episode, Tensor], Tensor]  # (episodes, v) → what their violations cost each, (n,)
 
 
 @dataclass(frozen=True)
@@ -92,15 +96,6 @@ class LimitsOutcome:
         if self.source == BY_MPC and max(self.achieved.values()) > LEAST_TOLERANCE:
             return f"{name} left no more than MPC of the same design leaves them: {achieved}; {asked}"
         return f"{name} kept: {achieved}; {asked}"
-
-
-@dataclass(frozen=True, eq=False)
-class Prices:
-    """Prices of mean depth, peak depth, and design step (np,)."""
-
-    depth: float
-    peak: float
-    design: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,15 +148,16 @@ class StateLimitPenalty:
         return cost
 
     def prices(self, episode: Episode, v: Tensor) -> Prices:
-        """Prices of depths and design for episodes such as these."""
+        """(episodes, v) → their cost (n,), linear with the slopes that `cost` has here."""
         depth, peak, v = (tensor.detach().clone().requires_grad_(True) for tensor in (episode.depth, episode.peak, v))
         with torch.enable_grad():
             cost = self.cost(replace(episode, depth=depth, peak=peak), v)
         of_depth, of_peak, of_design = torch.autograd.grad(cost, [depth, peak, v], allow_unused=True)
         assert of_depth is not None
         assert of_peak is not None
-        of_design = torch.zeros_like(v) if of_design is None else of_design
-        return Prices(float(of_depth.sum()), float(of_peak.sum()), of_design)
+        own = torch.zeros_like(v).double() if of_design is None else of_design.double()
+        per_depth, per_peak = float(of_depth.sum()), float(of_peak.sum())
+        return lambda seen, v: per_depth * seen.depth + per_peak * seen.peak + own @ v
 
     def updated(self, episode: Episode, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> StateLimitPenalty:
         """Penalty after an evaluation on `scenarios` at `v`."""

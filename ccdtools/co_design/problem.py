@@ -14,6 +14,7 @@ from ccdtools.checks import (
     as_floats,
     as_instance,
     as_limit_tolerance,
+    as_names,
     as_positive,
     as_vector,
     finite,
@@ -26,8 +27,7 @@ from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_ru
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
-from ccdtools.limits import StateLimits
-from ccdtools.output_limits import OutputLimits
+from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.tolerances import FEASIBLE
@@ -311,9 +311,23 @@ class CoDesignProblem(Immutable):
         return widest(self.X).bounding_box(), widest(self.U).bounding_box()
 
     @cached_property
-    def state_rows(self) -> StateLimits:
-        """Rows of X in its half-widths, widest of an X(p)."""
-        return StateLimits(widest(self.X))
+    def state_rows(self) -> OutputLimits:
+        """Rows of X or X(p), in half-widths."""
+        return limits_of(self.X, self.state_names)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the plant's states, else x1, x2, …."""
+        return self._names("state_names", "x", self.model.nx)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the plant's inputs, else u1, u2, …."""
+        return self._names("input_names", "u", self.model.nu)
+
+    def _names(self, which: str, letter: str, size: int) -> tuple[str, ...]:
+        """Names of the plant, or a letter with numbers."""
+        return getattr(getattr(self.model, "plant", None), which, None) or as_names(which, (), size, letter)
 
     @property
     def limit(self) -> Array:

@@ -24,7 +24,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Driver, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
-from ccdtools.limits import Excursions, RunViolations, StateLimits, limits_in_words
+from ccdtools.limits import Excursions, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
@@ -261,23 +261,22 @@ def compare(
     as_metrics(metrics)
     if risk is not None:
         as_risk("risk", risk)
-    limits = StateLimits(X)
     reference = scenario.run(controllers[baseline], design=design, limit=limit)
     scores = []
-    outside = {}
+    pieces = {}
     for name, controller in controllers.items():
         at(name)
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == baseline else seen.run(controller, design=design, limit=limit)
-        outside[name] = RunViolations.from_trajectory(run, limits, scenario.plant, output_limits)
-        score = _score(name, controller, run, reference, objective, outside[name].whole, scenario)
+        whole, pieces[name] = Excursions.from_trajectory(run, X, scenario.plant, output_limits)
+        score = _score(name, controller, run, reference, objective, whole, scenario)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
             measured = summarise_in_risk(risk, run.returns(objective), run.diverged)
             shown |= {f"return, {measure(risk)}": measured.mean}
             score = replace(score, in_risk=measured)
         scores.append(replace(score, metrics=shown) if shown else score)
-    found = (replace(one, further_outside_than=outside[one.controller].further_than(outside)) for one in scores)
+    found = (replace(one, further_outside_than=pieces[one.controller].further_than(pieces)) for one in scores)
     return Comparison(tuple(found), limits_in_words(output_limits), baseline)
 
 

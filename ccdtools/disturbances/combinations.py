@@ -18,12 +18,18 @@ A_DISTURBANCE = "disturbances, with a method sample(runs, steps, rng)"
 
 
 class Combination(Immutable):
-    """Disturbance made of others, its `terms`."""
+    """Disturbance made of others, its `terms`: with the same channels unless said otherwise."""
 
     terms: tuple[Disturbance, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", _checked("terms", self.terms))
+        _check_alike(self._known)
+
+    @property
+    def nw(self) -> int | None:
+        """Number of channels, if a term knows it."""
+        return next(iter(self._known), None)
 
     @property
     def _known(self) -> list[int]:
@@ -32,21 +38,8 @@ class Combination(Immutable):
         return [width for width in widths if width is not None]
 
 
-class Alike(Combination):
-    """Disturbance made of others with the same channels."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_alike(self._known)
-
-    @property
-    def nw(self) -> int | None:
-        """Number of channels, if a term knows it."""
-        return next(iter(self._known), None)
-
-
 @dataclass(frozen=True, eq=False)
-class Sum(Alike):
+class Sum(Combination):
     """Sum of independent disturbances with the same channels."""
 
     terms: tuple[Disturbance, ...]
@@ -74,6 +67,9 @@ class Stacked(Combination):
     """
 
     terms: tuple[Disturbance, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "terms", _checked("terms", self.terms))
 
     @property
     def nw(self) -> int | None:
@@ -106,11 +102,6 @@ class Constant(Combination):
         """Distribution as the only term."""
         return (self.distribution,)
 
-    @property
-    def nw(self) -> int | None:
-        """Number of channels, if the distribution knows it."""
-        return next(iter(self._known), None)
-
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw), each of equal samples."""
         check_draw(runs, steps, rng)
@@ -118,7 +109,7 @@ class Constant(Combination):
 
 
 @dataclass(frozen=True, eq=False)
-class Mixture(Alike):
+class Mixture(Combination):
     """One of several disturbances with the same channels, drawn for each run.
 
     Parameters
@@ -142,7 +133,7 @@ class Mixture(Alike):
 
 
 @dataclass(frozen=True, eq=False)
-class Cases(Alike):
+class Cases(Combination):
     """Disturbances with the same channels in turn: run i has term i mod m.
 
     Every case is met by as many runs, and which run met which is known: what `WorstCase` asks for. Cases in several

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
+from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 
 Operations: TypeAlias = dict[int, Callable[..., Any]]
@@ -36,19 +37,27 @@ _BINARY = {
     ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax", ca.OP_ATAN2: "arctan2", ca.OP_HYPOT: "hypot", ca.OP_COPYSIGN: "copysign",
     ca.OP_FMOD: "fmod",
 }  # fmt: skip
+_IN_PLACE: Operations = {
+    ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
+    ca.OP_SQ: np.square, ca.OP_TWICE: lambda a, out: np.add(a, a, out),
+    ca.OP_INV: lambda a, out: np.divide(1.0, a, out),
+}  # fmt: skip
 KNOWN = {
     ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_REMAINDER, ca.OP_IF_ELSE_ZERO,
     *_ARITHMETIC, *_LOGIC, *_UNARY, *_SPECIAL, *_BINARY,
 }  # fmt: skip
 
 
-class Tape:
-    """Instructions of an SX function for batches of arrays.
+class Vectorised:
+    """CasADi function of scalar instructions, for batches of arrays, tensors or expressions.
+
+    A batch of thousands costs little more than one point, and torch tensors keep their gradient.
 
     Parameters
     ----------
     function : casadi.Function
-        SX function, or one that CasADi can expand into scalar instructions.
+        SX function, or one that CasADi can expand into scalar instructions. To be called it needs one output, and dense
+        vectors in and out.
     argument : str
         What an error calls it.
 
@@ -62,7 +71,7 @@ class Tape:
         If the function cannot be expanded, or has an operation without an array counterpart.
     """
 
-    def __init__(self, function: ca.Function, argument: str = "function") -> None:
+    def __init__(self, function: ca.Function, argument: str = "dynamics") -> None:
         if not function.is_a("SXFunction"):
             try:
                 function = function.expand()
@@ -110,40 +119,53 @@ class Tape:
                 work[outputs[0]] = operations[op](work[inputs[0]], work[inputs[1]])
         return out
 
-
-class Vectorised:
-    """SX `casadi.Function` of vectors, evaluated elementwise over a batch.
-
-    A batch of thousands costs little more than one point, and torch tensors keep their gradient.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        SX function with one output, dense vectors in and out.
-
-    Raises
-    ------
-    InputError
-        If the function uses an operation without an array counterpart.
-    """
-
-    def __init__(self, function: ca.Function) -> None:
-        self._tape = Tape(function, "dynamics")
-        self.n_out = function.numel_out(0)
-
     def __call__(self, *arguments: Any) -> Any:
         """Values (..., n_out) at arguments (..., n_i); leading shapes broadcast."""
         shape = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in arguments))
         entries = [[a[..., i] for i in range(a.shape[-1])] for a in arguments]
         if all(isinstance(a, np.ndarray) for a in arguments):  # torch is then never imported
             with np.errstate(all="ignore"):
-                out = self._tape.run(entries, numpy_operations())[0]
+                out = self.run(entries, numpy_operations())[0]
             return np.stack([np.broadcast_to(o, shape) for o in out], axis=-1)
         import torch
 
         like = next(a for a in arguments if torch.is_tensor(a))
-        out = self._tape.run(entries, torch_operations(like.dtype))[0]
+        out = self.run(entries, torch_operations(like.dtype))[0]
         return torch.stack([torch.as_tensor(o, dtype=like.dtype, device=like.device).expand(shape) for o in out], -1)
+
+    def in_place(self, arguments: Sequence[Array]) -> tuple[Array, Callable[[], None]]:
+        """Values (n_out, n), and a function that computes them anew in place.
+
+        Two to three times as fast as operations that return new arrays.
+
+        Parameters
+        ----------
+        arguments : sequence of (n_i, n) or (n_i,) arrays
+            A row for every entry, or one number for all of the n runs. They are looked up at every call.
+        """
+        runs = next(a.shape[1] for a in arguments if a.ndim == 2)
+        out = np.empty((self.function.numel_out(0), runs))
+        room = np.empty((self._work_size, runs))
+        value: list[Any] = [0.0] * len(room)
+        calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
+        for op, inputs, outputs, number in self.instructions:
+            if op == ca.OP_INPUT:
+                value[outputs[0]] = arguments[inputs[0]][inputs[1]]
+            elif op == ca.OP_CONST:
+                value[outputs[0]] = number
+            elif op == ca.OP_OUTPUT:
+                calls.append((np.copyto, (out[outputs[1]], value[inputs[0]])))
+            else:
+                calls.append((_into_room(op), (*(value[i] for i in inputs), room[outputs[0]])))
+                value[outputs[0]] = room[outputs[0]]
+
+        def run() -> None:
+            """Carry out the instructions."""
+            with np.errstate(all="ignore"):
+                for call, operands in calls:
+                    call(*operands)
+
+        return out, run
 
 
 def check_sizes(function: ca.Function, arguments: Sequence[Any]) -> None:
@@ -197,3 +219,12 @@ def _returning(kind: Any, call: Callable[..., Any]) -> Callable[..., Any]:
     if kind is float:
         return lambda *values: call(*values) * 1.0
     return lambda *values: call(*values).to(kind)
+
+
+@cache
+def _into_room(op: int) -> Callable[..., Any]:
+    """(operands, out) → an operation that writes to `out`."""
+    if op in _IN_PLACE:
+        return _IN_PLACE[op]
+    plain = numpy_operations()[op]
+    return plain if isinstance(plain, np.ufunc) else lambda *operands: np.copyto(operands[-1], plain(*operands[:-1]))

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.plants.casadi_arrays import Operations, Tape, Vectorised
+from ccdtools.plants.casadi_arrays import Operations, Vectorised
 from ccdtools.plants.symbols import elements
 from ccdtools.plants.tolerances import AT_POINT, JUMP_LINES, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
 
@@ -59,13 +59,13 @@ class Switches:
         self.f = f
         self.sizes = [f.numel_in(i) for i in range(4)]
         self.names: list[tuple[str, ...]] = [()] * f.numel_out(0)
-        tape = Tape(f, "dynamics")
+        tape = Vectorised(f)
         if any(op in NAMES for op, *_ in tape.instructions):
             arguments = [ca.SX.sym(name, n) for name, n in zip("xuwp", self.sizes)]
             positions = ca.SX(ca.vertcat(*self._read(tape, arguments)))
             self._positions = ca.Function("positions", arguments, [positions])
 
-    def _read(self, tape: Tape, arguments: list[ca.SX]) -> list[ca.SX]:
+    def _read(self, tape: Vectorised, arguments: list[ca.SX]) -> list[ca.SX]:
         """Fill in `names`; expressions that change where a switch is thrown."""
         positions: list[ca.SX] = []
 

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_instance, shown
+from ccdtools.checks import as_count, as_different, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.integration_error import IntegrationError
@@ -84,12 +84,9 @@ def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:
         raise InputError("model", "no disturbance", "one whose disturbance is known ahead")
     if channels is None:
         return tuple(range(nw))
-    expected = f"different whole numbers from 0 to {nw - 1}"
-    if isinstance(channels, str) or not isinstance(channels, Sequence | np.ndarray):
-        raise InputError("channels", shown(channels), expected)
-    known = tuple(as_count("channels", channel, least=0) for channel in channels)
-    if not known or len(set(known)) != len(known) or max(known) >= nw:
-        raise InputError("channels", shown(list(known)), expected)
+    known = as_different("channels", channels, 0, nw - 1)
+    if not known:
+        raise InputError("channels", "[]", f"different whole numbers from 0 to {nw - 1}")
     return known
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.plants.casadi_arrays import Tape, Vectorised, check_sizes
-from ccdtools.plants.on_rows import InPlace, Native, as_rows
-from ccdtools.plants.tolerances import FEW_ROWS, RUNS_AT_ONCE
+from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
+from ccdtools.plants.tolerances import FEW_ROWS, KEPT_SIZES, RUNS_AT_ONCE
 
 
 class ExplicitStep:
@@ -57,18 +57,23 @@ class ExplicitStep:
 
     @cached_property
     def _vectorised(self) -> Vectorised:
-        """Substep on tensors."""
+        """Substep on tensors and on many rows."""
         return Vectorised(self.substep)
 
     @cached_property
-    def _native(self) -> Native:
+    def _native(self) -> Callable[..., Array]:
         """The whole step on few rows."""
-        return Native(self.function)
+        return _on_rows(self.function)
 
     @cached_property
-    def _tape(self) -> Tape:
-        """Substep on many rows."""
-        return Tape(self.substep, "dynamics")
+    def _slopes_of_sample(self) -> Callable[..., Array]:
+        """Slopes of the whole sample, for few runs."""
+        return _on_rows(_slopes_of(self.function))
+
+    @cached_property
+    def _slopes_of_part(self) -> Vectorised:
+        """Slopes of a part of the sample, for many runs."""
+        return Vectorised(_slopes_of(self.substep))
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
@@ -98,11 +103,80 @@ class ExplicitStep:
 
     def path(self, x: Array, held: tuple[Array, ...]) -> list[Array]:
         """States (nx, n) before each part of the sample and at its end."""
-        state = as_rows(x)
-        step = InPlace(self._tape, [state, *map(as_rows, held)])
+        state = _as_rows(x)
+        after, step = self._vectorised.in_place([state, *map(_as_rows, held)])
         states = [state.copy()]
         for _ in range(self.substeps):
-            step.run()
-            state[:] = step.out
+            step()
+            state[:] = after
             states.append(state.copy())
         return states
+
+    def slopes(self, x: Array, held: tuple[Array, ...], states: list[Array], multiplier: Array) -> list[Array]:
+        """Products (n, ·) of a multiplier (n, nx) with ∂x⁺/∂x, ∂x⁺/∂u, ∂x⁺/∂w, ∂x⁺/∂p.
+
+        For many runs `states` are those of `path`; for few they are empty.
+        """
+        ends = np.cumsum([self.substep.numel_in(i) for i in range(3)])
+        if not states:
+            return np.split(self._slopes_of_sample(x, *held, multiplier), ends, axis=1)
+        state = np.empty_like(states[0])
+        factor = _as_rows(multiplier)
+        found, part = self._slopes_of_part.in_place([state, *map(_as_rows, held), factor])
+        total = np.zeros_like(found)
+        for before in reversed(states[:-1]):  # part by part backwards
+            state[:] = before
+            part()
+            factor[:] = found[: len(state)]
+            total += found
+        total[: len(state)] = factor
+        return np.split(total.T, ends, axis=1)
+
+
+def _slopes_of(step: ca.Function) -> ca.Function:
+    """(x, u, w, p, m) → slopes of m'x⁺ by x, u, w and p, stacked."""
+    arguments: list[Any] = [ca.SX.sym(name, *step.size_in(i)) for i, name in enumerate("xuwp")]
+    multiplier = ca.SX.sym("m", *step.size_out(0))
+    slopes = ca.gradient(ca.dot(multiplier, step(*arguments)), ca.vertcat(*arguments))
+    return ca.Function("slopes", [*arguments, multiplier], [ca.densify(slopes)])
+
+
+def _on_rows(function: ca.Function) -> Callable[..., Array]:
+    """CasADi function of vectors, with one output, on rows of arrays, by CasADi's own machine.
+
+    It takes a nanosecond or two for an instruction and row; an array operation takes most of a microsecond however few
+    rows there are. Results differ by rounding.
+
+    Returns
+    -------
+    callable
+        Values (n, n_out) at arguments (n, n_i), or (n_i,) common to all rows.
+    """
+
+    @lru_cache(KEPT_SIZES)
+    def for_rows(rows: int, common: tuple[int, ...]) -> ca.Function:
+        """Function for so many rows, with some arguments common to all."""
+        return function if rows == 1 else function.map(f"{function.name()}_{rows}", "serial", rows, list(common), [])
+
+    def evaluated(*arguments: Array) -> Array:
+        """Values of all rows."""
+        rows = next(len(a) for a in arguments if a.ndim == 2)
+        out = np.empty((rows, function.numel_out(0)))
+        if not rows:
+            return out
+        made: Any = for_rows(rows, tuple(i for i, a in enumerate(arguments) if a.ndim == 1)).buffer()
+        buffer, evaluate = made
+        given = [np.ascontiguousarray(a, dtype=float) for a in arguments]  # held: the buffer has their addresses only
+        for i, a in enumerate(given):
+            if a.size:
+                buffer.set_arg(i, memoryview(a))  # type: ignore[arg-type]
+        buffer.set_res(0, memoryview(out))  # type: ignore[arg-type]
+        evaluate()
+        return out
+
+    return evaluated
+
+
+def _as_rows(columns: Array) -> Array:
+    """Rows (k, n) of numbers (n, k) in double precision; (k,) as they are."""
+    return np.array(columns.T, dtype=float, order="C")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -107,10 +107,10 @@ class SampledModel(Immutable, DiscreteModel):
 
         Where the step is implicit, `advance`.
         """
-        from ccdtools.plants.pathwise_step import PathwiseStep
+        from ccdtools.plants.pathwise_step import pathwise
 
         own = self._own_step
-        return self._with_errors(PathwiseStep(own)) if isinstance(own, ExplicitStep) else self.advance
+        return self._with_errors(partial(pathwise, own)) if isinstance(own, ExplicitStep) else self.advance
 
     def _with_errors(self, own: Callable[..., Any]) -> Callable[..., Any]:
         """(x, u, (w, r), p) → x⁺ + r of a step without errors, if the model has them."""

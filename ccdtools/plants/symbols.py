@@ -12,7 +12,7 @@ import numpy as np
 from ccdtools.arrays import Immutable
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import Tape
+from ccdtools.plants.casadi_arrays import Vectorised
 
 MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
 
@@ -111,7 +111,7 @@ def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
     if any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions())):
         return ca.fabs(function(*arguments))
     entries = [[(value, ca.fabs(value)) for value in elements(column)] for column in arguments]
-    tape = Tape(function)
+    tape = Vectorised(function)
     operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
     (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
     sizes: ca.SX = ca.vertcat(*(size for _, size in rows))

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import Tape, torch_operations
+from ccdtools.plants.casadi_arrays import Vectorised, torch_operations
 
 
 def to_torch(function: ca.Function) -> TorchFunction:
@@ -68,7 +68,7 @@ class TorchFunction:
     def __init__(self, function: ca.Function) -> None:
         self.function = function
         try:
-            self._tape: Tape | None = Tape(function)
+            self._tape: Vectorised | None = Vectorised(function, "function")
         except InputError as error:
             self._tape = None
             warnings.warn(

@@ -17,7 +17,7 @@ from ccdtools.co_design.limit_tolerance import Pair
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MPC_RUNS
 from ccdtools.evidence.evidence import Violation
-from ccdtools.limits import RunViolations, StateLimits
+from ccdtools.limits import Excursions
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -48,9 +48,10 @@ def violation(
     asked = problem.limit_tolerance
     if asked == "off":
         return None
-    limits, former = (StateLimits(problem.state_limits(run.design)) for run in (after, before))
-    own = RunViolations.from_trajectory(after, limits, plant, problem.output_limits)
-    other = RunViolations.from_trajectory(before, former, plant, problem.output_limits)
+    (whole, own), (_, other) = (
+        Excursions.from_trajectory(run, problem.state_limits(run.design), plant, problem.output_limits)
+        for run in (after, before)
+    )
     if max(_pair(own).values()) <= LEAST_TOLERANCE and isinstance(asked, str):
         return None
     suspect = [name for name in MEASURES if _further(own, other, name)]
@@ -58,15 +59,15 @@ def violation(
         return None
     by_mpc = isinstance(asked, str)
     runs = min(len(scenario.x0), fewer_runs(MPC_RUNS, scenario.steps)) if by_mpc else len(after.states)
-    allowed = _by_mpc(problem, scenario.first(runs), after.design, limits) if isinstance(asked, str) else Pair(*asked)
+    allowed = _by_mpc(problem, scenario.first(runs), after.design) if isinstance(asked, str) else Pair(*asked)
     achieved = _pair(own, runs)
     broken = {name: a > g for name, a, g in zip(MEASURES, achieved.values(), allowed.values())}
     if not any(broken[name] for name in suspect):
         return None
-    return Violation(achieved.values(), _pair(other, runs).values(), allowed.values(), own.whole.exceeded, by_mpc)
+    return Violation(achieved.values(), _pair(other, runs).values(), allowed.values(), whole.exceeded, by_mpc)
 
 
-def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits: StateLimits) -> Pair:
+def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array) -> Pair:
     """Tolerance of 1.25 times what MPC does; the least if it loses all runs."""
     least = Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
     try:
@@ -77,22 +78,23 @@ def _by_mpc(problem: CoDesignProblem, scenario: Scenario, design: Array, limits:
         return least
     if run.diverged.all():
         return least
-    done = _pair(RunViolations.from_trajectory(run, limits, None, problem.output_limits))
+    X = problem.state_limits(design)
+    done = _pair(Excursions.from_trajectory(run, X, None, problem.output_limits)[1])
     return Pair(*(max(LEAST_TOLERANCE, BESIDE_MPC * value) for value in done.values()))
 
 
-def _pair(outside: RunViolations, runs: int | None = None) -> Pair:
+def _pair(outside: Excursions, runs: int | None = None) -> Pair:
     """Mean fraction and peak over the first `runs`, or all stretches; 0 of none."""
     first = slice(None) if outside.single else slice(runs)
-    kept = ~outside.lost[first]
-    means = (getattr(outside.pieces, name)[first][kept] for name in MEASURES)
+    kept = ~np.asarray(outside.lost)[first]
+    means = (getattr(outside, name)[first][kept] for name in MEASURES)
     return Pair(*(float(values.mean()) if len(values) else 0.0 for values in means))
 
 
-def _further(own: RunViolations, other: RunViolations, name: str) -> bool:
+def _further(own: Excursions, other: Excursions, name: str) -> bool:
     """Whether a measure is larger on runs neither lost, beyond chance if known."""
-    kept = ~(own.lost | other.lost)
-    values, others = (getattr(one.pieces, name)[kept] for one in (own, other))
+    kept = ~(np.asarray(own.lost) | np.asarray(other.lost))
+    values, others = (getattr(one, name)[kept] for one in (own, other))
     if not len(values) or not values.mean() > others.mean():
         return False
     found = mean_interval(values - others) if own.single else paired_difference(values, others)

@@ -13,7 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.path_limits import input_names, path_limits, state_names
+from ccdtools.co_design.methods.path_limits import path_limits
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
@@ -152,15 +152,15 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
 
     def path(x: Any, u: Any, p: Any) -> Any:
         """Limits, each ≤ 0."""
-        return ca.vertcat(*(limit.values(x, applied(x, u, p), p[:size]) for limit in limits))
+        return ca.vertcat(*(limit.scaled.function(nx, nu, size)(x, applied(x, u, p), p[:size]) for limit in limits))
 
     return Phase(
         dynamics=lambda x, u, w, p: step(x, applied(x, u, p), w, p[:size]), states=nx,
         inputs=0 if feedback is not None else nu, stage_cost=lambda x, u, p: stage(x, applied(x, u, p), p[:size]),
         terminal_cost=lambda x, p: terminal(x, p[:size]) - first_cost(problem, x0), start=x0, duration=len(w),
         discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
-        path=path if limits else None, signal=signal, guess=guess, state_names=state_names(problem),
-        input_names=() if feedback is not None else input_names(problem),
+        path=path if limits else None, signal=signal, guess=guess, state_names=problem.state_names,
+        input_names=() if feedback is not None else problem.input_names,
     )  # fmt: skip
 
 

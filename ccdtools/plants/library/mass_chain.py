@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from ccdtools.checks import as_count, as_flag, as_positive, shown
+from ccdtools.checks import as_count, as_different, as_flag, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import dry_friction, hardening_spring
@@ -45,8 +45,8 @@ def mass_chain(n: int = 10, *, mass: float = 1.0, walls: int = 2, driven: Sequen
     mass = as_positive("mass", mass, unit="kg")
     if as_count("walls", walls) > 2:
         raise InputError("walls", walls, "1 or 2")
-    pushed = _numbers("driven", driven, n)
-    shaken = _numbers("disturbed", (n,) if disturbed is None else disturbed, n)
+    pushed = as_different("driven", driven, 1, n)
+    shaken = as_different("disturbed", (n,) if disturbed is None else disturbed, 1, n)
     real = as_flag("real", real)
     x = ca.SX.sym("x", 2 * n)
     u = ca.SX.sym("u", len(pushed))
@@ -74,14 +74,3 @@ def _links(q: ca.SX, v: ca.SX, p: ca.SX, walls: int, *, real: bool) -> ca.SX:
     if walls == 1:
         tension[-1] = 0
     return ca.densify(tension)
-
-
-def _numbers(argument: str, value: Sequence[int], n: int) -> tuple[int, ...]:
-    """Different numbers of masses, from 1 to n."""
-    expected = f"different whole numbers from 1 to {n}"
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise InputError(argument, shown(value), expected)
-    numbers = tuple(as_count(argument, number) for number in value)
-    if len(set(numbers)) != len(numbers) or any(number > n for number in numbers):
-        raise InputError(argument, list(numbers), expected)
-    return numbers

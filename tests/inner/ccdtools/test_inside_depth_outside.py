@@ -7,23 +7,28 @@ import numpy as np
 from scipy import signal
 
 from ccdtools import depth_outside, excursions
-from ccdtools.limits import Excursions, StateLimits, further_outside
+from ccdtools.limits import Excursions, further_outside
+from ccdtools.output_limits import limits_of
 from invariant_sets import Polytope
 
 BOX = Polytope.from_bounds([-1.0, -0.5], [3.0, 0.5])  # half-widths 2 and 0.5
 
 
 def test_limits_and_excursions_can_be_copied_and_pickled():
-    for made in (StateLimits(BOX), excursions([[5, 0.0]], BOX)):
+    for made in (excursions([[5, 0.0]], BOX),):
         for again in (copy.deepcopy(made), pickle.loads(pickle.dumps(made))):
             assert repr(again) == repr(made)
-    again = pickle.loads(pickle.dumps(StateLimits(BOX)))
-    np.testing.assert_array_equal(depth_outside([5, 0.0], again), depth_outside([5, 0.0], BOX))
+    limits = limits_of(BOX)
+    x, nothing = np.array([5, 0.0]), np.zeros(0)
+    depths = limits.depths(x, nothing, nothing)
+    np.testing.assert_array_equal(depths.max(), depth_outside(x, BOX))
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(limits)).depths(x, nothing, nothing), depths)
 
 
-def peaks(values, fraction=0.0):
+def peaks(values, fraction=0.0, **options):
     """Excursions with these peaks."""
-    return Excursions(np.full(len(values), fraction), np.zeros(len(values)), np.asarray(values, dtype=float))
+    n = len(values)
+    return Excursions(np.full(n, fraction), np.zeros(n), np.asarray(values, dtype=float), **options)
 
 
 def test_further_outside_needs_a_difference_that_is_certain_and_matters(rng):
@@ -44,7 +49,7 @@ def test_stretches_of_one_run_are_one_correlated_series():
         steps = np.random.default_rng(seed).standard_normal((2, 60))
         one, other = (np.abs(0.3 * signal.lfilter([1], [1, -0.9], s)) for s in steps)
         for stretches in told:
-            told[stretches] += further_outside(peaks(one), peaks(other), stretches=stretches)
+            told[stretches] += further_outside(peaks(one, single=stretches), peaks(other))
     assert told[True] <= 8 < 15 <= told[False]
     noise = np.random.default_rng(0).uniform(0, 0.2, 60)
-    assert further_outside(peaks(noise + 0.3), peaks(noise[::-1]), stretches=True)
+    assert further_outside(peaks(noise + 0.3, single=True), peaks(noise[::-1]))

@@ -119,18 +119,24 @@ def priced():
     return penalty, Episode(-100 * full, full < 0, depth, 0.045 * full, 0.09 * full), at
 
 
-def test_the_cost_prices_peak_and_mean_depth_in_parts_of_the_return(priced):
-    penalty, seen, v = priced
+def by_unit(penalty, seen, v):
+    """What a unit of depth, of peak and of the design costs at these prices."""
+    none, one = torch.zeros(2, dtype=torch.float64), torch.ones(2, dtype=torch.float64)
+    units = ((one, none, none[:1]), (none, one, none[:1]), (none, none, one[:1]))
     prices = penalty.prices(seen, v)
-    np.testing.assert_allclose(prices.peak, 100 * 0.3 / 0.05)
-    np.testing.assert_allclose(prices.depth, 100 * 0.2 / 0.1 / 0.25)
-    np.testing.assert_allclose(prices.design, -100 * 0.3 * 0.9 * 2.0)  # a larger tolerance has less to pay
+    return [float(prices(replace(seen, depth=depth, peak=peak), step).mean()) for depth, peak, step in units]
+
+
+def test_the_cost_prices_peak_and_mean_depth_in_parts_of_the_return(priced):
+    depth, peak, design = by_unit(*priced)
+    np.testing.assert_allclose(peak, 100 * 0.3 / 0.05)
+    np.testing.assert_allclose(depth, 100 * 0.2 / 0.1 / 0.25)
+    np.testing.assert_allclose(design, -100 * 0.3 * 0.9 * 2.0)  # a larger tolerance has less to pay
 
 
 def test_the_prices_are_the_slopes_of_the_cost(priced):
     penalty, seen, v = priced
     seen = replace(seen, peak=1.4 * seen.peak)
-    prices = penalty.prices(seen, v)
     h = 1e-6
     slopes = [
         (penalty.cost(replace(seen, depth=seen.depth + h), v) - penalty.cost(replace(seen, depth=seen.depth - h), v)),
@@ -138,7 +144,7 @@ def test_the_prices_are_the_slopes_of_the_cost(priced):
         (penalty.cost(seen, v + h) - penalty.cost(seen, v - h)),
     ]
     expected = np.array([float(slope) for slope in slopes]) / (2 * h)
-    np.testing.assert_allclose([prices.depth, prices.peak, float(prices.design)], expected, rtol=1e-5)
+    np.testing.assert_allclose(by_unit(penalty, seen, v), expected, rtol=1e-5)
 
 
 def test_an_outcome_that_is_kept_says_by_how_much():
