@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_array, as_floats, as_vector, finite
 from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
@@ -97,9 +97,14 @@ def predicted_covariance(P: Array, F: Array, W: Array) -> Array:
     return symmetric(F @ P @ transposed(F) + W)
 
 
+def innovation_covariance(P: Array, H: Array, V: Array) -> Array:
+    """Innovation covariance H P Hᵀ + V."""
+    return symmetric(H @ P @ transposed(H) + V)
+
+
 def gain_of(P: Array, H: Array, V: Array) -> Array:
     """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹ (..., nx, ny), in any units."""
-    S = symmetric(H @ P @ transposed(H) + V)
+    S = innovation_covariance(P, H, V)
     unit = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
     scaled = S / unit[..., :, None] / unit[..., None, :]
     found = np.linalg.solve(scaled, (H @ P) / unit[..., :, None]) / unit[..., :, None]
@@ -113,41 +118,10 @@ def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
 
 
 class Filter(Immutable):
-    """Base of the filters, which have no memory: constant and costly to build, so copies are the same object.
-
-    A filter has its covariances W and V, its sizes and a start, and says where the state and the output are expected.
-    """
-
-    W: ArrayField
-    V: ArrayField
+    """Base of the filters, which have no memory: constant and costly to build, so copies are the same object."""
 
     def __deepcopy__(self, memory: Any) -> Self:
         return self
-
-    def transition(self, mean: Array, u: Array) -> tuple[Array, Array]:
-        """Next states (n, nx) after inputs (n, nu), and slopes ∂x⁺/∂x (nx, nx) or (n, nx, nx)."""
-        raise NotImplementedError
-
-    def expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
-        """Outputs (n, ny) after inputs (n, nu), and slopes ∂y/∂x (ny, nx) or (n, ny, nx)."""
-        raise NotImplementedError
-
-    def predict(self, belief: Belief, u: Array) -> Belief:
-        """Belief one sample later, after inputs (n, nu)."""
-        mean, F = self.transition(belief.mean, u)
-        return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
-
-    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovation of outputs (n, ny) measured after inputs (n, nu), and its covariance."""
-        expected, H = self.expected(belief, u)
-        return y - expected, symmetric(H @ belief.covariance @ transposed(H) + self.V)
-
-    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        expected, H = self.expected(belief, u)
-        K = gain_of(belief.covariance, H, self.V)
-        mean = belief.mean + (K @ (y - expected)[:, :, None])[:, :, 0]
-        return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
 
     def filter(self, outputs: ArrayLike, inputs: ArrayLike) -> Estimates:
         """Estimates along outputs ([n,] T, ny) and inputs ([n,] T, nu).

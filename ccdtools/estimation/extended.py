@@ -13,7 +13,16 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, frozen
 from ccdtools.checks import as_count, as_instance
-from ccdtools.estimation.belief import Belief, Filter, as_noise_covariances, as_start
+from ccdtools.estimation.belief import (
+    Belief,
+    Filter,
+    as_noise_covariances,
+    as_start,
+    gain_of,
+    innovation_covariance,
+    predicted_covariance,
+    updated_covariance,
+)
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
 from ccdtools.estimation.steady_state import Detectability, detectability
@@ -153,15 +162,27 @@ class ExtendedKalmanFilter(Filter):
         """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
 
-    def transition(self, mean: Array, u: Array) -> tuple[Array, Array]:
-        """Next states (n, nx), and slopes ∂x⁺/∂x (nx, nx) or (n, nx, nx)."""
-        return self._f(mean, u)
+    def predict(self, belief: Belief, u: Array) -> Belief:
+        """Belief one sample later, after inputs (n, nu)."""
+        mean, F = self._f(belief.mean, u)
+        return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
 
-    def expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
-        """Outputs (n, ny), and their slopes at the estimates."""
+    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
+        """Innovation of y (n, ny) after u (n, nu), and first-order covariance (n, ny, ny)."""
+        return y - self._h.of(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
+
+    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
+        H = self._slope(belief, u)
+        K = gain_of(belief.covariance, H, self.V)
+        innovation = y - self._h.of(belief.mean, u)
+        mean = belief.mean + (K @ innovation[:, :, None])[:, :, 0]
+        return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
+
+    def _slope(self, belief: Belief, u: Array) -> Array:
+        """Slope ∂h/∂x at the estimates."""
         variances = np.diagonal(belief.covariance, axis1=-2, axis2=-1)
-        slope = self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
-        return self._h.of(belief.mean, u), slope
+        return self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:

@@ -16,6 +16,7 @@ from ccdtools.estimation.belief import (
     as_noise_covariances,
     as_start,
     gain_of,
+    innovation_covariance,
     predicted_covariance,
     updated_covariance,
 )
@@ -183,10 +184,22 @@ class KalmanFilter(Filter):
         """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), self.predicted if self.steady else self.P0)
 
-    def transition(self, mean: Array, u: Array) -> tuple[Array, Array]:
-        """Next states (n, nx), and A."""
-        return mean @ self.A.T + u @ self.B.T, self.A
+    def predict(self, belief: Belief, u: Array) -> Belief:
+        """Belief one sample later, after inputs (n, nu)."""
+        mean = belief.mean @ self.A.T + u @ self.B.T
+        P = self.predicted if self.steady else predicted_covariance(belief.covariance, self.A, self.W)
+        return Belief(mean, P)
 
-    def expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
-        """Outputs (n, ny), and C."""
-        return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C
+    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
+        """Innovation of y (n, ny) after u (n, nu), and covariance (ny, ny)."""
+        return self._surprise(belief, y, u), innovation_covariance(belief.covariance, self.C, self.V)
+
+    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
+        K = self.gain if self.steady else gain_of(belief.covariance, self.C, self.V)
+        P = self.covariance if self.steady else updated_covariance(belief.covariance, self.C, self.V, K)
+        return Belief(belief.mean + self._surprise(belief, y, u) @ K.T, P)
+
+    def _surprise(self, belief: Belief, y: Array, u: Array) -> Array:
+        """Innovation: y (n, ny) less what is expected."""
+        return np.asarray(y - belief.mean @ self.C.T - u @ self.D.T - self.y0)
