@@ -13,7 +13,7 @@ from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.plant import Plant
-from ccdtools.vehicles.quarter_car import STATES, QuarterCar, motion
+from ccdtools.vehicles.quarter_car import STATES, QuarterCar
 
 NAMES = ("d", "D", "p", "N_a", "D_o", "D_p", "D_s")
 LOWER = (0.005, 0.05, 0.02, 3.0, 0.003, 0.03, 0.1)
@@ -209,7 +209,8 @@ def detailed_active_suspension(*, published: bool = False, car: QuarterCar | Non
     strut = Strut.of(p, *parts, load)
     deflection, wheel, travel, body = ca.vertsplit(x)
     lift = u - strut.spring.stiffness * travel - strut.damper.damping * (body - wheel)
-    dynamics = motion(car, x, w, lift, -car.tyre * deflection)
+    ground = -car.tyre * deflection
+    dynamics = ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)
     kept = strut.along(travel, body - wheel, as_flag("published", published))
     of_design = strut.of_design() | strut.at_rest()
     design = DesignSpace(

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
-from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
@@ -23,6 +21,8 @@ from ccdtools.plants.sampled_model import SampledModel
 from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from mpc.optimal_control import NonlinearMPC
 
 HORIZON = 20  # The MPC looks ahead so many steps.
@@ -167,6 +167,8 @@ class DesignLaw:
 
 def _clipped(problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:
     """Law u = clip(−K(p) x), K(p) by each design's Riccati equation, with its exact slope."""
+    import torch
+
     at = p.detach()
     if p.requires_grad:
         found = lqr_sensitivity(**regulator_data(problem, at.numpy()))
