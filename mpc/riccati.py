@@ -16,12 +16,13 @@ from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
 from mpc.tolerances import (
     DOUBLED,
+    GAINED,
     NEAR_CIRCLE,
     NEGATIVE_WEIGHT,
     REACH,
     RICCATI,
     ROUNDED_SUM,
-    SETTLED,
+    SETTLED_MARGIN,
     UNIT_CIRCLE,
     UNSEEN,
 )
@@ -163,9 +164,9 @@ class _Regulation:
                 return None
             root = self._root_of(K)
             K_after, after = self.gain(root), root.T @ root
-            settled = abs(self._margin(K_after) - margin) <= SETTLED * margin
+            settled = abs(self._margin(K_after) - margin) <= SETTLED_MARGIN * margin
             if settled and _relative(after - P, after) <= RICCATI:  # of the last step most may be rounding
-                gained = _relative(self._missed(K_after, after), P) <= SETTLED * _relative(self._missed(K, P), P)
+                gained = _relative(self._missed(K_after, after), P) <= GAINED * _relative(self._missed(K, P), P)
                 K, P = (K_after, after) if gained else (K, P)
                 return (K, P) if margin > NEAR_CIRCLE or self._is_seen(K, P) else None
             K, P = K_after, after

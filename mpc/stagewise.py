@@ -16,7 +16,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.stages import QPStage
-from mpc.tolerances import HORIZON_ROUNDING, KKT_REPORTED, NEWTON, ROUNDING
+from mpc.tolerances import FEEDBACK_ROUNDING, KKT_REPORTED, NEWTON, ROUNDING, SLACK_FLOOR
 
 Arrays = list[Array]
 
@@ -80,13 +80,13 @@ class _Iteration:
             self.residuals.append(np.where(np.abs(r) <= ROUNDING * terms, 0.0, r))
             over = np.maximum(np.abs(r) - np.abs(st.C) @ self.noise(k), 0.0)
             self.violation = max(self.violation, float(np.max(over / np.maximum(terms, 1.0), initial=0.0)))
-        self.open = [s > HORIZON_ROUNDING for s in self.slacks]  # the others are at their bounds to all digits
+        self.open = [s > SLACK_FLOOR for s in self.slacks]  # the others are at their bounds to all digits
         self.weights = [y / s for y, s in zip(self.multipliers, self.slacks)]
         self._factorise()
 
     def noise(self, k: int) -> Array:
         """Rounding of the variables of stage k through feedback."""
-        return HORIZON_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
+        return FEEDBACK_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
 
     def largest_step(self, direction: _Direction) -> float:
         """Largest change of an input in a Newton step, beyond rounding."""
@@ -166,7 +166,7 @@ class _Iteration:
             self.variables[k] = self.variables[k] + length * f + K @ (states[k] - self.states[k])
             states.append(st.A @ states[k] + st.B @ self.variables[k] + st.c)
         self.states = states[:-1]
-        self.slacks = [np.maximum(s + length * ds, HORIZON_ROUNDING) for s, ds in zip(self.slacks, direction.slacks)]
+        self.slacks = [np.maximum(s + length * ds, SLACK_FLOOR) for s, ds in zip(self.slacks, direction.slacks)]
         self.multipliers = [
             np.maximum(y + length * dy, np.finfo(float).tiny) for y, dy in zip(self.multipliers, direction.multipliers)
         ]

@@ -45,12 +45,13 @@ EMPTY = 1e-9
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
 SMALL_STATE = 1e-3
 FAR = 1e4  # Distance in units of a set beyond which only the direction of a point counts for its projection [-]
+# Growth of an unstable plant over the horizon up to which costates keep the digits that a check needs [-]
+REMEMBERED = 1e6
 # Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator
 OVERFLOW = 1e100
 
 # ---- unstable plants ----
-# Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback, and the
-# root of that from which on costates have lost the digits that a check needs [-]
+# Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback [-]
 GROWTH = 1e3
 RUNAWAY = 1e7  # Feedback Kx, in units of the limits of u, beyond which too few digits of u = v - Kx are left [-]
 
@@ -70,9 +71,9 @@ UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts 
 NEAR_CIRCLE = 1e-6
 # Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]
 RICCATI = 1e-4
-# Last relative change of the distance of the closed loop from the unit circle that is accepted, and part of its
-# residual that a Newton step must leave to be taken where it may be rounding [-]
-SETTLED = 0.1
+GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken where it may be rounding [-]
+# Last relative change of the distance of the closed loop from the unit circle that is accepted [-]
+SETTLED_MARGIN = 0.1
 DOUBLED = 1e-9  # Root of the last term of a sum of doubled terms, relative to that of the sum, that is left out [-]
 # Relative distance of (Q, A) from not seeing a mode on the unit circle below which it counts as unseen [-]
 UNSEEN = 1e-8
@@ -88,9 +89,9 @@ STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or
 
 # ---- stage-by-stage solution, in scaled variables ----
 FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
-# Least slack of a row in units of its bound, and relative rounding of a state that has come about over a whole horizon
-# [-]: its feedback is no more exact
-HORIZON_ROUNDING = 1e-14
+SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
+# Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
+FEEDBACK_ROUNDING = 1e-14
 ROUNDING = 1e-15  # Residual of a row, relative to its terms, that is rounding [-]
 
 # ---- targets ----
