@@ -148,8 +148,8 @@ class PID(Remembering):
             raise InputError("x", f"shape {states.shape}", f"({self.C.shape[1]},) or (n, {self.C.shape[1]})")
         y = np.atleast_2d(states) @ self.C.T
         memory = self._memory
-        if len(memory.get("integral", ())) != len(y):
-            self.reset(len(y))
+        if "integral" not in memory or len(memory["integral"]) != len(y):
+            memory.update(integral=np.zeros(y.shape), last=None)
         rate = np.zeros_like(y) if memory["last"] is None else (y - memory["last"]) / self.dt
         integral = memory["integral"] + self.dt * y
         wanted = -(self.kp * y + self.ki * integral + self.kd * rate)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -65,11 +65,6 @@ class Filtered(Around):
     admissible : AdmissibleInputs
         Of the model at the same design, for example `admissible_inputs(problem, design)`.
 
-    Attributes
-    ----------
-    counts : FilterCounts
-        What it has done since it was made, over all simulations.
-
     Raises
     ------
     InputError
@@ -89,7 +84,7 @@ class Filtered(Around):
     passed_on: ClassVar[tuple[str, ...]] = ("needs", "horizon", "design", "reset", "agent", "loop")
     controller: Controller
     admissible: AdmissibleInputs
-    counts: FilterCounts = field(default_factory=FilterCounts, kw_only=True)
+    _counts: FilterCounts = field(default_factory=FilterCounts, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controller", as_controller(self.controller))
@@ -99,6 +94,11 @@ class Filtered(Around):
 
     def __repr__(self) -> str:
         return f"Filtered({self.controller!r}, {self.admissible!r})"
+
+    @property
+    def counts(self) -> FilterCounts:
+        """Counts since the filter was made, over all simulations."""
+        return replace(self._counts)
 
     def uncounted(self) -> Filtered:
         """Copy with counts of its own."""
@@ -120,5 +120,5 @@ class Filtered(Around):
             u[known], admissible = self.admissible.project(rows[known], wanted[known])
             lower, upper = self.admissible.U.bounding_box()
             changed = (np.abs(u[known] - wanted[known]) > CHANGED_INPUT * (upper - lower)).any(axis=1)
-            self.counts.add(changed, admissible)
+            self._counts.add(changed, admissible)
         return u.reshape(shape)

@@ -63,12 +63,12 @@ class _LeastSquares:
         for _ in range(30):
             effects = self._effects(w[some], some) / lengths
             residual = self._residual(w[some], some)
-            step = part[some][:, None] * _least_squares(effects, residual)
-            moving = np.linalg.norm(np.einsum("nij,nj->ni", effects, step), axis=1) > SETTLED_STEP * self.size[some]
+            whole = _least_squares(effects, residual)
+            moving = np.linalg.norm(np.einsum("nij,nj->ni", effects, whole), axis=1) > SETTLED_STEP * self.size[some]
             if not moving.any():
                 break
             some = some[moving]
-            tried = w[some] + step[moving] / lengths
+            tried = w[some] + part[some][:, None] * whole[moving] / lengths
             better = np.linalg.norm(self._residual(tried, some), axis=1) < np.linalg.norm(residual[moving], axis=1)
             w[some[better]] = tried[better]
             part[some] = np.where(better, 1.0, part[some] / 4)

@@ -209,7 +209,7 @@ def _of_obstacles(phase: PhaseSolution, p: Array, places: Array, rows: Any, pass
     """Relative violations (n,) of obstacles that are thinner than 2^OBSTACLE_DOUBLINGS times the depth.
 
     Depth and thickness are those along the state or input for which the obstacle is thickest beside the depth, so that
-    units do not matter. Zero for all other limits.
+    units do not matter. Zero for all other limits, and where no state or input leads out.
     """
     found = np.zeros(len(places))
     own = np.flatnonzero((rows < len(phase.part.functions.path_names)) & (passed > 0) & np.isfinite(passed))
@@ -218,7 +218,7 @@ def _of_obstacles(phase: PhaseSolution, p: Array, places: Array, rows: Any, pass
     x, u, times = _along(phase, places[own])
     at = np.hstack([x, u])
     factors = 2.0 ** np.arange(1, OBSTACLE_DOUBLINGS + 1)
-    doublings = np.zeros(len(own))
+    doublings = np.full(len(own), -1)
     for axis, slope in enumerate(_path_slopes(phase, p, places[own], rows[own]).T):
         with np.errstate(divide="ignore", over="ignore"):
             ahead = passed[own] / slope
@@ -227,8 +227,8 @@ def _of_obstacles(phase: PhaseSolution, p: Array, places: Array, rows: Any, pass
         deeper[:, axis] += np.outer(ahead, factors - 1).ravel()
         seen = _path_violations(phase, p, deeper[:, : x.shape[1]], deeper[:, x.shape[1] :], times.repeat(len(factors)))
         inside = seen[rows[own].repeat(len(factors)), np.arange(len(deeper))].reshape(len(own), -1) > 0
-        doublings = np.maximum(doublings, np.where(ahead == 0, 0, inside.cumprod(axis=1).sum(axis=1)))
-    thin = doublings < OBSTACLE_DOUBLINGS
+        doublings = np.maximum(doublings, np.where(ahead == 0, -1, inside.cumprod(axis=1).sum(axis=1)))
+    thin = (doublings >= 0) & (doublings < OBSTACLE_DOUBLINGS)
     found[own[thin]] = LIMIT_PASSED * 2.0 ** (OBSTACLE_DOUBLINGS - doublings[thin])
     return found
 
