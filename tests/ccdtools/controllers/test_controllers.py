@@ -21,6 +21,7 @@ def test_one_state_gives_one_input_and_a_batch_gives_a_batch(controller, rng):
     single = np.array([controller(row) for row in x])
     assert single.shape == (6, 2)
     np.testing.assert_allclose(single, controller(x))
+    assert controller(x[:0]).shape == (0, 2)
 
 
 def test_doing_nothing_is_zero():

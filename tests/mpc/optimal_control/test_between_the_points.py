@@ -181,3 +181,13 @@ def test_the_depth_in_a_small_disc_counts_in_its_own_radius(unit):
     away = np.linalg.norm(found.x(np.linspace(0.49, 0.51, 100_001)) / unit - centre, axis=1)
     depth = 1 - away.min() / radius
     assert found.status is (OptimalControlStatus.LIMITS_PASSED if depth > 1e-3 else OptimalControlStatus.SOLVED)
+
+
+def test_a_limit_that_neither_state_nor_input_moves_is_no_obstacle():
+    phase = Phase(
+        lambda u: u, 1, 1, start=[0], end=[1], stage_cost=lambda u: u**2,
+        path=lambda t: ca.sin(3 * t) - 1 + 5e-8,
+    )  # fmt: skip
+    found = solve(build(phase, intervals=60))
+    assert found.status is OptimalControlStatus.SOLVED
+    assert 0 < found.excess < 1e-5
