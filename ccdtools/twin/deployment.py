@@ -208,7 +208,9 @@ class _DeployedPolicy:
             return False
         errors = residuals(self.problem.model, piece)
         errors = replace(errors, numbers=before + errors.numbers)
-        first, rest = (block_parts(errors, self.config.held_out, 1, last=last) for last in (False, True))
+        most = 1 - 1 / errors.runs if self._several else 1.0  # one run is left to train on
+        share = min(self.config.held_out, most)
+        first, rest = (block_parts(errors, share, 1, last=last) for last in (False, True))
         if not (first and rest) or min(part.steps for part in first + rest) < self.config.window:
             return False
         self.logs.append(errors)

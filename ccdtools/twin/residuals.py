@@ -126,7 +126,7 @@ def block_spans(log: Residuals, held_out: float, blocks: int, *, last: bool) -> 
     A single long run is cut into blocks; several runs, one after the other, are one block of whole runs.
     """
     if log.runs > 1:
-        cut = max(1, log.runs - max(1, round(held_out * log.runs)))
+        cut = log.runs - max(1, round(held_out * log.runs))
         kept = slice(cut, log.runs) if last else slice(0, cut)
         return [(kept, slice(0, log.steps))] if kept.start < kept.stop else []
     edges = np.linspace(0, log.steps, blocks + 1).round().astype(int)
