@@ -14,7 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known
-from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, NEAR_EDGE, ON_EDGE, TINY
+from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE, TINY
 from ccdtools_ground.user_functions import stopped
 
 COMPARISONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
@@ -156,7 +156,8 @@ class UnitConstraints:
         finite = np.isfinite(slopes) & (slopes > 0)
         normals = np.divide(J, slopes[:, None], out=np.zeros_like(J), where=finite[:, None])
         far = np.where(g < 0, np.inf, np.where(g > 0, -np.inf, 0.0))
-        far = np.divide(-g, own, out=far, where=np.isfinite(own) & (own > 0))
+        level = own <= LEVEL * np.abs(g)
+        far = np.divide(-g, own, out=far, where=np.isfinite(own) & ~level)
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
     def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
