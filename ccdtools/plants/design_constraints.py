@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from ccdtools.arrays import Array
 from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools.plants.symbols import as_expression, check_known, term_sizes
 from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE, TINY
 from ccdtools_ground.user_functions import stopped
 
@@ -78,6 +78,7 @@ class UnitConstraints:
 
     References
     ----------
+    Higham, "Accuracy and Stability of Numerical Algorithms", SIAM, 2002, section 3.3 (running errors).
     Schröder, Mathematische Annalen 2, 1870 (g/g′ has a simple root where g has one of any order).
     """
 
@@ -89,6 +90,7 @@ class UnitConstraints:
         prices = ca.SX.sym("prices", self.count)
         self._g = ca.Function("g", [v], [g])
         self._rows = ca.Function("rows", [v], [ca.vec(ca.densify(ca.jacobian(g, v)).T)])
+        self._rounding = ca.Function("rounding", [v], [np.finfo(float).eps * term_sizes(function, p)])
         self._curvature = ca.Function("H", [v, prices], [ca.densify(ca.hessian(ca.dot(prices, g), v)[0])])
         raw = _mapped(self._g, samples)
         self.not_finite = samples[~np.isfinite(raw).all(axis=1)]
@@ -133,14 +135,15 @@ class UnitConstraints:
         """Largest violation () or (n,) at points (n, np); infinite where a constraint is.
 
         Of a constraint it is the larger of g/|∇g|, in lengths of the unit box and below one, and g in parts of how
-        much g varies over the box.
+        much g varies over the box. What rounding may make of a zero is zero.
         """
         points = np.atleast_2d(v)
         g = _mapped(self._g, points)
         slopes = self._slopes(points)[1]
+        noise = _mapped(self._rounding, points)
         with np.errstate(invalid="ignore"):
             distance = g / np.hypot(slopes, np.maximum(np.abs(g), TINY))
-            over = np.where(g > 0, np.maximum(distance, g / self._scale), 0.0)
+            over = np.where(g > np.where(np.isfinite(noise), noise, 0.0), np.maximum(distance, g / self._scale), 0.0)
         worst = np.where(np.isfinite(g), over, np.inf).max(axis=1, initial=0.0)
         return worst if v.ndim == 2 else worst[0]
 
