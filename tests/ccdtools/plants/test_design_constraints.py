@@ -279,3 +279,8 @@ def test_an_edge_of_infinite_slope_is_not_near_everything():
 def test_a_constraint_on_no_parameters_is_refused():
     with pytest.raises(InputError, match=r"constraints: .*no parameters"):
         DesignSpace([], lower=[], upper=[], constraints=lambda p: -1.0)
+
+
+def test_rounding_of_a_constraint_that_only_a_fixed_entry_enters_breaks_nothing():
+    space = DesignSpace(["a", "b"], [0.3, 0], [0.3, 1], constraints=lambda p: 0.1 + 0.2 - p[0])
+    assert space.project([0.3, 0.5]) == pytest.approx([0.3, 0.5])
