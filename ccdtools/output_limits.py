@@ -181,7 +181,7 @@ def _limits_of_design(given: DesignLimits, names: Sequence[str]) -> OutputLimits
         """Distance beyond each bound, in half-widths."""
         z = u if given.argument == "U" else x
         lower, upper = ca.vertsplit(given.both.function(given.entries)(p), given.dim)
-        half = (upper - lower) / 2
+        half = ca.fabs(upper - lower) / 2  # a program may try designs whose bounds have crossed
         return ca.vertcat((z - upper) / half, (lower - z) / half)
 
     above, below = ([f"{name} {side} {given.argument}(p)" for name in names] for side in ("> upper", "< lower"))

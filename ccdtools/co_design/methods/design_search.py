@@ -26,6 +26,7 @@ from ccdtools.progress import bar
 
 OTHERS = "other whole numbers were never looked at: raise starts"
 
+
 @dataclass(eq=False)
 class DesignCost(ABC):
     """Cost (minus a return) over the unit box, with slope and controller.

@@ -15,9 +15,9 @@ BOX = Polytope.from_bounds([-1.0, -0.5], [3.0, 0.5])  # half-widths 2 and 0.5
 
 
 def test_limits_and_excursions_can_be_copied_and_pickled():
-    for made in (excursions([[5, 0.0]], BOX),):
-        for again in (copy.deepcopy(made), pickle.loads(pickle.dumps(made))):
-            assert repr(again) == repr(made)
+    made = excursions([[5, 0.0]], BOX)
+    for again in (copy.deepcopy(made), pickle.loads(pickle.dumps(made))):
+        assert repr(again) == repr(made)
     limits = limits_of(BOX)
     x, nothing = np.array([5, 0.0]), np.zeros(0)
     depths = limits.depths(x, nothing, nothing)

@@ -127,16 +127,15 @@ def test_the_second_look_takes_place_when_memory_is_nearly_full():
     search.begin()
     while search.done < search.queued:
         search.advance(1000)
-    regions = search
-    graph = regions.graph
+    graph = search.graph
     full = int(graph.counts[KNOWN]) + 1
-    regions.graph = graph._replace(masks=graph.masks[:full], kinds=graph.kinds[:full], queue=graph.queue[:full])
+    search.graph = graph._replace(masks=graph.masks[:full], kinds=graph.kinds[:full], queue=graph.queue[:full])
     asked = []
-    seed = regions.seed
-    regions.seed = lambda targets: asked.append(len(targets)) or seed(targets)
+    seed = search.seed
+    search.seed = lambda targets: asked.append(len(targets)) or seed(targets)
     assert not search.look_around(np.inf)
     assert asked == [4 + search.done // 8]
-    assert len(regions.graph.masks) > full
+    assert len(search.graph.masks) > full
 
 
 def test_a_search_that_is_late_before_the_second_look_is_not_complete(monkeypatch):
