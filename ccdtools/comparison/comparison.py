@@ -34,8 +34,6 @@ from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from invariant_sets.system_checks import as_set
 
-MPC_RUNS = 100  # Online MPC sees so many runs by default.
-
 
 @dataclass(frozen=True)
 class Score:
@@ -256,7 +254,7 @@ def compare(
     X = as_set(X, "X", scenario.plant.nx)
     if output_limits is not None:
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
-    few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
+    few = {"MPC": 100} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
     as_metrics(metrics)
     if risk is not None:

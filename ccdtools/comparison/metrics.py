@@ -11,8 +11,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_mapping, shown
-from ccdtools.comparison.tolerances import METRIC_CHANGE
 from ccdtools.evidence.percent import word_of_change
+from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -134,7 +134,7 @@ def _change(name: str, before: float, after: float, first: Array, second: Array,
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)
     better, worse = ("more", "less") if larger else ("less", "more")
-    word = word_of_change(change, low, high, METRIC_CHANGE * abs(before))
+    word = word_of_change(change, low, high, NOT_WORSE * abs(before))
     said = {better: "better", worse: "worse"}.get(word, word)
     return MetricChange(name, before, after, PairedDifference(change, (low, high)), said)
 

@@ -33,7 +33,6 @@ from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.twin import DigitalTwin
 
 Echo = Callable[[str], None]
-SCHEMA_VERSION = 6
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
 
 
@@ -114,7 +113,7 @@ class Generations:
         config = evaluation.config
         space = evaluation.problem.design
         contents: dict[str, Any] = {
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": 6,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
             "wall_seconds": sum(stage.values["seconds"] for stage in (*state.stages, beyond)),

@@ -13,7 +13,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.evidence.percent import share
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.studies.tolerances import SHOWN_STEPS, SURFACE_GRID
+from ccdtools.studies.tolerances import SHOWN_STEPS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.tolerances import BLOCKS, HELD_OUT
@@ -29,9 +29,10 @@ def policy_surface(run: FinishedRun) -> list[ReportFigure]:
         return []
     policy = load_policy(run.folder.path / "policy.safetensors")
     lower, upper = run.problem.state_limits(policy.design).bounding_box()
-    x = np.linspace(lower, upper, SURFACE_GRID).T
+    n = 121  # values of each of the two states
+    x = np.linspace(lower, upper, n).T
     states = np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2)
-    learned, lqr = (controller(states).reshape(SURFACE_GRID, SURFACE_GRID, -1)
+    learned, lqr = (controller(states).reshape(n, n, -1)
                     for controller in (policy, saturated_lqr(run.problem, policy.design)))  # fmt: skip
     outline = run.sets.at(policy.design)
     figure = style.blank(11, 0.6 + 2.8 * plant.nu, quick=run.quick)
