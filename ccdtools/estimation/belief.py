@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,37 +49,6 @@ class Estimates:
     covariances: Array
     innovations: Array
     innovation_covariances: Array
-
-
-class Estimator(Protocol):
-    """Estimator for `Observed`, without memory: belief in, next belief out."""
-
-    @property
-    def nx(self) -> int:
-        """Number of states."""
-        ...
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        ...
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        ...
-
-    def start(self, n: int) -> Belief:
-        """Belief of n runs before the first measurement."""
-        ...
-
-    def predict(self, belief: Belief, u: Array) -> Belief:
-        """Belief one sample later, after inputs (n, nu)."""
-        ...
-
-    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        ...
 
 
 def transposed(M: Array) -> Array:

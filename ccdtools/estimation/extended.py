@@ -145,7 +145,6 @@ class ExtendedKalmanFilter(Filter):
 
     @cached_property
     def _h(self) -> Output:
-        """Measured output at the design."""
         output: Output = self.output.at(self.nx, self.nu, self.design)
         return output
 
