@@ -129,7 +129,6 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
 
 
 def _change(name: str, before: float, after: float, first: Array, second: Array, larger: bool) -> MetricChange:
-    """Change of one metric, from its values overall and per run."""
     spread = paired_difference(second, first)
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)
@@ -152,7 +151,6 @@ def _units(run: Trajectory) -> Iterator[Trajectory]:
 
 
 def _part(run: Trajectory, runs: Any, steps: slice) -> Trajectory:
-    """Selected runs over selected steps."""
     start, end, _ = steps.indices(run.inputs.shape[1])
     return replace(
         run, states=run.states[runs, start : end + 1], inputs=run.inputs[runs, start:end],
