@@ -192,7 +192,6 @@ class _Table:
             )  # fmt: skip
 
     def _number(self, cell: str, name: str, line: int) -> float:
-        """Finite number in a cell."""
         try:
             value = float(cell) if "_" not in cell else math.nan  # Python reads "1_0" as 10
         except ValueError:
@@ -257,12 +256,10 @@ def _check_sampling(table: _Table, time: Array, dt: float) -> None:
 
 
 def _is_time(name: str) -> bool:
-    """Whether a header names a column of times."""
     return re.sub(r"[\[(].*", "", name).strip().lower() in TIME_COLUMNS
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell holds a number."""
     try:
         float(cell)
     except ValueError:

@@ -183,7 +183,6 @@ class Pairing:
 
 
 def _grouped(labels: Indices, series: bool) -> str:
-    """Description of how runs are grouped, in words."""
     if series:
         return "one run, as a series"
     groups = len(np.unique(labels))

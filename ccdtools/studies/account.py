@@ -78,7 +78,6 @@ def region_line(region: Mapping[str, Any]) -> str:
 
 
 def _without_redesign(delivery: Delivery, accepted: int) -> str:
-    """Clause on a generation whose redesign was refused."""
     if delivery.replaces:
         return "changed the policy only, by updates while deployed" if accepted else "changed nothing"
     rolled_back = " and its updates were rolled back" if accepted else ", though nothing had changed"

@@ -244,7 +244,6 @@ class Evaluation:
 
     @cached_property
     def _filters(self) -> Callable[[tuple[float, ...]], AdmissibleInputs]:
-        """Filter of a design, computed once."""
         return cache(lambda design: admissible_inputs(self.problem, np.array(design)))
 
     def deployed(self, one: Deployable) -> Controller:
@@ -277,17 +276,12 @@ class Evaluation:
         return [place | self._row(design, score) for score in scores]
 
     def _row(self, design: Array, score: Score) -> dict[str, Any]:
-        """Table row of one controller."""
         space = self.problem.design
-        return {
-            "controller": score.controller,
-            "design": space.as_dict(design), "active_bounds": space.active_bounds(design),
-            "active_constraints": space.active_constraints(design), **asdict(score.summary),
-            "paired_to_lqr": asdict(score.paired_to_lqr), "lqr_mean": score.lqr_mean, "diverged": score.diverged,
-            "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
-            "depth_worst": score.depth_worst, "exceeded": score.exceeded,
-            "further_outside_than": list(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-            "metrics": score.metrics, "design_cost": score.design_cost, "remark": score.remark,
+        values = asdict(score)
+        summary, seconds, *_ = (values.pop(name) for name in ("summary", "step_time", "in_risk", "runs"))
+        return values | summary | {
+            "step_time_us": 1e6 * seconds, "design": space.as_dict(design),
+            "active_bounds": space.active_bounds(design), "active_constraints": space.active_constraints(design),
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -19,8 +19,10 @@ from ccdtools.statistics import change_of_level
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.names import SOURCES
 from ccdtools.studies.redesign import same_design
+from ccdtools.studies.service import Deployed
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.tolerances import REAL_RUNS
+from ccdtools.studies.trust_region import Trust
 from ccdtools.twin.deployable import Deployable
 
 Step: TypeAlias = tuple[str, Controller, Array]  # source of a change, the controller changed to, and its design
@@ -29,7 +31,7 @@ OWN_START = "the study's start"
 
 @dataclass(frozen=True, eq=False)
 class GenerationRecord:
-    """Generation as designed, and what was deployed at its end.
+    """Generation as designed, what is deployed at its end, and what it hands on.
 
     The start counts as a generation: both are the first policy at the first design. `stayed` says whether what was
     deployed stayed.
@@ -38,6 +40,9 @@ class GenerationRecord:
     designed: Deployable
     after: Deployable
     stayed: bool = True
+    served: Deployed | None = None  # reference deployment of what is deployed
+    trust: Trust = field(default_factory=Trust)
+    stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
 def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:

@@ -102,13 +102,11 @@ def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array
 
 
 def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
-    """Error of a sample in `substeps` parts."""
     coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
     return measured_error(coarse, fine, region)
 
 
 def _advice(plant: Plant, region: Region) -> str:
-    """Advice about steps that are too long."""
     substeps = 2 * plant.substeps
     while substeps <= 1000:  # no more are recommended
         if _error(plant, region, substeps).relative <= WRONG_SAMPLE:

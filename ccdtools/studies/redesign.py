@@ -90,7 +90,7 @@ class RedesignJudge:
         moved = self.moved(candidate)
         cheaper = not moved and made is not None and made.needed < study.price.needed(made.size, 1.0)
         return verdict.as_dict() | {
-            "gain": vars(NOTHING if made is None else made.gain), "accepted": verdict.replaces, "moved": moved,
+            "gain": vars(verdict.gain), "accepted": verdict.replaces, "moved": moved,
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
             "needed": np.nan if made is None else made.needed, "size": np.nan if made is None else made.size,
             "nominal_before": before, "nominal_after": after, "price": str(POLICY_PRICE if cheaper else study.price),

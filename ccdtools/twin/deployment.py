@@ -220,7 +220,6 @@ class _DeployedPolicy:
 
     @property
     def _several(self) -> bool:
-        """Whether more than one run is deployed."""
         return len(self.whole.x0) > 1
 
     @cached_property
@@ -229,7 +228,6 @@ class _DeployedPolicy:
         return self.served.trained_from(self.deployed.design, self.judged_by)
 
     def _update(self) -> None:
-        """Train a candidate, and deploy it if the judge accepts it."""
         config = self.config
         problem = replay_problem(self.problem, self.train, config.window, starts=self._starts)
         agent = codesign(

@@ -145,7 +145,6 @@ def held_out_bands(
 
 
 def _drawable(twin: DigitalTwin) -> bool:
-    """Whether the twin has quantiles to draw from."""
     return twin.discrepancy is not None and len(twin.discrepancy.network.levels) >= 3
 
 

@@ -89,7 +89,6 @@ class _LeastSquares:
             return np.asarray(np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf))
 
     def _next_states(self, w: Array, some: Indices) -> Array:
-        """Next states of the model."""
         with np.errstate(all="ignore"):
             return np.asarray(self._model.advance(self.x[some], self.u[some], w, self.p))
 

@@ -67,7 +67,6 @@ def study_on_roads(
     force = np.full(nominal.nu, 1000.0)  # N, of each strut; below the 2500 N at which the real actuator ends
 
     def of_class(road_class: RoadClass) -> ISORoad:
-        """Road of an ISO 8608 class under all wheels."""
         return ISORoad(road_class, speed=20.0, dt=nominal.dt, **road)
 
     return Study(

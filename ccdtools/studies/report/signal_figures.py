@@ -66,7 +66,6 @@ def trajectories(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
-    """Figure of mean and band of every signal, at the start and the final design."""
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
@@ -136,7 +135,6 @@ def quantiles(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
-    """Figure of one generation's learned quantiles and logged one-step errors."""
     plant = run.study.plant
     logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
     log = residuals(run.study.model, Trajectory(**logged, dt=plant.dt))

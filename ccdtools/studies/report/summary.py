@@ -128,7 +128,6 @@ def deployed_codesign(results: Values) -> Values | None:
 
 
 def _cost(place: Values) -> Iterator[Change]:
-    """Change of the cost in one place."""
     gain = gain_percent(place, "total")
     if gain is None:
         return
@@ -142,7 +141,6 @@ def _cost(place: Values) -> Iterator[Change]:
 
 
 def _metrics(place: Values) -> Iterator[Change]:
-    """Change of every metric in one place."""
     for metric in place.get("metrics", ()):
         before = metric["before"]
         ends = (metric["change"]["mean"], *metric["change"]["ci95"])

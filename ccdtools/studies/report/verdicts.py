@@ -71,7 +71,6 @@ def verdict(row: Row, reference: Row | None) -> str:
 
 
 def _verdict_on_return(row: Row, reference: Row | None) -> str:
-    """Verdict on the return alone."""
     percent = percent_of_reference(row, reference)
     if percent is None:
         return _verdict_on_nothing(row, reference)
@@ -124,7 +123,6 @@ def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """Verdict without a comparison."""
     if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
     if row["lqr_mean"] != 0:
