@@ -20,11 +20,11 @@ from ccdtools.comparison.pid_tuning import baselines
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
+from ccdtools.evidence.evidence import summary_of
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
@@ -277,9 +277,9 @@ class Evaluation:
 
     def _row(self, design: Array, score: Score) -> dict[str, Any]:
         space = self.problem.design
-        values = asdict(score)
+        values: dict[str, Any] = asdict(score)
         summary, seconds, *_ = (values.pop(name) for name in ("summary", "step_time", "in_risk", "runs"))
-        return values | summary | {
+        return values | dict(summary) | {
             "step_time_us": 1e6 * seconds, "design": space.as_dict(design),
             "active_bounds": space.active_bounds(design), "active_constraints": space.active_constraints(design),
         }  # fmt: skip
@@ -287,8 +287,7 @@ class Evaluation:
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
         """Return statistics of undiverged runs, and the diverged fraction."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
-        rewards = run.rewards(self.study.objective)[~run.diverged]
-        return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
+        return asdict(summary_of(run, self.study.objective)) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
         """Edges and mean (3, T, ·) of the 95 % band of signals."""

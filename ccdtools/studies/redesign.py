@@ -11,12 +11,12 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import measure
-from ccdtools.evidence.evidence import NOTHING
+from ccdtools.evidence.evidence import NOTHING, summary_of
 from ccdtools.evidence.verdict import Status, Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.statistics import Summary, summarise_returns
+from ccdtools.statistics import Summary
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.tolerances import WORTH_A_POLICY
@@ -139,8 +139,7 @@ def predicted(
     if steps is not None:
         scenario = scenario.first(len(scenario.x0), min(steps, scenario.steps))
     run = scenario.run(evaluation.deployed(choice), design=choice.design, limit=evaluation.problem.limit)
-    rewards = run.rewards(evaluation.study.objective)[~run.diverged]
-    return summarise_returns(rewards, runs=len(run.states))
+    return summary_of(run, evaluation.study.objective)
 
 
 def same_design(space: DesignSpace, one: Array, other: Array) -> bool:

@@ -11,7 +11,6 @@ import numpy as np
 from scipy import stats
 
 from ccdtools.evidence.evidence import Asked, Evidence, Pairing, Violation
-from ccdtools.evidence.percent import in_measure, percent_interval
 from ccdtools.evidence.verdict import Status, Verdict, decide
 from ccdtools.statistics import Summary, summarise_returns
 from ccdtools.studies.tolerances import FALSE_ALARM
@@ -125,16 +124,6 @@ class Delivery:
         return self.verdict.replaces
 
     @property
-    def measure(self) -> str:
-        """Measure of the returns that the change is in."""
-        return self.verdict.evidence[0].measure if self.verdict.evidence else "mean"
-
-    @property
-    def percent(self) -> str:
-        """Measured change in per cent of the deployed return."""
-        return percent_interval(self.verdict.gain.mean, self.verdict.gain.ci95, self.size) + in_measure(self.measure)
-
-    @property
     def breach(self) -> str:
         """Limits that were left too far, in words; empty if none."""
         return next((str(one.violation) for one in self.verdict.evidence if one.violation is not None), "")
@@ -144,7 +133,8 @@ class Delivery:
         return self.verdict.as_dict() | {
             "predicted": asdict(self.predicted), "returns": asdict(self.returns), "agreement": self.agreement.value,
             "change": asdict(self.verdict.gain), "size": self.size, "carried": self.carried, "former": self.former,
-            "paired": self.former is not None, "measure": self.measure, "breach": self.breach,
+            "paired": self.former is not None, "breach": self.breach,
+            "measure": self.verdict.evidence[0].measure if self.verdict.evidence else "mean",
         }  # fmt: skip
 
 

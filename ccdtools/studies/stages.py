@@ -12,12 +12,11 @@ from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.evidence.evidence import Pairing, Violation
+from ccdtools.evidence.evidence import Pairing, Violation, summary_of
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import summarise_returns
 from ccdtools.studies.account import account, proposed, refused, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
@@ -213,14 +212,13 @@ class LoopStages:
         )  # fmt: skip
         moved = redesign is not None and redesign.accepted and redesign.moved
         kept = delivery.agreement.kept if moved else None  # only a design that moved shows how errors follow the design
-        rewards = log.rewards(study.objective)[~log.diverged]
         place = evaluation.problem.design.describe(designed.design)
         sentence = account(generation, delivery, deployment.updates, redesign, place)
         report = [f"update {k} refused, {update.verdict.status.value}: {update.verdict.reason}"
                   for k, update in enumerate(deployment.updates, 1) if not update.accepted]  # fmt: skip
         values = {
             "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
-            "deployed_return": asdict(summarise_returns(rewards, runs=len(log.diverged))),
+            "deployed_return": asdict(summary_of(log, study.objective)),
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
             "report": [sentence, *report],
         }  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 
 from ccdtools.evidence.percent import number, percent_interval, with_minus, word_of_change
 from ccdtools.studies.report.gains import gain_percent
+from ccdtools.studies.report.verdicts import in_percent
 from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
 Values = Mapping[str, Any]
@@ -143,6 +144,5 @@ def _cost(place: Values) -> Iterator[Change]:
 def _metrics(place: Values) -> Iterator[Change]:
     for metric in place.get("metrics", ()):
         before = metric["before"]
-        ends = (metric["change"]["mean"], *metric["change"]["ci95"])
-        percent = None if not before or None in ends else tuple(100 * end / abs(before) for end in ends)
+        percent = in_percent(metric["change"], abs(before or 0.0))
         yield Change(metric["name"], place["place"], before, metric["after"], percent, metric["word"])
