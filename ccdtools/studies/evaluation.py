@@ -32,10 +32,11 @@ from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.distributions import ServedDistributions, logged
+from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals, is_common
 from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 
 
@@ -118,8 +119,13 @@ class Evaluation:
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
-        most = self.config.model_runs
-        return logged(self.split, logs[-1:], series=self.single, most=most, rng=self.rng("replayed runs")).scenario
+        return self.logged(self.split, logs[-1:], self.rng("replayed runs")).scenario
+
+    def logged(
+        self, by: ErrorSplit | UpdatedPlant, logs: Sequence[Residuals], rng: np.random.Generator
+    ) -> Distribution:
+        """Whole logged runs on the nominal model or the updated one."""
+        return logged(by, logs, series=self.single, most=self.config.model_runs, rng=rng)
 
     @cached_property
     def split(self) -> ErrorSplit:

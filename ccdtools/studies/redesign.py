@@ -21,7 +21,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.tolerances import WORTH_A_POLICY
 from ccdtools.twin.deployable import Deployable
-from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution, logged, on_updated
+from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.updated_plant import UpdatedPlant
@@ -102,10 +102,7 @@ class RedesignJudge:
     def _made_for(self) -> Distribution:
         """Nominal model with all errors of whole logged runs."""
         evaluation = self.evaluation
-        return logged(
-            evaluation.split, self.twin.logs, series=evaluation.single, most=evaluation.config.model_runs,
-            rng=evaluation.rng("replayed runs"),
-        )  # fmt: skip
+        return evaluation.logged(evaluation.split, self.twin.logs, evaluation.rng("replayed runs"))
 
     @cached_property
     def _others(self) -> list[Distribution]:
@@ -114,8 +111,7 @@ class RedesignJudge:
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
         plant = UpdatedPlant.from_logs(evaluation.split, logs, rng=rng, config=evaluation.config.quantile)
-        again = on_updated(plant, logs, series=evaluation.single, most=evaluation.config.model_runs, rng=rng)
-        return [again, *evaluation.served.on(logs, plant, self.current.design, rng)]
+        return [evaluation.logged(plant, logs, rng), *evaluation.served.on(logs, plant, self.current.design, rng)]
 
 
 def described(proposed: str, decision: Mapping[str, Any]) -> str:
