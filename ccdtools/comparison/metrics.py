@@ -22,11 +22,11 @@ Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]
 EXPECTED = "a function that takes a Trajectory and returns a mapping of names to numbers"
 
 
-def as_metrics(metrics: Any, *, argument: str = "metrics") -> Metrics | None:
+def as_metrics(metrics: Any) -> Metrics | None:
     """Function of a trajectory, or None."""
     if metrics is None or (callable(metrics) and not isinstance(metrics, type)):
         return metrics
-    raise InputError(argument, shown(metrics), f"{EXPECTED}, or None")
+    raise InputError("metrics", shown(metrics), f"{EXPECTED}, or None")
 
 
 def try_metrics(metrics: Metrics, plant: Any) -> None:

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_positive, shown
 from ccdtools.disturbances.tolerances import SAMPLING
 from ccdtools.exceptions import InputError
 
-Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 
 TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or without a unit behind

@@ -24,9 +24,9 @@ from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.studies.trust_region import Trust
 from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.distributions import START
 
 Step: TypeAlias = tuple[str, Controller, Array]  # source of a change, the controller changed to, and its design
-OWN_START = "the study's start"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
     own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
     if study.starts is None and np.array_equal(study.real.x0, study.x0):
         return own | evaluation.held_out
-    rng = evaluation.rng(OWN_START)
+    rng = evaluation.rng(START)
     x0, w = evaluation.problem.scenarios.sample(REAL_RUNS, study.steps, rng)
-    return own | evaluation.held_out | {OWN_START: Scenario(study.real.plant, x0, w)}
+    return own | evaluation.held_out | {START: Scenario(study.real.plant, x0, w)}
 
 
 def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.disturbances.disturbance import check_draw
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY, road_roughness
 
-Array: TypeAlias = NDArray[np.float64]
 Driver: TypeAlias = Literal["mild", "aggressive"]
 
 

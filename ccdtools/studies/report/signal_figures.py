@@ -13,7 +13,6 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.evidence.percent import share
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.studies.tolerances import SHOWN_STEPS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.tolerances import BLOCKS, HELD_OUT
@@ -117,15 +116,15 @@ def _signals(arrays: Mapping[str, Array], name: str, window: slice) -> Array:
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 
-def _active_part(states: Array, scale: Array) -> slice:
+def _active_part(states: Array, scale: Array, shown: int = 200) -> slice:
     """Liveliest part of a long run, by scaled states."""
     steps = len(states) - 1
-    if steps <= SHOWN_STEPS:
+    if steps <= shown:
         return slice(0, None)
     energy = np.r_[0.0, np.cumsum(((states / scale) ** 2).sum(axis=1))]
-    starts = np.arange(0, steps - SHOWN_STEPS + 1, 10)
-    start = int(starts[np.argmax(energy[starts + SHOWN_STEPS] - energy[starts])])
-    return slice(start, start + SHOWN_STEPS)
+    starts = np.arange(0, steps - shown + 1, 10)
+    start = int(starts[np.argmax(energy[starts + shown] - energy[starts])])
+    return slice(start, start + shown)
 
 
 def quantiles(run: FinishedRun) -> list[ReportFigure]:
