@@ -6,13 +6,15 @@ import os
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, frozen
-from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, shown
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, frozen, shown
 from ccdtools_ground.errors import InputError
+
+if TYPE_CHECKING:
+    from ccdtools.arrays import Array
 
 __all__ = ["TOLERANCES", "as_array", "as_choice", "as_count", "as_different", "as_flag", "as_floats", "as_generator",
            "as_instance", "as_limit_tolerance", "as_mapping", "as_names", "as_number", "as_positive", "as_share",

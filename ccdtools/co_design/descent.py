@@ -11,15 +11,18 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
-from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import EXACT
+
+if TYPE_CHECKING:
+    from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+    from ccdtools.plants.design_space import DesignSpace
 
 Cost = Callable[[Array], tuple[float, Callable[[], Array]]]
 """Point (np,) of the unit box → cost, and a function that returns its slope (np,); infinite where there is none."""

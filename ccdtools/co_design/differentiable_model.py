@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import fewest_runs
-from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
+
+if TYPE_CHECKING:
+    from ccdtools.co_design.problem import CoDesignProblem
+    from ccdtools.plants.models import Model
 
 ScenarioTensors: TypeAlias = tuple[Tensor, Tensor]  # initial states (n, nx) and disturbances (n, T, nw)
 

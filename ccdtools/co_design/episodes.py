@@ -13,15 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.differentiable_model import Stepper, to_design
-from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import HELD_SAMPLES, LONGEST_SEGMENT
 from learning.networks import ActorCritic, scaled
+
+if TYPE_CHECKING:
+    from ccdtools.co_design.problem import CoDesignProblem
 
 Law = Callable[[Tensor], Tensor]
 Progress = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen, jsonable
 from ccdtools.checks import as_vector
-from ccdtools.co_design.closed_loop import ClosedLoopReturns
-from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
-from ccdtools.controllers.controllers import Controller
-from ccdtools.statistics import PairedDifference, Summary
+
+if TYPE_CHECKING:
+    from ccdtools.co_design.closed_loop import ClosedLoopReturns
+    from ccdtools.co_design.limits import LimitsOutcome
+    from ccdtools.controllers.controllers import Controller
+    from ccdtools.statistics import PairedDifference, Summary
 
 HistoryRow = tuple[int, int, Array, float, float, float]
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
+
+if TYPE_CHECKING:
+    from ccdtools.arrays import Array
 
 Operations: TypeAlias = dict[int, Callable[..., Any]]
 

@@ -13,10 +13,10 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
-from ccdtools.plants.holds import zero_order_hold
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.jumps import SMOOTHER, Jump
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.matrix_exponential import zero_order_hold
 from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing

@@ -15,7 +15,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace, check_finite
-from ccdtools.plants.holds import zero_order_hold
+from ccdtools.plants.matrix_exponential import zero_order_hold
 from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_known
 
 

@@ -5,24 +5,27 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.co_design.descent import Cost, DesignPoint, descend
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.limits import LimitsOutcome
-from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
-from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_constraints import held
-from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import ON_EDGE
 from ccdtools.progress import bar
+
+if TYPE_CHECKING:
+    from ccdtools.arrays import Array
+    from ccdtools.co_design.limits import LimitsOutcome
+    from ccdtools.co_design.problem import CoDesignProblem
+    from ccdtools.controllers.controllers import Controller
+    from ccdtools.plants.design_space import DesignSpace
 
 OTHERS = "other whole numbers were never looked at: raise starts"
 

@@ -5,7 +5,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools.plants.holds import expm, zero_order_hold
+from ccdtools.plants.matrix_exponential import expm, zero_order_hold
 
 
 def test_the_symbolic_exponential_of_zero_is_the_identity():
