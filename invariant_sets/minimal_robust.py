@@ -15,13 +15,13 @@ import numpy as np
 
 from invariant_sets.engine.certificate import control_violation
 from invariant_sets.engine.invariance import Task, largest_invariant_set
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.recursion import Limits
 from invariant_sets.exceptions import InputError
 from invariant_sets.maximal_sets import NO_INPUT, as_limits
+from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status, no_set, status_of
-from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix
+from invariant_sets.system_checks import LinearSystem, Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
 from invariant_sets.tolerances import DRIVEN, GAP, MOST_SUM_TERMS, ROUNDING, SUM_END
 from invariant_sets.validation import check_tolerance
@@ -83,7 +83,7 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     if radius >= 1.0:
         raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
     noise = noise_set.vertices @ E.T
-    centre = noise_set.affine_map(E)._require_point("W").centre
+    centre = nonempty_body(noise_set.affine_map(E), "W").centre
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
     local = A * size / size[:, None]  # in units of the answer's own extent
@@ -212,7 +212,7 @@ def _excess(R: Polytope, partial: Polytope) -> float:
     """Least g with R ⊆ (1 + g) partial, inf if that is flat."""
     if partial.affine_dim < partial.dim or partial.b.min() <= 0:
         return np.inf
-    return max(0.0, float((R._supports(partial.A) / partial.b).max() - 1.0))
+    return max(0.0, float((R.support(partial.A) / partial.b).max() - 1.0))
 
 
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:

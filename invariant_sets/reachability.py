@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import Trajectories, inner_hull
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.maximal_sets import NO_INPUT
+from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
-from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
+from invariant_sets.system_checks import LinearSystem, Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import EXACT_SHARE, LOOSE
 from invariant_sets.validation import as_count
@@ -209,14 +209,14 @@ def _in_units(system: LinearSystem, size: Array) -> LinearSystem:
 
 def _scaled(S: Polytope, size: Array) -> Polytope:
     """Set {x / size : x in S}; size (n,) are powers of two."""
-    body = S._body
+    body = S.body
     if body is None:
         return Polytope.empty(S.dim)
     body = replace(body, centre=body.centre / size, basis=body.basis / size[:, None],
                    half_widths=body.half_widths / size, terms=body.terms / size)
-    V = None if S._vertices is None else S._vertices / size
-    rows = S._stated
-    return Polytope._of(rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
+    V = None if S.given_vertices is None else S.given_vertices / size
+    rows = S.stated
+    return set_of(Polytope, rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
 
 
 def _in_given_units(result: SetResult, size: Array) -> SetResult:

@@ -26,7 +26,7 @@ import numpy as np
 
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
-from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
+from invariant_sets.engine.local_problem import LocalProblem, localise
 from invariant_sets.engine.loose_bounds import unstable_bounds, without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
@@ -36,6 +36,7 @@ from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import largest_ball
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
 from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING
 
@@ -142,7 +143,7 @@ def _continued(problem: LocalProblem, outcome: Outcome, limits: Limits) -> Outco
 
 def _extent(X: Polytope) -> Array:
     """Half width (nx,) of X in every coordinate, zero if empty."""
-    body = X._body
+    body = X.body
     return np.zeros(X.dim) if body is None else row_norms(body.basis)
 
 

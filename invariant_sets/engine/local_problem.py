@@ -19,8 +19,10 @@ from invariant_sets.equalities import Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
 from invariant_sets.interior_form import Body, normals, null_space
 from invariant_sets.linear_programs import largest_ball, maximise_rows
+from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.tolerances import (
     AT_REST,
     DEPENDENT_COLUMNS,
@@ -34,15 +36,6 @@ from invariant_sets.tolerances import (
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-
-
-@dataclass(frozen=True)
-class LinearSystem:
-    """System x⁺ = A x + B u + w; `disturbances` are vertices, or None."""
-
-    A: Array
-    B: Array
-    disturbances: Array | None = None
 
 
 def left_inverse(basis: Array) -> Array:
@@ -82,7 +75,7 @@ class Frame:
         normal = normals(self.basis) if k < n else np.zeros((0, n))
         rows, right = unit(rows, g)
         V = None if V is None else counter_clockwise(self.centre + V @ self.basis.T)
-        return Polytope._of(Stated.given(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
+        return set_of(Polytope, Stated.given(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
 
 
 @dataclass(frozen=True)
@@ -131,8 +124,8 @@ class LocalProblem:
 
 def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> LocalProblem | Polytope | None:
     """Problem in local coordinates, or a flatter X to try, or neither; `units` (nx,) is the first extent."""
-    state = X._body
-    inputs = U._body
+    state = X.body
+    inputs = U.body
     if state is None or inputs is None:
         return None
     frame, states = _round_frame(X, state)

@@ -13,9 +13,10 @@ from functools import reduce
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import NumericalError
+from invariant_sets.polyhedron import nonempty_body, set_of
 from invariant_sets.polytope import Polytope
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.tolerances import (
     BOX_ROOM,
     DOUBLE_EIGENVALUE,
@@ -47,9 +48,9 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
 def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
                   target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
     """Problem with what is felt in one step, or in nx."""
-    states = X._body
-    inputs = U._body
-    goal = states if target is None else target._body
+    states = X.body
+    inputs = U.body
+    goal = states if target is None else target.body
     if states is None or inputs is None or goal is None or not len(goal.g):
         return system, X, U
     half = states.half_widths
@@ -76,7 +77,7 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
     lower = -lifted.support(-eye)
     room = BOX_ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     cut = U.intersection(Polytope.from_bounds(lower - room, upper + room))
-    useful = cut if cut._body is None else Polytope._of(cut._body.rows, body=cut._body)  # the rows that are felt
+    useful = cut if cut.body is None else set_of(Polytope, cut.body.rows, body=cut.body)  # the rows that are felt
     return system, _felt(X, lifted, moves[:-1], drift[:-1]), useful
 
 
@@ -118,7 +119,7 @@ def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
     """X without the rows that no trajectory comes near; what has no width has nothing far away."""
-    body = lifted._require_point("backward_step")
+    body = nonempty_body(lifted, "backward_step")
     far = np.abs(X.A) @ body.half_widths[:X.dim] > 0.0
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem, left_inverse
+from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.polytope import Polytope
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.tolerances import CANCELLED, UNSEEN
 
 Array = np.ndarray

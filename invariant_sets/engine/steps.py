@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from invariant_sets.engine.certificate import control_violation, precise_minimiser
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
+from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import FLAT, HALF_BOX, INVARIANT, LOOSE, PROGRAMS_PER_CHECK, ROUNDING, USEFUL_INPUTS
 
@@ -102,9 +103,9 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
         An end is nearer than that: it would be missed, and beside it the width is nothing.
     """
     n = len(system.A)
-    body = lifted._require_point("backward_step")
+    body = nonempty_body(lifted, "backward_step")
     M = np.hstack([system.A, system.B])
-    width = S._require_point("backward_step").half_widths
+    width = nonempty_body(S, "backward_step").half_widths
     with np.errstate(divide="ignore", over="ignore"):
         unit = (np.where(width > 0.0, LOOSE * width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
         moved = np.minimum(np.abs(system.A) @ unit + np.abs(system.B) @ body.half_widths[n:], 1.0)
@@ -131,7 +132,7 @@ def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
     """Projection of the lifted set on x, by Fourier–Motzkin elimination."""
-    body = lifted._require_point("backward_step")
+    body = nonempty_body(lifted, "backward_step")
     if body.basis.shape[1] < lifted.dim:
         return lifted.projection(np.arange(n)).minimal()
     reach = np.full(lifted.dim, HALF_BOX if body.bounded else np.inf)
@@ -155,8 +156,8 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
 
 def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
     """Largest relative reach of the lifted set beyond facets of P."""
-    body = lifted._require_point("backward_step")
-    F, g = P._relative_rows
+    body = nonempty_body(lifted, "backward_step")
+    F, g = P.relative_rows
     worst = 0.0
     for i, f in enumerate(F):
         if i % PROGRAMS_PER_CHECK == 0:
@@ -180,7 +181,7 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
     image = R.affine_map(system.A).minkowski_sum(moves).minimal()
     if image.is_empty or not len(image.b) + len(image.b_eq):
         return Step(image, 0.0, 0.0, 0)
-    F, g = image._relative_rows
+    F, g = image.relative_rows
     exact = R.support(F @ system.A) + moves.support(F)
     missing = float((exact - g).max())
     violation = float((g - exact).max())
@@ -191,8 +192,8 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
 
 def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
     """Largest relative distance of the image's vertices from A R ⊕ moves."""
-    start = R._require_point("forward_step")
-    move = moves._require_point("forward_step")
+    start = nonempty_body(R, "forward_step")
+    move = nonempty_body(moves, "forward_step")
     n = len(system.A)
     k = start.basis.shape[1]
     q = move.basis.shape[1]

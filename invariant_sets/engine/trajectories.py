@@ -54,8 +54,8 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
     if steps * rows_a_step * (trajectories.first.dim + steps * trajectories.U.dim) > 2_000_000:  # more than a second
         return None
     states = (trajectories.first, *[trajectories.between] * (steps - 1), trajectories.last)
-    first = trajectories.first._body
-    inputs = trajectories.U._body
+    first = trajectories.first.body
+    inputs = trajectories.U.body
     if first is None or inputs is None:
         return None
     n = len(first.centre)
