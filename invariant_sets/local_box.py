@@ -94,26 +94,19 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
         box = _local_box(A, b, terms, centre, basis, unbounded, cancelled)
         if box is None or k == 0:
             return box
-        radius = box.ball.radius
-        if settled and not box.is_flat:
+        closed = box.is_flat and not box.open.any()
+        misses = closed and box.room < 0 and box.ball.radius < -(FLAT if settled else THIN)
+        if box.is_flat and not misses and box.ball.radius < -THIN:
+            basis = basis * np.where(box.open, WIDER, 1.0)
+            continue
+        if not misses and (settled or (closed and box.room == 0.0)):
             return box
-        if box.is_flat:
-            closed = not box.open.any()
-            if box.room < 0 and radius < -(FLAT if settled else THIN) and closed:
-                beyond, _ = _ends(box, unbounded)[2:]
-                if not beyond.any():
-                    return None
-                basis = basis * np.where(beyond, WIDER, 1.0)  # it misses by less than it is long
-                continue
-            if radius < -THIN:
-                basis = basis * np.where(box.open, WIDER, 1.0)
-                continue
-            if settled or (box.room == 0.0 and closed):
-                return box
         lower, upper, beyond, unbounded = _ends(box, unbounded)
-        if beyond.any():
+        if beyond.any():  # a set that is missed may miss by less than it is long
             basis = basis * np.where(beyond, WIDER, 1.0)
             continue
+        if misses:
+            return None
         middle, half = _frame(box, lower, upper, unbounded)
         if box.is_flat:  # closer only where the rows close: that makes their other coordinates felt
             half = np.where(box.open, np.maximum(half, 1.0), half)

@@ -95,18 +95,15 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     witnesses = _middle_inputs(slope[:, 0], room, (H, h)) if nu == 1 else np.full((len(room), nu), np.inf)
     leaves = _violations(witnesses, slope, room, (H, h))
     doubtful = np.flatnonzero(~(leaves <= DOUBTFUL))
-    for count, k in enumerate(doubtful):
-        if count % PROGRAMS_PER_CHECK == 0:
-            deadline.check()
+    for k in doubtful:
+        deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
-    if len(doubtful):
-        leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
-    for count, k in enumerate(np.argsort(-leaves)):  # DAQP stops early where the inputs are nearly parallel
+    leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
+    for k in np.argsort(-leaves):  # DAQP stops early where the inputs are nearly parallel
         if leaves[k] <= DOUBTFUL:
             break
-        if count % PROGRAMS_PER_CHECK == 0:
-            deadline.check()
+        deadline.check()
         for solver in (_checked_minimiser, precise_minimiser):
             v = solver(cost, rows, np.concatenate([room[k], h]))
             if v is not None:
