@@ -11,11 +11,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from invariant_sets.equalities import Stated
+from invariant_sets.bodies import Body, Stated
 from invariant_sets.exceptions import InputError, TimeLimitError
 from invariant_sets.generators import Generators, generators, rows_of
 from invariant_sets.hulls import irredundant_rows
-from invariant_sets.interior_form import Body, body_of, support
+from invariant_sets.interior_form import body_of, settled, support, tightened
 from invariant_sets.polyhedron import AnySet, Polyhedron, hull_of, nonempty_body, set_of
 from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PRODUCT_ROUNDING
@@ -116,16 +116,16 @@ class SetOperations(Polyhedron):
         if other.has_vertices:
             anchor, Y = other.offsets
             V = Y + (anchor - theirs.centre)
-        left = mine.less(theirs, V)
+        left = tightened(mine, theirs, V)
         if V is not None and not (left and left.holds_part_of(mine)):  # what has hardly any room needs all digits
-            left = mine.less(theirs)
+            left = tightened(mine, theirs)
         if left is None:
             return type(self).empty(n)
         solid = left.holds_part_of(mine)
         if mine.bounded:
             if solid:
                 return set_of(type(self), left.rows, body=left, settled=False)
-            found = left.settled()
+            found = settled(left)
         else:  # no length that Q could be small to: by the rows as they are stated
             A, b, E, e, terms, sizes = self.stated
             size = theirs.terms + theirs.half_widths

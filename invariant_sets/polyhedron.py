@@ -8,7 +8,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from invariant_sets.equalities import Stated
+from invariant_sets.bodies import Body, Stated
 from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
 from invariant_sets.hulls import (
     cone_volume,
@@ -18,7 +18,7 @@ from invariant_sets.hulls import (
     facets_and_vertices,
     hull_volume,
 )
-from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
+from invariant_sets.interior_form import body_of, body_of_vertices, hull_about, settled, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
 from invariant_sets.tolerances import CHEAP_HULL_DIM, INVARIANT, MEMBERSHIP, ROUNDING
@@ -153,7 +153,7 @@ class Polyhedron:
     def body(self) -> Body | None:  # the set in well-scaled coordinates, None if empty: for the package
         unsettled = self.__dict__.get("_unsettled")
         if unsettled is not None:
-            body: Body | None = unsettled.settled()
+            body: Body | None = settled(unsettled)
             return body
         if self.given_vertices is not None and not len(self.b_eq) and len(self.given_vertices) > self.dim:
             body = body_of_vertices(self.A, self.b, self.given_vertices)

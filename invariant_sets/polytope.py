@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.interior_form import Body
+from invariant_sets.bodies import Body
 from invariant_sets.linear_programs import minimise
 from invariant_sets.operations import SetOperations, same_space
 from invariant_sets.polyhedron import Polyhedron, nonempty_body

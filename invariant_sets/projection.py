@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invariant_sets.equalities import row_norms
+from invariant_sets.bodies import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached

@@ -9,7 +9,7 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-from invariant_sets.equalities import row_norms
+from invariant_sets.bodies import row_norms
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import highs, minimise
 from invariant_sets.polyhedron import nonempty_body

@@ -24,13 +24,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invariant_sets.bodies import row_norms
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LocalProblem, localise
 from invariant_sets.engine.loose_bounds import unstable_bounds, without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
-from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import largest_ball

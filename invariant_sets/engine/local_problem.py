@@ -15,9 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from invariant_sets.equalities import Stated, row_norms
+from invariant_sets.bodies import Body, Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
-from invariant_sets.interior_form import Body, normals, null_space
+from invariant_sets.interior_form import normals, null_space
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
