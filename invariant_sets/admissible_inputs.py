@@ -17,7 +17,7 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import LinearSystem, Set, checked_system
-from invariant_sets.tolerances import FAR_PROPOSAL, INPUT_SLACK, INVARIANT, LARGEST_ROOM, LP_SOLVER
+from invariant_sets.tolerances import FAR_PROPOSAL, INPUT_SLACK, LARGEST_ROOM, LP_SOLVER, MEMBERSHIP
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
@@ -117,7 +117,7 @@ class AdmissibleInputs:
             slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
             values, violation = nearest_inputs(slope, rooms, low, high, wanted[:, 0])
             v = values[:, None]
-            admissible = violation <= INVARIANT
+            admissible = violation <= MEMBERSHIP
         else:
             v, admissible = _by_programs(rows, rooms, wanted)
         u = rows.middle + v @ rows.size.T
@@ -194,7 +194,7 @@ class AdmissibleInputFamily:
         ends = np.array([one.rows.interval for one in self.filters])
         v, violation = nearest_inputs(self._slope, rooms, ends[:, 0], ends[:, 1], wanted)
         u = np.array([one.rows.middle + one.rows.size[:, 0] * value for one, value in zip(self.filters, v)])
-        return u, violation <= INVARIANT
+        return u, violation <= MEMBERSHIP
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
     v = np.zeros(wanted.shape)
     admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
-        nearest = _nearest(rows, room + 0.5 * INVARIANT, wanted[k])
+        nearest = _nearest(rows, room + 0.5 * MEMBERSHIP, wanted[k])
         if nearest is None or not _meets(rows, nearest, room):
             nearest = _least_violation(rows, room, wanted[k])
         v[k] = nearest
@@ -263,7 +263,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
 
 def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
     """Whether v meets all rows of S to the tolerance."""
-    return bool((rows.slope @ v - room).max(initial=-np.inf) <= INVARIANT)
+    return bool((rows.slope @ v - room).max(initial=-np.inf) <= MEMBERSHIP)
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
@@ -292,5 +292,5 @@ def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
     value, best = minimise(cost, matrix / norms[:, None], right)
     if best is None:  # pragma: no cover - U is nonempty and bounded, so a minimiser exists
         return np.zeros(nu)
-    nearest = _nearest(rows, room - shift + (value + INVARIANT) * spread, wanted)
+    nearest = _nearest(rows, room - shift + (value + MEMBERSHIP) * spread, wanted)
     return best[:nu] if nearest is None else nearest

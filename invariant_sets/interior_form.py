@@ -14,7 +14,7 @@ from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.local_box import LocalBox, half_widths, hidden_equalities, rescaled_view
-from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, THIN, WRONG_SCALE
+from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NEGLIGIBLE, ROUNDING, THIN, WIDER
 
 Array = np.ndarray
 
@@ -73,7 +73,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
         within_rounding = box.is_flat and box.room == 0.0  # such a set tells no scale
         endless = box.basis[:, box.unbounded].any(axis=1)  # what is seen of it is the box's own width
         measured = np.where((widths > 0.0) & ~endless & (not within_rounding), widths, scale)
-        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > WRONG_SCALE:
+        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > np.log10(WIDER):
             centre = box.centre
             scale = measured
             rescaled += 1
@@ -284,7 +284,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
 def null_space(rows: Array) -> Array:
     """Orthonormal basis (n, k) of {x : rows x = 0}."""
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
-    rank = int((s > NULL_SPACE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
+    rank = int((s > NEGLIGIBLE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
     return vt[rank:].T
 
 

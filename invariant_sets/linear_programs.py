@@ -24,19 +24,7 @@ import numpy as np
 
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.rational_programs import exact_optimum
-from invariant_sets.tolerances import (
-    ACTIVE,
-    BOXES,
-    CANCELLED,
-    LP_COARSE,
-    LP_PROXIMAL,
-    LP_RESIDUAL,
-    LP_ROUNDING,
-    LP_SOLVER,
-    STEEP_RAY,
-    THIN,
-    UNEVEN,
-)
+from invariant_sets.tolerances import BOXES, CANCELLED, LP_COARSE, LP_RESIDUAL, LP_SOLVER, ROUNDING, THIN, UNEVEN
 
 Array = np.ndarray
 
@@ -92,7 +80,7 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
 
 
 def least_value(c: Array, A: Array, b: Array) -> float:
-    """Value of `minimise`, to `LP_ROUNDING` where DAQP's first answer is."""
+    """Value of `minimise`, to `ROUNDING` where DAQP's first answer is."""
     optimum = quick_optimum(c, A, b)
     return minimise(c, A, b)[0] if optimum is None else optimum.value
 
@@ -150,7 +138,7 @@ def largest_ball(A: Array, b: Array, box: float | None = None) -> Ball:
 def ray_along(d: Array, F: Array) -> Array | None:
     """Direction r with F r <= 0, dᵀr > 0, |r| <= 1, or None."""
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
-    if optimum is None or -optimum.value <= STEEP_RAY * np.abs(d).max():
+    if optimum is None or -optimum.value <= LP_COARSE * np.abs(d).max():
         return None
     for ray in (optimum.x, np.where(np.abs(optimum.x) > CANCELLED * np.abs(optimum.x).max(), optimum.x, 0.0)):
         if (F @ ray <= CANCELLED * (np.abs(F) @ np.abs(ray))).all():
@@ -197,20 +185,20 @@ class Optimum:
     x: Array  # (n,): minimiser
     dual: Array  # (m,): multipliers, >= 0, with c + Aᵀ dual = 0
     residual: float  # largest violation of the optimality conditions, what rounding of large data explains taken off
-    exact: bool = False  # whether it is at most `LP_ROUNDING` without that
+    exact: bool = False  # whether it is at most `ROUNDING` without that
 
 
 def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:
     """Least values (k,) by DAQP, and whether each (k,) is right.
 
-    They are right to `LP_ROUNDING`, recomputed where their active rows meet in a corner; if `coarse`, as found, to
+    They are right to `ROUNDING`, recomputed where their active rows meet in a corner; if `coarse`, as found, to
     `LP_RESIDUAL`.
     """
     X = np.zeros(costs.shape)
     dual = np.zeros((len(costs), len(b)))
     solved = np.zeros(len(costs), bool)
     for i, c in enumerate(costs):
-        x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+        x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
         if flag == 1:
             X[i] = x
             dual[i] = info["lam"]
@@ -221,7 +209,7 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
     slope = np.abs(costs + dual @ A)
     wrong = np.array([(X @ A.T - b).max(axis=1), -dual.min(axis=1), slope.max(axis=1), (slope * np.abs(X)).sum(axis=1),
                       np.abs(values + dual @ b)])
-    return values, solved & (wrong <= (LP_RESIDUAL if coarse else LP_ROUNDING)).all(axis=0)
+    return values, solved & (wrong <= (LP_RESIDUAL if coarse else ROUNDING)).all(axis=0)
 
 
 def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
@@ -239,7 +227,7 @@ def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
     columns = np.abs(A).max(axis=0)
     if 0 < columns.min() < UNEVEN:
         return None
-    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
     optimum = _measured(c, A, b, x, info["lam"]) if flag == 1 else None
     return optimum if optimum is not None and optimum.exact else None
 
@@ -258,7 +246,7 @@ def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
     """Optimum in rational arithmetic, with rows relaxed by rounding, or None."""
-    for rounding in (0.0, LP_ROUNDING, LP_SOLVER):
+    for rounding in (0.0, ROUNDING, LP_SOLVER):
         answer = exact_optimum(c, A, b + rounding * (np.abs(b) + 1.0))
         if answer is not None:
             return Optimum(*answer, residual=rounding)
@@ -279,7 +267,7 @@ def _best(c: Array, A: Array, b: Array) -> Optimum | None:
 
 def from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
     """Optimum by DAQP, recomputed, or None."""
-    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_PROXIMAL)
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
     return _recomputed(c, A, b, x, info["lam"]) if flag == 1 else None
 
 
@@ -302,9 +290,9 @@ def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optim
 def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
     """Better of the proposed optimum and that of its active rows."""
     best = None
-    for least in (0.0, ACTIVE * dual.max(initial=0.0)):
+    for least in (0.0, LP_COARSE * dual.max(initial=0.0)):
         exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
-        if exact is not None and exact.residual <= LP_ROUNDING:
+        if exact is not None and exact.residual <= ROUNDING:
             return exact
         best = exact if best is None or (exact is not None and exact.residual < best.residual) else best
     proposed = _measured(c, A, b, x, dual)
@@ -337,9 +325,9 @@ def _measured(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
     size = np.abs(x)
     skewed = max(-float(dual.min()), float(slope.max()), float(slope @ size))
     worst = max(0.0, float(excess.max()), gap, skewed)
-    exact = worst <= LP_ROUNDING
+    exact = worst <= ROUNDING
     if not exact:  # not for small data, so allow for the rounding of large ones
-        excess -= LP_ROUNDING * (np.abs(A) @ size + np.abs(b))
-        gap -= LP_ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
+        excess -= ROUNDING * (np.abs(A) @ size + np.abs(b))
+        gap -= ROUNDING * float(np.abs(c) @ size + np.abs(b) @ np.abs(dual))
         worst = max(0.0, float(excess.max()), gap, skewed)
     return Optimum(value, x, np.maximum(dual, 0.0), worst, exact)

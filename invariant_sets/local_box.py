@@ -14,18 +14,17 @@ import numpy as np
 from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, ray_along
 from invariant_sets.tolerances import (
     CANCELLED,
-    CLOSED,
     CLOSER,
     ENDLESS,
     FLAT,
     HALF_BOX,
     LOST,
+    LP_SOLVER,
     ROUNDING,
     SETTLED,
     THIN,
     TINY,
     WIDER,
-    WRONG_SCALE,
 )
 
 Array = np.ndarray
@@ -68,7 +67,7 @@ class LocalBox:
     def open(self) -> Array:
         """Coordinates (k,) in which `room` does not bound the set."""
         F = self.F[self.near]
-        return np.asarray(np.abs(self.ball.dual @ F) > CLOSED * (self.ball.dual @ np.abs(F)))
+        return np.asarray(np.abs(self.ball.dual @ F) > LP_SOLVER * (self.ball.dual @ np.abs(F)))
 
     @cached_property
     def is_flat(self) -> bool:
@@ -110,7 +109,7 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
         middle, half = _frame(box, lower, upper, unbounded)
         if box.is_flat:  # closer only where the rows close: that makes their other coordinates felt
             half = np.where(box.open, np.maximum(half, 1.0), half)
-        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < WRONG_SCALE or resized > 3
+        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < np.log10(WIDER) or resized > 3
         resized += 1 if unbounded.any() else 0
         settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
         centre = centre + basis @ middle

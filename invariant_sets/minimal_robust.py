@@ -23,7 +23,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem, Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
-from invariant_sets.tolerances import DRIVEN, GAP, MOST_SUM_TERMS, ROUNDING, SUM_END
+from invariant_sets.tolerances import CANCELLED, FLAT, GAP, MOST_SUM_TERMS, ROUNDING
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
@@ -126,9 +126,9 @@ def _moving_subspace(A: Array, W: Array) -> Array:
     for _ in range(len(A) - 1):
         blocks.append(A @ blocks[-1])
         size = np.abs(blocks[-1]).max()
-        blocks[-1] = blocks[-1] / size if size > DRIVEN else 0 * blocks[-1]
+        blocks[-1] = blocks[-1] / size if size > FLAT else 0 * blocks[-1]
     left, values, _ = np.linalg.svd(np.hstack(blocks), full_matrices=False)
-    return left[:, values > DRIVEN * values.max()]
+    return left[:, values > FLAT * values.max()]
 
 
 def _scaled_sum(A: Array, W: Array, limits: Limits) -> SetResult | None:
@@ -217,7 +217,7 @@ def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
     for _ in range(terms):
         step = (directions @ W.T).max(axis=1)
         total += step
-        if (np.abs(directions) @ largest <= SUM_END * np.abs(total)).all():
+        if (np.abs(directions) @ largest <= CANCELLED * np.abs(total)).all():
             break
         directions = directions @ A
     return total

@@ -21,7 +21,7 @@ from invariant_sets.hulls import (
 from invariant_sets.interior_form import body_of, body_of_vertices, hull_about, settled, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, INVARIANT, MEMBERSHIP, ROUNDING
+from invariant_sets.tolerances import CHEAP_HULL_DIM, MEMBERSHIP, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray
@@ -314,7 +314,7 @@ class Polyhedron:
         A, b = self.one_sided
         place = 0.0 if self._reach is None else np.abs(A) @ self._reach
         ranges = np.where(self.ranges > 0.0, self.ranges, 1.0)
-        ranges = np.maximum(ranges, ROUNDING / INVARIANT * (self.row_terms + place))
+        ranges = np.maximum(ranges, ROUNDING / MEMBERSHIP * (self.row_terms + place))
         return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:

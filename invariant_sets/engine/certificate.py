@@ -19,14 +19,14 @@ from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import (
-    DOUBTFUL,
     DUAL_RESIDUAL,
     FLAT,
-    INVARIANT,
-    LP_PROXIMAL,
+    LP_RESIDUAL,
+    MEMBERSHIP,
     MISSING,
     PLACE,
     PROGRAMS_PER_CHECK,
+    ROUNDING,
     WITNESS,
     WITNESS_SOLVER,
 )
@@ -72,7 +72,7 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
     slope = F @ system.B @ body.basis
     room = g - C.vertices @ (F @ system.A).T - F @ system.B @ body.centre
     terms = np.abs(C.vertices) @ (np.abs(F) @ np.abs(system.A)).T + np.abs(F) @ np.abs(system.B) @ body.terms
-    room = room + np.where(PLACE * terms > DOUBTFUL, PLACE * terms, 0.0)  # a thin target far from what was added
+    room = room + np.where(PLACE * terms > ROUNDING, PLACE * terms, 0.0)  # a thin target far from what was added
     if slope.shape[1] == 0:
         return Certificate(float((-room).max()), np.inf, len(room))
     return Certificate(_least_violation(slope, room, (body.F, body.g), deadline), np.inf, len(room))
@@ -94,23 +94,23 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     cost[nu] = 1.0
     witnesses = _middle_inputs(slope[:, 0], room, (H, h)) if nu == 1 else np.full((len(room), nu), np.inf)
     leaves = _violations(witnesses, slope, room, (H, h))
-    doubtful = np.flatnonzero(~(leaves <= DOUBTFUL))
+    doubtful = np.flatnonzero(~(leaves <= ROUNDING))
     for k in doubtful:
         deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
     leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
     for k in np.argsort(-leaves):  # DAQP stops early where the inputs are nearly parallel
-        if leaves[k] <= DOUBTFUL:
+        if leaves[k] <= ROUNDING:
             break
         deadline.check()
         for solver in (_checked_minimiser, precise_minimiser):
             v = solver(cost, rows, np.concatenate([room[k], h]))
             if v is not None:
                 leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], (H, h))[0])
-            if leaves[k] <= INVARIANT:
+            if leaves[k] <= MEMBERSHIP:
                 break
-        if leaves[k] > INVARIANT:  # confirmed by three solvers: the other vertices cannot mend that
+        if leaves[k] > MEMBERSHIP:  # confirmed by three solvers: the other vertices cannot mend that
             break
     return float(leaves.max())
 
@@ -227,7 +227,7 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
     dual = np.zeros((len(costs), len(right)))
     solved = np.zeros(len(costs), bool)
     for i, cost in enumerate(costs):
-        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_PROXIMAL)
+        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_RESIDUAL)
         if flag == 1:
             dual[i] = info["lam"]
             solved[i] = True

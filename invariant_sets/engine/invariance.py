@@ -38,7 +38,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING
+from invariant_sets.tolerances import FLAT, GAP_ROUNDING, MEMBERSHIP, MISSING
 
 Array = np.ndarray
 
@@ -248,18 +248,18 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
             check = certificate.feedback_violation(task.system, C, task.U, gain, offset, deadline)
         else:
             check = certificate.control_violation(task.system, C, task.U, deadline=deadline)
-        if not check.violation <= INVARIANT:
+        if not check.violation <= MEMBERSHIP:
             return None
         beyond = certificate.outside(C, task.X, by_vertices=found.V is not None)
     except LimitReached:
         return None
     check = replace(check, gap=gap(region, found), outside=beyond)
-    return _Inner(C, check, problem.frame.centre) if beyond <= INVARIANT else None
+    return _Inner(C, check, problem.frame.centre) if beyond <= MEMBERSHIP else None
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Result with the status that its gap and missing states deserve."""
-    small = inner.check.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
+    small = inner.check.gap <= task.limits.tol * (1 + GAP_ROUNDING) + MEMBERSHIP
     absent = inner.check.missing
     if small:
         try:
@@ -291,6 +291,6 @@ def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> S
         return _nothing(task, iterations)
     point = Polytope.from_vertices(problem.frame.centre[None])
     check = certificate.control_violation(task.system, point, task.U)
-    if check.violation > INVARIANT:
+    if check.violation > MEMBERSHIP:
         return no_set(task.X.dim, iterations, X, Status.NOT_CERTIFIED)
     return SetResult(point, X, Status.CONVERGED, iterations, replace(check, gap=0.0))

@@ -23,16 +23,7 @@ from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.system_checks import LinearSystem
-from invariant_sets.tolerances import (
-    AT_REST,
-    DEPENDENT_COLUMNS,
-    NEEDLE,
-    NEGLIGIBLE,
-    SILENT,
-    THINNEST,
-    TINY,
-    WELL_INSIDE,
-)
+from invariant_sets.tolerances import CANCELLED, NEEDLE, NEGLIGIBLE, ROUNDING, TINY, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -165,7 +156,7 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
     widths, axes = np.linalg.eigh((Y - middle).T @ (Y - middle) / len(Y))
     if widths[0] > NEEDLE**2 * widths[-1]:
         return frame, rows
-    turn = axes * np.sqrt(np.maximum(widths, THINNEST**2 * widths[-1]))
+    turn = axes * np.sqrt(np.maximum(widths, ROUNDING**2 * widths[-1]))
     return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
 
 
@@ -191,7 +182,7 @@ def _lifted(problem: LocalProblem) -> Rows:
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
-    used = np.linalg.norm(rows, axis=1) > SILENT
+    used = np.linalg.norm(rows, axis=1) > ROUNDING
     return unit(rows[used], np.append(g, h)[used])
 
 
@@ -228,7 +219,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     v = np.linalg.lstsq(dynamics.B, residual, rcond=None)[0] if q else np.zeros(0)
     # any v with B v = residual will do as u = 0 does not change the state
     point = np.append(y, v)
-    if np.abs(residual - dynamics.B @ v).max() > AT_REST * max(1.0, np.abs(y).max()):
+    if np.abs(residual - dynamics.B @ v).max() > CANCELLED * max(1.0, np.abs(y).max()):
         return None
     inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > WELL_INSIDE
     inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
@@ -244,7 +235,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     rows, right = _lifted(problem)
     matrix = matrix * scale
     rows = rows * scale
-    z, *_ = np.linalg.lstsq(matrix, problem.drift, rcond=DEPENDENT_COLUMNS)
+    z, *_ = np.linalg.lstsq(matrix, problem.drift, rcond=ROUNDING)
     worst = np.abs(matrix @ z - problem.drift).max(initial=0.0)
     if worst > NEGLIGIBLE * max(1.0, np.abs(problem.drift).max(initial=0.0)):
         return None
@@ -252,7 +243,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
-    moving = norms > SILENT
+    moving = norms > ROUNDING
     if (room[~moving] < -NEGLIGIBLE).any():
         return None
     if not moving.any():

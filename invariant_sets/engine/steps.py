@@ -23,7 +23,7 @@ from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, HALF_BOX, INVARIANT, LOOSE, ROUNDING, USEFUL_INPUTS
+from invariant_sets.tolerances import FLAT, HALF_BOX, LOOSE, MEMBERSHIP, ROUNDING, USEFUL_INPUTS
 
 Array = np.ndarray
 
@@ -65,7 +65,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
             continue
         if _worst(check) < _worst(best[1]):
             best = P, check
-        if _worst(check) <= INVARIANT:
+        if _worst(check) <= MEMBERSHIP:
             break
     return best
 
@@ -150,7 +150,7 @@ def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> flo
         level = float(f @ body.centre[:n] - g[i])
         size = float(np.hypot.reduce(local, initial=0.0))
         beyond = size * -minimise(-local / size, body.F, body.g)[0] + level if size > 0.0 else level
-        if beyond > INVARIANT and size > 0.0:  # a flat optimum may be found too large: a second solver
+        if beyond > MEMBERSHIP and size > 0.0:  # a flat optimum may be found too large: a second solver
             point = precise_minimiser(-local / size, body.F, body.g)
             beyond = beyond if point is None else min(beyond, float(local @ point) + level)
         worst = max(worst, beyond)
@@ -183,7 +183,7 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
     q = move.basis.shape[1]
     width = np.ptp(image.vertices, axis=0)
     known = np.abs(system.A) @ start.terms + move.terms
-    width = np.maximum(np.where(width > 0.0, width, width.max()), ROUNDING / INVARIANT * known)
+    width = np.maximum(np.where(width > 0.0, width, width.max()), ROUNDING / MEMBERSHIP * known)
     width = np.where(width > 0.0, width, 1.0)
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
     at = (system.A @ start.centre + move.centre) / width
