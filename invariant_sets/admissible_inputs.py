@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import daqp
 import numpy as np
 
 from invariant_sets.engine.certificate import tightened_rows
-from invariant_sets.engine.local_problem import LinearSystem, left_inverse
+from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.input_intervals import nearest_inputs
 from invariant_sets.linear_programs import minimise
+from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
-from invariant_sets.system_checks import Set, checked_system
-from invariant_sets.tolerances import FAR_PROPOSAL, INPUT_SLACK, INVARIANT, LARGEST_ROOM, LP_SOLVER
+from invariant_sets.system_checks import LinearSystem, Set, checked_system
+from invariant_sets.tolerances import FAR_PROPOSAL, INPUT_SLACK, LARGEST_ROOM, LP_SOLVER, MEMBERSHIP
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
@@ -61,7 +62,7 @@ class AdmissibleInputs:
 
     S: Polytope
     U: Polytope
-    _rows: _LocalRows = field(repr=False)
+    rows: _LocalRows  # for the families of this module, and no part of what users are promised
 
     def __init__(self, A: Any, B: Any, S: Set, U: Set, *, E: Any = None, W: Set | None = None) -> None:
         system, S, U = checked_system(A, B, S, U, E, W, name="S")
@@ -69,19 +70,19 @@ class AdmissibleInputs:
             raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
         if not U.is_bounded:
             raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
-        for name, value in (("S", S), ("U", U), ("_rows", _local_rows(system, S, U))):
+        for name, value in (("S", S), ("U", U), ("rows", _local_rows(system, S, U))):
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
-        nx = self._rows.after.shape[1]
+        nx = self.rows.after.shape[1]
         nu = self.U.dim
-        return f"AdmissibleInputs(nx={nx}, nu={nu}, {len(self._rows.room)} rows of S, {len(self.U.b)} rows of U)"
+        return f"AdmissibleInputs(nx={nx}, nu={nu}, {len(self.rows.room)} rows of S, {len(self.U.b)} rows of U)"
 
     def at(self, x: Any) -> Polytope:
         """Admissible inputs at one state x (nx,) as a `Polytope`, possibly empty."""
-        x = as_vector(x, "x", size=self._rows.after.shape[1])
-        rows = self._rows.slope @ self._rows.back
-        return self.U.intersection(Polytope(rows, self._rows.rooms(x[None])[0] + rows @ self._rows.middle))
+        x = as_vector(x, "x", size=self.rows.after.shape[1])
+        rows = self.rows.slope @ self.rows.back
+        return self.U.intersection(Polytope(rows, self.rows.rooms(x[None])[0] + rows @ self.rows.middle))
 
     def project(self, x: Any, u_proposed: Any) -> tuple[Array, Any]:
         """Nearest admissible input to a proposed one, and whether any exists.
@@ -106,7 +107,7 @@ class AdmissibleInputs:
         One input: a closed-form interval. Several: one QP a state (DAQP). It raises for wrong shapes, NaN
         and infinity only.
         """
-        rows = self._rows
+        rows = self.rows
         states, single = as_batch(x, "x", rows.after.shape[1])
         proposed = _proposals(u_proposed, self.U.dim, len(states))
         rooms = rows.rooms(states)
@@ -116,7 +117,7 @@ class AdmissibleInputs:
             slope = np.broadcast_to(rows.slope[:, 0], rooms.shape)
             values, violation = nearest_inputs(slope, rooms, low, high, wanted[:, 0])
             v = values[:, None]
-            admissible = violation <= INVARIANT
+            admissible = violation <= MEMBERSHIP
         else:
             v, admissible = _by_programs(rows, rooms, wanted)
         u = rows.middle + v @ rows.size.T
@@ -147,19 +148,19 @@ class AdmissibleInputFamily:
         filters = tuple(filters)
         if not filters or not all(isinstance(one, AdmissibleInputs) for one in filters):
             raise InputError("filters", f"{len(filters)} values", "one or more AdmissibleInputs")
-        shapes = {(one._rows.after.shape[1], one.U.dim) for one in filters}
+        shapes = {(one.rows.after.shape[1], one.U.dim) for one in filters}
         if len(shapes) > 1:
             raise InputError("filters", f"(nx, nu) of {sorted(shapes)}", "the same in all")
         object.__setattr__(self, "filters", filters)
-        most = max(len(one._rows.room) for one in filters)
+        most = max(len(one.rows.room) for one in filters)
         slope = np.zeros((len(filters), most))
         after = np.zeros((len(filters), most, next(iter(shapes))[0]))
         room = np.full((len(filters), most), LARGEST_ROOM)  # a filter with fewer rows gets rows that never matter
         for i, one in enumerate(filters):
-            count = len(one._rows.room)
-            slope[i, :count] = one._rows.slope[:, 0] if one._rows.slope.shape[1] else 0.0
-            room[i, :count] = one._rows.room
-            after[i, :count] = one._rows.after
+            count = len(one.rows.room)
+            slope[i, :count] = one.rows.slope[:, 0] if one.rows.slope.shape[1] else 0.0
+            room[i, :count] = one.rows.room
+            after[i, :count] = one.rows.after
         for name, array in (("_slope", slope), ("_room", room), ("_after", after)):
             object.__setattr__(self, name, frozen(array))
 
@@ -183,17 +184,17 @@ class AdmissibleInputFamily:
         if len(states) != len(self.filters):
             raise InputError("x", f"{len(states)} rows", f"{len(self.filters)}, one a filter")
         proposed = _proposals(u_proposed, self.filters[0].U.dim, len(states))
-        if any(one._rows.slope.shape[1] != 1 for one in self.filters):
+        if any(one.rows.slope.shape[1] != 1 for one in self.filters):
             answers = [one.project(*pair) for one, *pair in zip(self.filters, states, proposed)]
             return np.array([u for u, _ in answers]), np.array([admissible for _, admissible in answers])
         with np.errstate(over="ignore", invalid="ignore"):
             rooms = self._room + np.einsum("kmn,kn->km", self._after, states)
         rooms = np.clip(np.nan_to_num(rooms, nan=-LARGEST_ROOM), -LARGEST_ROOM, LARGEST_ROOM)
-        wanted = np.array([one._rows.local(u[None])[0, 0] for one, u in zip(self.filters, proposed)])
-        ends = np.array([one._rows.interval for one in self.filters])
+        wanted = np.array([one.rows.local(u[None])[0, 0] for one, u in zip(self.filters, proposed)])
+        ends = np.array([one.rows.interval for one in self.filters])
         v, violation = nearest_inputs(self._slope, rooms, ends[:, 0], ends[:, 1], wanted)
-        u = np.array([one._rows.middle + one._rows.size[:, 0] * value for one, value in zip(self.filters, v)])
-        return u, violation <= INVARIANT
+        u = np.array([one.rows.middle + one.rows.size[:, 0] * value for one, value in zip(self.filters, v)])
+        return u, violation <= MEMBERSHIP
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,7 @@ class _LocalRows:
 
 def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     """Rows of S and U in coordinates with unit extents of U."""
-    body = U._require_point("AdmissibleInputs")
+    body = nonempty_body(U, "AdmissibleInputs")
     F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B
@@ -252,7 +253,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
     v = np.zeros(wanted.shape)
     admissible = np.zeros(len(rooms), bool)
     for k, room in enumerate(rooms):
-        nearest = _nearest(rows, room + 0.5 * INVARIANT, wanted[k])
+        nearest = _nearest(rows, room + 0.5 * MEMBERSHIP, wanted[k])
         if nearest is None or not _meets(rows, nearest, room):
             nearest = _least_violation(rows, room, wanted[k])
         v[k] = nearest
@@ -262,7 +263,7 @@ def _by_programs(rows: _LocalRows, rooms: Array, wanted: Array) -> tuple[Array, 
 
 def _meets(rows: _LocalRows, v: Array, room: Array) -> bool:
     """Whether v meets all rows of S to the tolerance."""
-    return bool((rows.slope @ v - room).max(initial=-np.inf) <= INVARIANT)
+    return bool((rows.slope @ v - room).max(initial=-np.inf) <= MEMBERSHIP)
 
 
 def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
@@ -291,5 +292,5 @@ def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:
     value, best = minimise(cost, matrix / norms[:, None], right)
     if best is None:  # pragma: no cover - U is nonempty and bounded, so a minimiser exists
         return np.zeros(nu)
-    nearest = _nearest(rows, room - shift + (value + INVARIANT) * spread, wanted)
+    nearest = _nearest(rows, room - shift + (value + MEMBERSHIP) * spread, wanted)
     return best[:nu] if nearest is None else nearest

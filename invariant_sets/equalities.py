@@ -8,62 +8,16 @@ Ruiz (2001), A scaling algorithm to equilibrate both rows and columns norms in m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
 import numpy as np
 
+from invariant_sets.bodies import Body, Stated, bare_body
 from invariant_sets.tolerances import CANCELLED, CLOSER, DEPENDENT, FLAT, ROUNDING
 
 Array = np.ndarray
 
 
-class Stated(NamedTuple):
-    """Rows A x <= b, A_eq x = b_eq, and sizes of terms behind b (m,), b_eq (k,).
-
-    A right-hand side that is a difference may be wrong by the rounding of what it was computed from.
-    """
-
-    A: Array
-    b: Array
-    A_eq: Array
-    b_eq: Array
-    terms: Array
-    terms_eq: Array
-
-    @classmethod
-    def given(cls, A: Array, b: Array, A_eq: Array, b_eq: Array) -> Stated:
-        """Rows as a caller states them, right-hand sides rounded."""
-        return cls(A, b, A_eq, b_eq, np.abs(b), np.abs(b_eq))
-
-    @property
-    def unit(self) -> Stated:
-        """Rows of norm one; rows of norm zero stay."""
-        size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
-        return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
-                      self.terms / size, self.terms_eq / size_eq)
-
-
-@dataclass(frozen=True)
-class AffineHull:
-    """Hull {centre + basis y}; `free` coordinates move with one y."""
-
-    # a point, and columns that span the hull
-    centre: Array  # (n,)
-    basis: Array  # (n, k)
-    free: Array  # (k,) int: the coordinate of x that column j moves and no other column does
-    # size of the terms that each coordinate of the centre was computed from, in the units of x: their rounding is the
-    # centre's
-    terms: Array  # (n,)
-
-
-def row_norms(rows: Array) -> Array:
-    """Norms (m,) of rows (m, n), without overflow of squares."""
-    return np.asarray(np.hypot.reduce(rows, axis=1, initial=0.0))
-
-
-def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> AffineHull | None:
-    """Affine hull {x : E x = e}, or None if empty.
+def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) -> Body | None:
+    """Affine hull {x : E x = e} as a `Body` without rows, or None if empty.
 
     Parameters
     ----------
@@ -81,7 +35,7 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     """
     n = len(scale)
     if not len(e):
-        return AffineHull(centre.copy(), np.diag(scale), np.arange(n), np.abs(centre))
+        return bare_body(centre.copy(), np.diag(scale), np.arange(n), np.abs(centre))
     row_sizes = np.abs(E * scale).max(axis=1)
     rows = np.column_stack([E * scale, e]) / row_sizes[:, None]
     terms = np.column_stack([np.abs(E * scale), sizes]) / row_sizes[:, None]
@@ -110,8 +64,8 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     point_terms = np.zeros(n)
     point_terms[bound] = terms[solved, n]
     start = centre[free] / scale[free]
-    return AffineHull(scale * (point + basis @ start), scale[:, None] * basis, free,
-                      scale * (point_terms + np.abs(basis) @ np.abs(start)))
+    return bare_body(scale * (point + basis @ start), scale[:, None] * basis, free,
+                     scale * (point_terms + np.abs(basis) @ np.abs(start)))
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invariant_sets.equalities import row_norms
+from invariant_sets.bodies import row_norms
 from invariant_sets.hulls import convex_hull, hull_rows, merge_points
 from invariant_sets.linear_programs import largest_ball
 from invariant_sets.time_limits import NO_DEADLINE, Deadline

@@ -16,7 +16,7 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import CHECKED, EPS, FLAT, MOST_SORTING_FACETS, NULL_SPACE, REDUNDANT, TINY, TOUCHING
+from invariant_sets.tolerances import EPS, FLAT, MOST_SORTING_FACETS, NEGLIGIBLE, REDUNDANT, TINY, TOUCHING
 
 Array = np.ndarray
 
@@ -95,7 +95,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
         terms = (V @ c) ** n / (sizes * gamma.prod(axis=1))
         found.append((float(np.abs(terms).sum()), math.fsum(terms)))
     (_, best), (_, second) = sorted(found)[:2]
-    return best if abs(best - second) <= CHECKED * abs(best) else None
+    return best if abs(best - second) <= TOUCHING * abs(best) else None
 
 
 def _holds_all(equations: Array, points: Array) -> bool:
@@ -110,7 +110,7 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
     """Raise `NumericalError` unless the vertices agree with random LPs."""
     D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
     exact = np.array([-minimise(-d, F, g)[0] for d in D])
-    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=CHECKED * np.abs(exact).max()):
+    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=TOUCHING * np.abs(exact).max()):
         raise NumericalError("The vertices", F.shape, "they disagree with linear programs")
 
 
@@ -130,7 +130,7 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
     products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
     step = max(1, 10_000_000 // max(len(F), 1))
     touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
-    sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NULL_SPACE
+    sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NEGLIGIBLE
     for i in kept if tol > FLAT else kept[~sharp]:
         others = kept[kept != i]  # SciPy 1.17 frees twice what it never had where there are none
         if len(others) and nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:

@@ -5,103 +5,18 @@ What is large, small or zero is judged by the set's own extents, which a `LocalB
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from invariant_sets.equalities import AffineHull, Stated, eliminated, opposite_rows, row_norms, starting_scale
-from invariant_sets.exceptions import NumericalError
+from invariant_sets.bodies import Body, Stated, row_norms
+from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.local_box import LocalBox, half_widths, hidden_equalities, rescaled_view
-from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NULL_SPACE, ROUNDING, SETTLED, THIN, WRONG_SCALE
+from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NEGLIGIBLE, ROUNDING, THIN, WIDER
 
 Array = np.ndarray
-
-
-@dataclass(frozen=True)
-class Body:
-    """Set {centre + basis y : F y <= g}, solid and scaled in y."""
-
-    centre: Array  # (n,): an interior point relative to the affine hull
-    basis: Array  # (n, k): columns span the affine hull; they carry the scale. Diagonal if k = n
-    # rows of unit norm, g > 0, and the sizes of the terms of g. Rows that never touch a bounded set are left out
-    F: Array  # (m, k)
-    g: Array  # (m,)
-    sizes: Array  # (m,)
-    bounded: bool  # whether the set is bounded
-    free: Array  # (k,) int: the coordinate of x that column j of the basis moves and no other column does
-    # half the widths of the bounding box; 0 where it is flat, a length of the rows where it has no end
-    half_widths: Array  # (n,)
-    # size of the terms that each coordinate of the centre was computed from, in the units of x: the set's place is
-    # known to `PLACE` of it. Where slanted rows meet it is larger than the coordinate
-    terms: Array  # (n,)
-
-    @property
-    def inverse(self) -> Array:
-        """Matrix (k, n) that takes x − centre to y."""
-        inverse = np.zeros(self.basis.shape[::-1])
-        columns = np.arange(len(self.free))
-        inverse[columns, self.free] = 1 / self.basis[self.free, columns]
-        return inverse
-
-    @property
-    def normals(self) -> Array:
-        """Rows (n − k, n) that span the orthogonal complement of the hull."""
-        n = len(self.centre)
-        tied = np.ones(n, bool)
-        tied[self.free] = False
-        return np.asarray((np.eye(n) - self.basis @ self.inverse)[tied])
-
-    @property
-    def rows(self) -> Stated:
-        """Set as unit rows on x."""
-        A = self.F @ self.inverse
-        A_eq = self.normals
-        if not (np.isfinite(A).all() and A.any(axis=1).all()):
-            raise NumericalError("The hull", A.shape, "its coordinates are too large or too small for doubles")
-        return Stated(A, self.g + A @ self.centre, A_eq, A_eq @ self.centre,
-                      self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
-
-    def less(self, Q: Body, V: Array | None = None) -> Body | None:
-        """Set {x : x + q in the set for all q in Q}, not `settled`, or None.
-
-        Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
-        V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `FLAT`.
-        """
-        shape = replace(Q, centre=np.zeros(len(Q.centre)))
-        across = self.normals
-        if len(across) and (support(shape, across) > FLAT * (np.abs(across) @ (self.half_widths + Q.half_widths))
-                + ROUNDING * (np.abs(across) @ (self.terms + Q.terms))).any():
-            return None
-        slope = self.F @ self.inverse
-        reach = support(shape, slope) if V is None else (slope @ V.T).max(axis=1)
-        if np.isinf(reach).any():
-            return None
-        sizes = self.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (self.terms + Q.terms))
-        return replace(self, g=self.g - reach, sizes=sizes, centre=self.centre - Q.centre, terms=self.terms + Q.terms)
-
-    def holds_part_of(self, whole: Body) -> bool:
-        """Whether the tightened set holds a copy `SETTLED` times the `whole`."""
-        return bool((self.g > SETTLED * whole.g).all())
-
-    def settled(self) -> Body | None:
-        """Set re-centred and rescaled after g has changed, or None if empty."""
-        if not len(self.free):
-            return self
-        none = np.zeros((0, len(self.free)))
-        found = body_of(Stated(self.F, self.g, none, none[:, 0], self.sizes, none[:, 0]))
-        return None if found is None else self.part(found)
-
-    def part(self, inner: Body) -> Body:
-        """Part of the set whose y lies in a body."""
-        half = np.abs(self.basis) @ inner.half_widths
-        if len(self.free) < len(self.centre) and len(inner.free) > 1:
-            shape = replace(inner, centre=np.zeros(len(self.free)))
-            widths = support(shape, self.basis) / 2 + support(shape, -self.basis) / 2
-            half = np.where(np.isfinite(widths), widths, half)
-        return Body(self.centre + self.basis @ inner.centre, self.basis @ inner.basis, inner.F, inner.g, inner.sizes,
-                    inner.bounded, self.free[inner.free], half, self.terms + np.abs(self.basis) @ inner.terms)
 
 
 def body_of(stated: Stated) -> Body | None:
@@ -158,7 +73,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
         within_rounding = box.is_flat and box.room == 0.0  # such a set tells no scale
         endless = box.basis[:, box.unbounded].any(axis=1)  # what is seen of it is the box's own width
         measured = np.where((widths > 0.0) & ~endless & (not within_rounding), widths, scale)
-        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > WRONG_SCALE:
+        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > np.log10(WIDER):
             centre = box.centre
             scale = measured
             rescaled += 1
@@ -188,7 +103,18 @@ def support(body: Body, D: Array) -> Array:
     return np.where(np.abs(values) > CANCELLED * (np.abs(D) @ np.abs(body.centre)), values, 0.0)
 
 
-def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: float) -> Body | None:
+def _part(whole: Body, inner: Body) -> Body:
+    """Part of a set whose y lies in a body."""
+    half = np.abs(whole.basis) @ inner.half_widths
+    if len(whole.free) < len(whole.centre) and len(inner.free) > 1:
+        shape = replace(inner, centre=np.zeros(len(whole.free)))
+        widths = support(shape, whole.basis) / 2 + support(shape, -whole.basis) / 2
+        half = np.where(np.isfinite(widths), widths, half)
+    return Body(whole.centre + whole.basis @ inner.centre, whole.basis @ inner.basis, inner.F, inner.g, inner.sizes,
+                inner.bounded, whole.free[inner.free], half, whole.terms + np.abs(whole.basis) @ inner.terms)
+
+
+def _interval(A: Array, b: Array, terms: Array, hull: Body, cancelled: float) -> Body | None:
     """`Body` of rows on a line, None if empty."""
     slope = A @ hull.basis
     sizes = np.abs(A) @ np.abs(hull.basis)
@@ -201,9 +127,7 @@ def _interval(A: Array, b: Array, terms: Array, hull: AffineHull, cancelled: flo
     along = _box(slope[~level], room[~level], error[~level] / ROUNDING)
     if along is None:
         return None
-    none = np.zeros(0)
-    line = Body(hull.centre, hull.basis, none[:, None], none, none, False, hull.free, none, hull.terms)
-    return line.part(along)
+    return _part(hull, along)
 
 
 def _box(A: Array, b: Array, terms: Array) -> Body | None:
@@ -251,7 +175,7 @@ def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array,
     return least, room
 
 
-def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
+def _body(box: LocalBox, hull: Body, widths: Array) -> Body:
     """`Body` of the box about its ball's centre."""
     y = box.ball.centre
     bounded = not box.unbounded.any()
@@ -262,8 +186,35 @@ def _body(box: LocalBox, hull: AffineHull, widths: Array) -> Body:
     g = box.g[touching]
     centre = box.centre + box.basis @ y
     return Body(centre, box.basis, F, np.maximum(g - F @ y, FLAT), box.error[touching] / ROUNDING, bounded,
-                hull.free, widths,
-                np.maximum(np.abs(centre), hull.terms))
+                hull.free, widths, np.maximum(np.abs(centre), hull.terms))
+
+
+def tightened(body: Body, Q: Body, V: Array | None = None) -> Body | None:
+    """Set {x : x + q in the set for all q in Q}, not `settled`, or None.
+
+    Everything happens about the centres of the two sets, where their distance from the origin costs no digits.
+    V (k, n), the vertices of Q less its centre, are quicker than linear programs, and right to `FLAT`.
+    """
+    shape = replace(Q, centre=np.zeros(len(Q.centre)))
+    across = body.normals
+    if len(across) and (support(shape, across) > FLAT * (np.abs(across) @ (body.half_widths + Q.half_widths))
+            + ROUNDING * (np.abs(across) @ (body.terms + Q.terms))).any():
+        return None
+    slope = body.F @ body.inverse
+    reach = support(shape, slope) if V is None else (slope @ V.T).max(axis=1)
+    if np.isinf(reach).any():
+        return None
+    sizes = body.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (body.terms + Q.terms))
+    return replace(body, g=body.g - reach, sizes=sizes, centre=body.centre - Q.centre, terms=body.terms + Q.terms)
+
+
+def settled(body: Body) -> Body | None:
+    """Set re-centred and rescaled after g has changed, or None if empty."""
+    if not len(body.free):
+        return body
+    none = np.zeros((0, len(body.free)))
+    found = body_of(Stated(body.F, body.g, none, none[:, 0], body.sizes, none[:, 0]))
+    return None if found is None else _part(body, found)
 
 
 def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
@@ -333,7 +284,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
 def null_space(rows: Array) -> Array:
     """Orthonormal basis (n, k) of {x : rows x = 0}."""
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
-    rank = int((s > NULL_SPACE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
+    rank = int((s > NEGLIGIBLE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
     return vt[rank:].T
 
 

@@ -14,18 +14,17 @@ import numpy as np
 from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, ray_along
 from invariant_sets.tolerances import (
     CANCELLED,
-    CLOSED,
     CLOSER,
     ENDLESS,
     FLAT,
     HALF_BOX,
     LOST,
+    LP_SOLVER,
     ROUNDING,
     SETTLED,
     THIN,
     TINY,
     WIDER,
-    WRONG_SCALE,
 )
 
 Array = np.ndarray
@@ -68,7 +67,7 @@ class LocalBox:
     def open(self) -> Array:
         """Coordinates (k,) in which `room` does not bound the set."""
         F = self.F[self.near]
-        return np.asarray(np.abs(self.ball.dual @ F) > CLOSED * (self.ball.dual @ np.abs(F)))
+        return np.asarray(np.abs(self.ball.dual @ F) > LP_SOLVER * (self.ball.dual @ np.abs(F)))
 
     @cached_property
     def is_flat(self) -> bool:
@@ -94,30 +93,23 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
         box = _local_box(A, b, terms, centre, basis, unbounded, cancelled)
         if box is None or k == 0:
             return box
-        radius = box.ball.radius
-        if settled and not box.is_flat:
+        closed = box.is_flat and not box.open.any()
+        misses = closed and box.room < 0 and box.ball.radius < -(FLAT if settled else THIN)
+        if box.is_flat and not misses and box.ball.radius < -THIN:
+            basis = basis * np.where(box.open, WIDER, 1.0)
+            continue
+        if not misses and (settled or (closed and box.room == 0.0)):
             return box
-        if box.is_flat:
-            closed = not box.open.any()
-            if box.room < 0 and radius < -(FLAT if settled else THIN) and closed:
-                beyond, _ = _ends(box, unbounded)[2:]
-                if not beyond.any():
-                    return None
-                basis = basis * np.where(beyond, WIDER, 1.0)  # it misses by less than it is long
-                continue
-            if radius < -THIN:
-                basis = basis * np.where(box.open, WIDER, 1.0)
-                continue
-            if settled or (box.room == 0.0 and closed):
-                return box
         lower, upper, beyond, unbounded = _ends(box, unbounded)
-        if beyond.any():
+        if beyond.any():  # a set that is missed may miss by less than it is long
             basis = basis * np.where(beyond, WIDER, 1.0)
             continue
+        if misses:
+            return None
         middle, half = _frame(box, lower, upper, unbounded)
         if box.is_flat:  # closer only where the rows close: that makes their other coordinates felt
             half = np.where(box.open, np.maximum(half, 1.0), half)
-        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < WRONG_SCALE or resized > 3
+        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < np.log10(WIDER) or resized > 3
         resized += 1 if unbounded.any() else 0
         settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
         centre = centre + basis @ middle

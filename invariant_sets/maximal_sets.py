@@ -14,11 +14,17 @@ from typing import Any
 import numpy as np
 
 from invariant_sets.engine.invariance import Task, largest_invariant_set
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.recursion import Limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult
-from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system, disturbance_vertices
+from invariant_sets.system_checks import (
+    LinearSystem,
+    Set,
+    as_set,
+    checked_state_matrix,
+    checked_system,
+    disturbance_vertices,
+)
 from invariant_sets.time_limits import Deadline
 from invariant_sets.tolerances import GAP
 from invariant_sets.validation import as_count, as_matrix, check_tolerance

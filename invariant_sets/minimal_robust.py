@@ -8,22 +8,22 @@ set, IEEE TAC 50(3).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from invariant_sets.engine.certificate import control_violation
 from invariant_sets.engine.invariance import Task, largest_invariant_set
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.recursion import Limits
 from invariant_sets.exceptions import InputError
 from invariant_sets.maximal_sets import NO_INPUT, as_limits
+from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
-from invariant_sets.results import SetResult, Status, no_set, status_of
-from invariant_sets.system_checks import Set, checked_disturbance, checked_state_matrix
+from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
+from invariant_sets.system_checks import LinearSystem, Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
-from invariant_sets.tolerances import DRIVEN, GAP, MOST_SUM_TERMS, ROUNDING, SUM_END
+from invariant_sets.tolerances import CANCELLED, FLAT, GAP, MOST_SUM_TERMS, ROUNDING
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
@@ -83,37 +83,31 @@ def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, ep
     if radius >= 1.0:
         raise InputError("A", f"spectral radius {radius:.6g}", "less than 1", "Close a stabilising loop first.")
     noise = noise_set.vertices @ E.T
-    centre = noise_set.affine_map(E)._require_point("W").centre
+    centre = nonempty_body(noise_set.affine_map(E), "W").centre
     rest = np.linalg.solve(np.eye(len(A)) - A, centre)
     size = _extent(A, noise - centre)
     local = A * size / size[:, None]  # in units of the answer's own extent
     pushes = (noise - centre) / size
     Q = _moving_subspace(local, pushes)
     if Q.shape[1] == 0:
-        found = _Approximation(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
+        found = _found(Polytope.from_vertices(rest[None]), 0.0, 0, Status.CONVERGED)
     else:
         A_moving = Q.T @ local @ Q
         solid = Polytope.from_vertices(pushes @ Q).affine_dim == len(A_moving)
         scaled = _scaled_sum(A_moving, pushes @ Q, limits) if solid else None
         found = _from_outside(A_moving, pushes @ Q, limits) if scaled is None else scaled
-        if found.set is None:
-            return no_set(len(A), found.steps, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
+        if found.set.is_empty:
+            return no_set(len(A), found.iterations, Polytope(np.zeros((0, len(A))), np.zeros(0)), found.status)
         found = replace(found, set=found.set.affine_map(size[:, None] * Q, rest))
     check = control_violation(LinearSystem(A, np.zeros((len(A), 1)), noise), found.set, NO_INPUT)
-    certificate = replace(check, gap=found.gap)
-    if not certificate.holds:
-        return no_set(len(A), found.steps, found.set, Status.NOT_CERTIFIED)
-    return SetResult(found.set, found.set, found.status, found.steps, certificate)
+    if not check.holds:
+        return no_set(len(A), found.iterations, found.set, Status.NOT_CERTIFIED)
+    return replace(found, outer=found.set, certificate=replace(check, gap=found.certificate.gap))
 
 
-@dataclass(frozen=True)
-class _Approximation:
-    """Robust set or None, its relative excess, terms and status."""
-
-    set: Any
-    gap: float
-    steps: int
-    status: Status
+def _found(R: Polytope, gap: float, terms: int, status: Status) -> SetResult:
+    """Result before its check: robust set, relative excess, terms and status."""
+    return SetResult(R, R, status, terms, Certificate(np.inf, gap, 0))
 
 
 def _extent(A: Array, W: Array) -> Array:
@@ -132,12 +126,12 @@ def _moving_subspace(A: Array, W: Array) -> Array:
     for _ in range(len(A) - 1):
         blocks.append(A @ blocks[-1])
         size = np.abs(blocks[-1]).max()
-        blocks[-1] = blocks[-1] / size if size > DRIVEN else 0 * blocks[-1]
+        blocks[-1] = blocks[-1] / size if size > FLAT else 0 * blocks[-1]
     left, values, _ = np.linalg.svd(np.hstack(blocks), full_matrices=False)
-    return left[:, values > DRIVEN * values.max()]
+    return left[:, values > FLAT * values.max()]
 
 
-def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
+def _scaled_sum(A: Array, W: Array, limits: Limits) -> SetResult | None:
     """Scaled partial sum for vertices W; None if no term shrinks."""
     hull = Polytope.from_vertices(W)
     target = max(limits.tol / (1 + limits.tol), ROUNDING)
@@ -170,10 +164,10 @@ def _scaled_sum(A: Array, W: Array, limits: Limits) -> _Approximation | None:
     if alpha >= 1:
         return None
     alpha = max(alpha, 0.0) + ROUNDING
-    return _Approximation(best.scale(1 / (1 - alpha)), alpha / (1 - alpha), terms, status)
+    return _found(best.scale(1 / (1 - alpha)), alpha / (1 - alpha), terms, status)
 
 
-def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
+def _from_outside(A: Array, W: Array, limits: Limits) -> SetResult:
     """Iterate R ← A R ⊕ W from a robust set outside."""
     eye = np.eye(len(A))
     upper = _sum_of_supports(eye, A, W, MOST_SUM_TERMS)
@@ -184,7 +178,7 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
     task = Task(LinearSystem(A, np.zeros((len(A), 1)), noise.vertices), box, NO_INPUT, replace(limits, tol=GAP))
     first = largest_invariant_set(task)
     if first.set.is_empty:
-        return _Approximation(None, np.inf, first.iterations, first.status)
+        return first
     R = first.set
     gap = np.inf
     partial = noise  # a partial sum, inside the minimal set
@@ -193,26 +187,26 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> _Approximation:
         steps = first.iterations + extra
         gap = min(gap, _excess(R, partial))
         if gap <= limits.tol:
-            return _Approximation(R, gap, steps, Status.CONVERGED)
+            return _found(R, gap, steps, Status.CONVERGED)
         try:
             sums = max(len(R.vertices), len(partial.vertices)) * len(W)
             limits.deadline.part(1 / 3).check_hull(sums, len(A))  # three: of the image, its sum, the partial sum
         except LimitReached as limit:
-            return _Approximation(R, gap, steps, status_of(limit))
+            return _found(R, gap, steps, status_of(limit))
         grown = R.affine_map(A).minkowski_sum(noise)
         image = image @ A.T
         partial = Polytope.from_vertices((partial.vertices[:, None] + image[None]).reshape(-1, len(A)))
         if max(len(grown.b), len(partial.b)) > limits.facets:
-            return _Approximation(R, gap, steps, Status.FACET_LIMIT)
+            return _found(R, gap, steps, Status.FACET_LIMIT)
         R = grown
-    return _Approximation(R, gap, first.iterations + limits.iterations, Status.ITERATION_LIMIT)
+    return _found(R, gap, first.iterations + limits.iterations, Status.ITERATION_LIMIT)
 
 
 def _excess(R: Polytope, partial: Polytope) -> float:
     """Least g with R ⊆ (1 + g) partial, inf if that is flat."""
     if partial.affine_dim < partial.dim or partial.b.min() <= 0:
         return np.inf
-    return max(0.0, float((R._supports(partial.A) / partial.b).max() - 1.0))
+    return max(0.0, float((R.support(partial.A) / partial.b).max() - 1.0))
 
 
 def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
@@ -223,7 +217,7 @@ def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
     for _ in range(terms):
         step = (directions @ W.T).max(axis=1)
         total += step
-        if (np.abs(directions) @ largest <= SUM_END * np.abs(total)).all():
+        if (np.abs(directions) @ largest <= CANCELLED * np.abs(total)).all():
             break
         directions = directions @ A
     return total

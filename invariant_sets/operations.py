@@ -7,22 +7,21 @@ P + Q and P − Q would suggest. (P ⊖ Q) ⊕ Q ⊆ P ⊆ (P ⊕ Q) ⊖ Q, with
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 
-from invariant_sets.equalities import Stated
+from invariant_sets.bodies import Body, Stated
 from invariant_sets.exceptions import InputError, TimeLimitError
 from invariant_sets.generators import Generators, generators, rows_of
 from invariant_sets.hulls import irredundant_rows
-from invariant_sets.interior_form import Body, body_of, support
-from invariant_sets.polyhedron import Polyhedron
+from invariant_sets.interior_form import body_of, settled, support, tightened
+from invariant_sets.polyhedron import AnySet, Polyhedron, hull_of, nonempty_body, set_of
 from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PRODUCT_ROUNDING
-from invariant_sets.validation import as_matrix, as_number, as_vector, shown
+from invariant_sets.validation import as_coordinates, as_matrix, as_number, as_vector
 
 Array = np.ndarray
-AnySet = TypeVar("AnySet", bound=Polyhedron)
 
 
 class SetOperations(Polyhedron):
@@ -33,25 +32,23 @@ class SetOperations(Polyhedron):
 
         Equalities hidden in the inequalities become rows of A_eq. The empty set becomes 0·x <= −1.
         """
-        body = self._body
+        body = self.body
         if body is None:
             return type(self).empty(self.dim)
         kept = irredundant_rows(body.F, body.g) if len(body.g) else np.zeros(0, int)
         body = replace(body, F=body.F[kept], g=body.g[kept], sizes=body.sizes[kept])
-        return type(self)._of(body.rows, self._vertices, body)
+        return set_of(type(self), body.rows, self.given_vertices, body)
 
     def intersection(self, other: Polyhedron) -> Self:
         """Intersection P ∩ Q of sets of the same dimension."""
         other = same_space(self, other)
-        return type(self)._of(Stated(*(np.concatenate(pair) for pair in zip(self._stated, other._stated))))
+        return set_of(type(self), Stated(*map(np.concatenate, zip(self.stated, other.stated))))
 
     def cartesian_product(self, other: Polyhedron) -> Self:
         """Product P × Q = {(x, y) : x in P, y in Q}."""
         other = _checked_set(other)
-        return type(self)._of(Stated(
-            _diagonal(self.A, other.A), np.append(self.b, other.b), _diagonal(self.A_eq, other.A_eq),
-            np.append(self.b_eq, other.b_eq), np.append(self._terms, other._terms),
-            np.append(self._terms_eq, other._terms_eq)))
+        pairs = zip(self.stated, other.stated)
+        return set_of(type(self), Stated(*(np.append(P, Q) if P.ndim == 1 else _diagonal(P, Q) for P, Q in pairs)))
 
     def minkowski_sum(self, other: Polyhedron, *, time_limit: float | None = None) -> Self:
         """Minkowski sum P ⊕ Q = {x + y : x in P, y in Q}.
@@ -75,38 +72,27 @@ class SetOperations(Polyhedron):
         """
         other = same_space(self, other)
         deadline = Deadline.after(time_limit)
-        mine = self._body
-        theirs = other._body
+        mine = self.body
+        theirs = other.body
         if mine is None or theirs is None:
             return type(self).empty(self.dim)
         if self.affine_dim == 0:
-            return type(self)._moved(other, mine)
+            return _moved(type(self), other, mine)
         if other.affine_dim == 0:
-            return type(self)._moved(self, theirs)
+            return _moved(type(self), self, theirs)
         D = np.vstack([self.A, other.A, np.eye(self.dim), -np.eye(self.dim)])
         try:
             if mine.bounded and theirs.bounded:
-                anchor, Y = self._offsets
-                further, Z = other._offsets
+                anchor, Y = self.offsets
+                further, Z = other.offsets
                 deadline.check_hull(len(Y) * len(Z), max(self.affine_dim, other.affine_dim))
                 sums = (Y[:, None] + Z).reshape(-1, self.dim)
-                return type(self)._of_points(anchor + further, sums, mine.terms + theirs.terms)
+                return hull_of(type(self), anchor + further, sums, mine.terms + theirs.terms)
             both = _generators_of(self, deadline).plus(_generators_of(other, deadline))
             return type(self)(*rows_of(both, deadline))
         except LimitReached as limit:
-            outer = _touching(type(self), D, self._supports(D) + other._supports(D))
+            outer = _touching(type(self), D, self.support(D) + other.support(D))
             raise TimeLimitError("minkowski_sum", time_limit, str(limit), outer) from None
-
-    @classmethod
-    def _moved(cls, P: Polyhedron, point: Body) -> Self:
-        """Nonempty P moved by a point."""
-        A, b, A_eq, b_eq, terms, terms_eq = P._stated
-        c = point.centre
-        rows = Stated(A, b + A @ c, A_eq, b_eq + A_eq @ c, terms + np.abs(A) @ point.terms,
-                      terms_eq + np.abs(A_eq) @ point.terms)
-        body = P._require_point("minkowski_sum")
-        body = replace(body, centre=body.centre + c, terms=body.terms + point.terms)
-        return cls._of(rows, None if P._vertices is None else P._vertices + c, body)
 
     def pontryagin_difference(self, other: Polyhedron) -> Self:
         """Difference P ⊖ Q = {x : x + y in P for all y in Q}.
@@ -120,32 +106,35 @@ class SetOperations(Polyhedron):
         """
         other = same_space(self, other)
         n = self.dim
-        mine = self._body
-        theirs = other._body
+        mine = self.body
+        theirs = other.body
         if theirs is None:
             return type(self)(np.zeros((0, n)), np.zeros(0))
         if mine is None:
             return type(self).empty(n)
-        V = other._about_centre
-        left = mine.less(theirs, V)
+        V = None
+        if other.has_vertices:
+            anchor, Y = other.offsets
+            V = Y + (anchor - theirs.centre)
+        left = tightened(mine, theirs, V)
         if V is not None and not (left and left.holds_part_of(mine)):  # what has hardly any room needs all digits
-            left = mine.less(theirs)
+            left = tightened(mine, theirs)
         if left is None:
             return type(self).empty(n)
         solid = left.holds_part_of(mine)
         if mine.bounded:
             if solid:
-                return type(self)._of(left.rows, body=left, settled=False)
-            found = left.settled()
+                return set_of(type(self), left.rows, body=left, settled=False)
+            found = settled(left)
         else:  # no length that Q could be small to: by the rows as they are stated
-            A, b, E, e, terms, sizes = self._stated
+            A, b, E, e, terms, sizes = self.stated
             size = theirs.terms + theirs.half_widths
             rows = Stated(A, b - support(theirs, A), E, e - support(theirs, E),
                           terms + np.abs(A) @ size, sizes + np.abs(E) @ size)
             if solid:
-                return type(self)._of(rows)
+                return set_of(type(self), rows)
             found = body_of(rows)
-        return type(self).empty(n) if found is None else type(self)._of(found.rows, body=found)
+        return type(self).empty(n) if found is None else set_of(type(self), found.rows, body=found)
 
     def affine_map(self, M: Any, c: Any = None, *, time_limit: float | None = None) -> Self:
         """Image {M x + c : x in P}, M of any rank and size.
@@ -174,25 +163,25 @@ class SetOperations(Polyhedron):
             raise InputError("M", f"shape {M.shape}", "at least one row")
         c = np.zeros(len(M)) if c is None else as_vector(c, "c", size=len(M))
         deadline = Deadline.after(time_limit)
-        body = self._body
+        body = self.body
         if body is None:
             return type(self).empty(len(M))
         flat = body.bounded and self.affine_dim < self.dim and self.affine_dim <= CHEAP_HULL_DIM
         rows = None if flat else _mapped_rows(body, M, c)
         if rows is not None:
-            return type(self)._of(rows)
+            return set_of(type(self), rows)
         try:
             if body.bounded:
-                anchor, Y = self._offsets
+                anchor, Y = self.offsets
                 deadline.check_hull(len(Y), min(len(M), body.basis.shape[1]))
                 terms = np.abs(Y) @ np.abs(M).T
                 moves = Y @ M.T
                 moves = np.where(np.abs(moves) > CANCELLED * terms, moves, 0.0)
-                return type(self)._of_points(M @ anchor + c, moves, np.abs(M) @ body.terms + np.abs(c))
+                return hull_of(type(self), M @ anchor + c, moves, np.abs(M) @ body.terms + np.abs(c))
             return type(self)(*rows_of(_generators_of(self, deadline).image(M, c), deadline))
         except LimitReached as limit:
             D = np.vstack([np.eye(len(M)), -np.eye(len(M))])
-            outer = _touching(type(self), D, self._supports(D @ M) + D @ c)
+            outer = _touching(type(self), D, self.support(D @ M) + D @ c)
             raise TimeLimitError("affine_map", time_limit, str(limit), outer) from None
 
     def preimage(self, M: Any, c: Any = None) -> Self:
@@ -209,21 +198,22 @@ class SetOperations(Polyhedron):
         if M.shape[1] == 0:
             raise InputError("M", f"shape {M.shape}", "at least one column")
         c = np.zeros(self.dim) if c is None else as_vector(c, "c", size=self.dim)
-        A, b, terms = _pulled_back(self.A, self.b, self._terms, M, c)
-        return type(self)._of(Stated(A, b, *_pulled_back(self.A_eq, self.b_eq, self._terms_eq, M, c)[:2], terms,
-                                     self._terms_eq + np.abs(self.A_eq) @ np.abs(c)))
+        A, b, E, e, terms, sizes = self.stated
+        A, b, terms = _pulled_back(A, b, terms, M, c)
+        E, e, sizes = _pulled_back(E, e, sizes, M, c)
+        return set_of(type(self), Stated(A, b, E, e, terms, sizes))
 
     def projection(self, coordinates: Any, *, time_limit: float | None = None) -> Self:
         """Projection onto the given coordinates, in the given order.
 
         `time_limit` as in `affine_map`.
         """
-        kept = self._coordinates(coordinates)
+        kept = as_coordinates(coordinates, self.dim)
         return self.affine_map(np.eye(self.dim)[kept], time_limit=time_limit)
 
     def slice(self, coordinates: Any, values: Any) -> Self:
         """Cut at values of `coordinates`, as a set of the others."""
-        fixed = self._coordinates(coordinates)
+        fixed = as_coordinates(coordinates, self.dim)
         values = as_vector(values, "values", size=len(fixed))
         free = np.setdiff1d(np.arange(self.dim), fixed)
         if len(free) == 0:
@@ -242,19 +232,7 @@ class SetOperations(Polyhedron):
         if k == 0.0:
             return type(self)(A_eq=np.eye(n), b_eq=np.zeros(n))
         sign = np.sign(k)
-        return type(self)._of(Stated(sign * self.A, abs(k) * self.b, sign * self.A_eq, abs(k) * self.b_eq,
-                                     abs(k) * self._terms, abs(k) * self._terms_eq))
-
-    def _coordinates(self, coordinates: Any) -> Array:
-        """Distinct indices of coordinates, or raise `InputError`."""
-        try:
-            index = np.atleast_1d(np.asarray(coordinates))
-        except ValueError:  # ragged
-            index = np.zeros(0)
-        if (index.ndim != 1 or len(index) == 0 or index.dtype.kind not in "iu" or (index < 0).any()
-                or (index >= self.dim).any() or len(np.unique(index)) != len(index)):
-            raise InputError("coordinates", shown(coordinates), f"distinct integers from 0 to {self.dim - 1}")
-        return index
+        return set_of(type(self), Stated(*(abs(k) * part if part.ndim == 1 else sign * part for part in self.stated)))
 
 
 def same_space(P: Polyhedron, Q: AnySet, name: str = "other") -> AnySet:
@@ -272,6 +250,17 @@ def _checked_set(Q: AnySet, name: str = "other") -> AnySet:
     return Q
 
 
+def _moved(kind: type[AnySet], P: Polyhedron, point: Body) -> AnySet:
+    """Nonempty P moved by a point."""
+    A, b, A_eq, b_eq, terms, terms_eq = P.stated
+    c = point.centre
+    rows = Stated(A, b + A @ c, A_eq, b_eq + A_eq @ c, terms + np.abs(A) @ point.terms,
+                  terms_eq + np.abs(A_eq) @ point.terms)
+    body = nonempty_body(P, "minkowski_sum")
+    body = replace(body, centre=body.centre + c, terms=body.terms + point.terms)
+    return set_of(kind, rows, None if P.given_vertices is None else P.given_vertices + c, body)
+
+
 def _diagonal(P: Array, Q: Array) -> Array:
     """Block diagonal matrix of P and Q."""
     return np.block([[P, np.zeros((len(P), Q.shape[1]))], [np.zeros((len(Q), P.shape[1])), Q]])
@@ -285,7 +274,7 @@ def _touching(kind: type[AnySet], D: Array, values: Array) -> AnySet:
 
 def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
     """Points, rays and lines of a nonempty set."""
-    body = P._require_point("generators")
+    body = nonempty_body(P, "generators")
     if body.bounded:
         return Generators(P.vertices, np.zeros((0, P.dim)), np.zeros((0, P.dim)))
     found = generators(body.F, body.g, deadline)

@@ -15,7 +15,7 @@ from invariant_sets.maximal_sets import as_limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import Set, as_set_or_numbers, checked_system
-from invariant_sets.tolerances import GAP, MARGIN, MEMBERSHIP, TINY, TOUCHING
+from invariant_sets.tolerances import GAP, MEMBERSHIP, TINY, TOUCHING
 from invariant_sets.validation import (
     as_batch,
     as_count,
@@ -247,7 +247,7 @@ class ParametricSet:
             return None
         middle = around.vertices.mean(axis=0)
         room = around.b - around.A @ middle
-        limit = around.b + min(0.2, 10 * distance + MARGIN) * room
+        limit = around.b + min(0.2, 10 * distance + MEMBERSHIP) * room
         result = self._cold(p, Polytope(around.A, limit))
         if result.status is not Status.CONVERGED or result.set.is_empty:
             return None

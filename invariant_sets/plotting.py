@@ -10,7 +10,7 @@ import numpy as np
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.operations import SetOperations
 from invariant_sets.tolerances import TOUCHING
-from invariant_sets.validation import as_vector
+from invariant_sets.validation import as_coordinates, as_vector
 
 Array = np.ndarray
 
@@ -40,7 +40,7 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
         raise EmptySetError("plot", "the set is empty, there is nothing to draw")
     if not P.is_bounded:
         raise UnboundedError("plot")
-    shown = np.arange(min(P.dim, 3)) if coordinates is None else P._coordinates(coordinates)
+    shown = np.arange(min(P.dim, 3)) if coordinates is None else as_coordinates(coordinates, P.dim)
     if len(shown) > 3:
         raise InputError("coordinates", f"{len(shown)} entries", "one, two or three")
     if len(shown) != P.dim or (shown != np.arange(P.dim)).any():
@@ -78,7 +78,7 @@ def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None
         raise InputError("values, labels", f"{len(numbers)} and {len(names)} entries", f"{len(family)}, one a set")
     if not family:
         return []
-    dim = min(3, family[0].dim if coordinates is None else len(family[0]._coordinates(coordinates)))
+    dim = min(3, family[0].dim if coordinates is None else len(as_coordinates(coordinates, family[0].dim)))
     ax = _axes(dim) if ax is None else ax
     artists = []
     spread = np.ptp(numbers) or 1.0
@@ -146,7 +146,7 @@ def _faces(P: SetOperations) -> list[Array]:
     if P.affine_dim < 3:
         return [_around(V)]
     M = P.minimal()
-    scale = M._ranges[:len(M.b)]
+    scale = np.abs(M.A) @ M.widths
     touching = np.abs(V @ M.A.T - M.b) <= TOUCHING * scale
     return [_around(V[touching[:, i]]) for i in range(len(M.b))]
 

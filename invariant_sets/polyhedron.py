@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from invariant_sets.equalities import Stated
+from invariant_sets.bodies import Body, Stated
 from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
 from invariant_sets.hulls import (
     cone_volume,
@@ -18,13 +18,14 @@ from invariant_sets.hulls import (
     facets_and_vertices,
     hull_volume,
 )
-from invariant_sets.interior_form import Body, body_of, body_of_vertices, hull_about, support
+from invariant_sets.interior_form import body_of, body_of_vertices, hull_about, settled, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, INVARIANT, MEMBERSHIP, PLACE, ROUNDING
+from invariant_sets.tolerances import CHEAP_HULL_DIM, MEMBERSHIP, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray
+AnySet = TypeVar("AnySet", bound="Polyhedron")
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -57,9 +58,9 @@ class Polyhedron:
     b: Array
     A_eq: Array
     b_eq: Array
-    _terms: Array  # (m,) and (k,): sizes of the terms that b and b_eq were computed from
-    _terms_eq: Array
-    _vertices: Array | None  # where the set was made of its vertices
+    # the rest is for the modules of this package, and no part of what users are promised
+    stated: Stated  # the rows with the sizes of their terms
+    given_vertices: Array | None  # where the set was made of its vertices
 
     def __init__(self, A: Any = None, b: Any = None, A_eq: Any = None, b_eq: Any = None) -> None:
         for matrix, vector, one, other in ((A, b, "A", "b"), (A_eq, b_eq, "A_eq", "b_eq")):
@@ -76,44 +77,12 @@ class Polyhedron:
             raise InputError("A", "shape (m, 0)", "at least one column")
         A_eq = np.zeros((0, n)) if A_eq is None else as_matrix(A_eq, "A_eq", columns=n)
         b_eq = np.zeros(0) if b_eq is None else as_vector(b_eq, "b_eq", size=len(A_eq))
-        self._fill(Stated.given(A, b, A_eq, b_eq), None)
-
-    def _fill(self, rows: Stated, V: Array | None) -> None:
-        """Set the fields, once."""
-        names = ("A", "b", "A_eq", "b_eq", "_terms", "_terms_eq", "_vertices")
-        for name, array in zip(names, (*rows, V)):
-            object.__setattr__(self, name, None if array is None else frozen(array))
-
-    @classmethod
-    def _of(cls, rows: Stated, V: Array | None = None, body: Body | None = None, settled: bool = True) -> Self:
-        """Set of these rows, with vertices V (k, n) and body where known.
-
-        A body that is not settled says where the set lies; its own extents are found when something asks for them.
-        """
-        P = cls.__new__(cls)
-        P._fill(rows, V)
-        if body is not None:
-            P.__dict__["_body" if settled else "_unsettled"] = body
-        return P
-
-    @classmethod
-    def _of_points(cls, anchor: Array, Y: Array, terms: Array) -> Self:
-        """Hull of the points anchor + Y (k, n), with term sizes (n,).
-
-        Far from the origin the differences Y keep the digits that the points themselves have lost.
-        """
-        body, extreme = hull_about(anchor, Y, terms)
-        return cls._of(body.rows, counter_clockwise(anchor + Y[extreme]), body)
+        _fill(self, Stated.given(A, b, A_eq, b_eq), None)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        settled = "_body" in self.__dict__
-        return type(self)._of, (self._stated, self._vertices,
-                                self.__dict__.get("_body" if settled else "_unsettled"), settled)
-
-    @property
-    def _stated(self) -> Stated:
-        """Rows with the sizes of their terms."""
-        return Stated(self.A, self.b, self.A_eq, self.b_eq, self._terms, self._terms_eq)
+        settled = "body" in self.__dict__
+        body = self.__dict__.get("body" if settled else "_unsettled")
+        return set_of, (type(self), self.stated, self.given_vertices, body, settled)
 
     # --- construction -------------------------------------------------------------------------------------
 
@@ -166,7 +135,7 @@ class Polyhedron:
         except LimitReached as limit:
             box = cls.from_bounds(V.min(axis=0), V.max(axis=0))
             raise TimeLimitError("from_vertices", time_limit, str(limit), box) from None
-        return cls._of_points(V[0], V - V[0], np.abs(V).max(axis=0))
+        return hull_of(cls, V[0], V - V[0], np.abs(V).max(axis=0))
 
     @classmethod
     def empty(cls, n: int) -> Self:
@@ -181,52 +150,50 @@ class Polyhedron:
         return int(self.A.shape[1])
 
     @cached_property
-    def _body(self) -> Body | None:
-        """Set in well-scaled coordinates; None if empty."""
+    def body(self) -> Body | None:  # the set in well-scaled coordinates, None if empty: for the package
         unsettled = self.__dict__.get("_unsettled")
         if unsettled is not None:
-            body: Body | None = unsettled.settled()
+            body: Body | None = settled(unsettled)
             return body
-        if self._vertices is not None and not len(self.b_eq) and len(self._vertices) > self.dim:
-            body = body_of_vertices(self.A, self.b, self._vertices)
+        if self.given_vertices is not None and not len(self.b_eq) and len(self.given_vertices) > self.dim:
+            body = body_of_vertices(self.A, self.b, self.given_vertices)
             if body is not None:
                 return body
-        return body_of(self._stated)
+        return body_of(self.stated)
 
     @property
     def is_empty(self) -> bool:
         """Whether no point satisfies the rows."""
-        return self._body is None
+        return self.body is None
 
     @property
     def is_bounded(self) -> bool:
         """Whether the set is bounded, as the empty set is."""
-        return self._vertices is not None or self._body is None or self._body.bounded
+        return self.given_vertices is not None or self.body is None or self.body.bounded
 
     @property
     def affine_dim(self) -> int:
         """Dimension of the affine hull: 0 for a point, −1 if empty."""
-        return -1 if self._body is None else self._body.basis.shape[1]
+        return -1 if self.body is None else self.body.basis.shape[1]
 
     @cached_property
     def vertices(self) -> Array:
         """Vertices (k, n), counter-clockwise in the plane; (0, n) if empty. Raises `UnboundedError`."""
-        if self._vertices is not None:
-            return self._vertices
-        if self._body is None:
+        if self.given_vertices is not None:
+            return self.given_vertices
+        if self.body is None:
             return frozen(np.zeros((0, self.dim)))
         body = self._require_bounded("vertices")
         try:
             NO_DEADLINE.check_hull(len(body.g), body.basis.shape[1])
         except LimitReached as limit:
             raise TimeLimitError("vertices", None, str(limit)) from None
-        return frozen(body.centre + self._offsets[1])
+        return frozen(body.centre + self.offsets[1])
 
     @cached_property
-    def _offsets(self) -> tuple[Array, Array]:
-        """Point (n,) and vertices less it (k, n), bounded and nonempty."""
-        if self._vertices is not None:
-            return self._vertices[0], self._vertices - self._vertices[0]
+    def offsets(self) -> tuple[Array, Array]:  # a point (n,) and the vertices less it (k, n): for the package
+        if self.given_vertices is not None:
+            return self.given_vertices[0], self.given_vertices - self.given_vertices[0]
         body = self._require_bounded("vertices")
         rows = distinct(np.column_stack([body.F, body.g]))
         Y = facets_and_vertices(body.F[rows], body.g[rows])[1]
@@ -234,22 +201,13 @@ class Polyhedron:
         return body.centre, counter_clockwise(Y[corners]) @ body.basis.T
 
     @property
-    def _has_vertices(self) -> bool:
-        """Whether the vertices are known, which makes supports quicker."""
-        return self._vertices is not None or "vertices" in self.__dict__
-
-    @property
-    def _about_centre(self) -> Array | None:
-        """Vertices less the body's centre (k, n), if already known."""
-        if not self._has_vertices:
-            return None
-        anchor, Y = self._offsets
-        return np.asarray(Y + (anchor - self._require_point("vertices").centre))
+    def has_vertices(self) -> bool:  # whether they are known, which makes supports quicker: for the package
+        return self.given_vertices is not None or "vertices" in self.__dict__
 
     @cached_property
     def volume(self) -> float:
         """Volume in n dimensions; 0 if flat or empty. Raises `UnboundedError`."""
-        body = self._body
+        body = self.body
         if body is None or body.basis.shape[1] < self.dim:
             return 0.0
         self._require_bounded("volume")
@@ -266,16 +224,10 @@ class Polyhedron:
 
     def _require_bounded(self, what: str) -> Body:
         """Body, or raise `EmptySetError` or `UnboundedError`."""
-        body = self._require_point(what)
+        body = nonempty_body(self, what)
         if not body.bounded:
             raise UnboundedError(what)
         return body
-
-    def _require_point(self, what: str) -> Body:
-        """Body, or raise `EmptySetError`."""
-        if self._body is None:
-            raise EmptySetError(what)
-        return self._body
 
     # --- questions ----------------------------------------------------------------------------------------
 
@@ -296,8 +248,8 @@ class Polyhedron:
         """
         tol = check_tolerance(tol)
         points, single = as_batch(x, "x", self.dim, finite=False, copy=False)
-        A, b = self._one_sided
-        slack = np.maximum.reduce([tol * self._ranges, (tol > 0) * self._missed, min(tol, ROUNDING) * self._all_terms])
+        A, b = self.one_sided
+        slack = np.maximum.reduce([tol * self.ranges, (tol > 0) * self.missed, min(tol, ROUNDING) * self.row_terms])
         with np.errstate(invalid="ignore", over="ignore"):
             inside = rows_hold(points, A, b, slack, min(tol, ROUNDING), self._reach)
         return bool(inside[0]) if single else inside
@@ -306,59 +258,45 @@ class Polyhedron:
         """Whether one point (n,) lies in the set, as by `contains`."""
         return bool(self.contains(as_vector(x, "x", size=self.dim, finite=False)))
 
+    # what follows is for the modules of this package: the rows as inequalities, two for each equality, with the sizes
+    # of their terms, their violations by the set's centre, doubled, and their ranges over the bounding box
+
     @cached_property
-    def _one_sided(self) -> tuple[Array, Array]:
-        """Rows (m + 2k, n) as inequalities, two for each equality."""
+    def one_sided(self) -> tuple[Array, Array]:
         if not len(self.b_eq):
             return self.A, self.b
         return (frozen(np.concatenate([self.A, self.A_eq, -self.A_eq])),
                 frozen(np.concatenate([self.b, self.b_eq, -self.b_eq])))
 
     @property
-    def _all_terms(self) -> Array:
-        """Sizes of the terms of all one-sided right-hand sides."""
-        return np.concatenate([self._terms, self._terms_eq, self._terms_eq]) if len(self.b_eq) else self._terms
+    def row_terms(self) -> Array:
+        *_, terms, terms_eq = self.stated
+        return np.concatenate([terms, terms_eq, terms_eq]) if len(self.b_eq) else terms
 
     @cached_property
-    def _missed(self) -> Array:
-        """Violation of each one-sided row by the set's centre, doubled."""
-        A, b = self._one_sided
-        if self._solid_vertices is not None or self._body is None:
+    def missed(self) -> Array:
+        A, b = self.one_sided
+        if self._solid_vertices is not None or self.body is None:
             return np.zeros(len(b))
-        return np.asarray(2 * np.maximum(A @ self._body.centre - b, 0.0))
+        return np.asarray(2 * np.maximum(A @ self.body.centre - b, 0.0))
+
+    @cached_property
+    def ranges(self) -> Array:
+        return np.asarray(np.abs(self.one_sided[0]) @ self.widths)
 
     @cached_property
     def _reach(self) -> Array | None:
         """Size |x| (n,) that no point exceeds; None if unbounded or empty."""
         if self._solid_vertices is not None:
             return np.asarray(1.01 * np.abs(self._solid_vertices).max(axis=0))
-        if self._body is None or not self._body.bounded:
+        if self.body is None or not self.body.bounded:
             return None
-        return np.asarray(1.01 * np.abs(self._body.centre) + 2.02 * self._body.half_widths)
-
-    def _ranges_of(self, A: Array) -> Array:
-        """Range of each row of A (m, n) over the bounding box."""
-        return np.asarray(np.abs(A) @ self._widths)
-
-    def _covers(self, other: Polyhedron, tol: float) -> bool:
-        """Whether nonempty `other` lies in this nonempty set."""
-        A, b = self._one_sided
-        body = other._require_point("is_subset")
-        ranges = np.maximum(self._ranges, other._ranges_of(A))
-        rounding = min(tol, ROUNDING) * (self._all_terms + np.abs(A) @ np.abs(body.centre))
-        place = min(tol, PLACE) * (np.abs(A) @ body.terms)
-        slack = np.maximum.reduce([tol * ranges, rounding, place, (tol > 0) * self._missed])
-        return bool((other._supports(A) <= b + slack).all())
-
-    @cached_property
-    def _ranges(self) -> Array:
-        """Range of each one-sided row over the bounding box."""
-        return self._ranges_of(self._one_sided[0])
+        return np.asarray(1.01 * np.abs(self.body.centre) + 2.02 * self.body.half_widths)
 
     @cached_property
     def _solid_vertices(self) -> Array | None:
         """Known vertices with a width in every coordinate, otherwise None."""
-        V = self._vertices
+        V = self.given_vertices
         if V is None or len(self.b_eq):
             return None
         lower = V.min(axis=0)
@@ -366,24 +304,22 @@ class Polyhedron:
         return V if (upper - lower > ROUNDING * np.abs(lower + upper)).all() else None
 
     @cached_property
-    def _widths(self) -> Array:
-        """Widths (n,) of the bounding box; 0 where it is flat."""
+    def widths(self) -> Array:  # of the bounding box (n,), 0 where it is flat: for the package
         if self._solid_vertices is not None:
             return np.asarray(self._solid_vertices.max(axis=0) - self._solid_vertices.min(axis=0))
-        return np.zeros(self.dim) if self._body is None else 2 * self._body.half_widths
+        return np.zeros(self.dim) if self.body is None else 2 * self.body.half_widths
 
     @cached_property
-    def _relative_rows(self) -> tuple[Array, Array]:
-        """One-sided rows divided by their range or certainty."""
-        A, b = self._one_sided
+    def relative_rows(self) -> tuple[Array, Array]:  # one-sided, divided by range or certainty: for the package
+        A, b = self.one_sided
         place = 0.0 if self._reach is None else np.abs(A) @ self._reach
-        ranges = np.where(self._ranges > 0.0, self._ranges, 1.0)
-        ranges = np.maximum(ranges, ROUNDING / INVARIANT * (self._all_terms + place))
+        ranges = np.where(self.ranges > 0.0, self.ranges, 1.0)
+        ranges = np.maximum(ranges, ROUNDING / MEMBERSHIP * (self.row_terms + place))
         return frozen(A / ranges[:, None]), frozen(b / ranges)
 
     def bounding_box(self) -> tuple[Array, Array]:
         """Smallest box (lower, upper), (n,) each, infinite where unbounded. Raises `EmptySetError`."""
-        self._require_point("bounding_box")
+        nonempty_body(self, "bounding_box")
         lower, upper = self._box
         return lower.copy(), upper.copy()
 
@@ -411,8 +347,46 @@ class Polyhedron:
 
     def _supports(self, D: Array) -> Array:
         """Support in the directions D (k, n), unchecked."""
-        if self._body is None:
+        if self.body is None:
             return np.full(len(D), -np.inf)
-        if self._has_vertices or (self._body.bounded and self.dim <= 4):
+        if self.has_vertices or (self.body.bounded and self.dim <= 4):
             return np.asarray((D @ self.vertices.T).max(axis=1))
-        return support(self._body, D)
+        return support(self.body, D)
+
+
+def _fill(P: Polyhedron, rows: Stated, V: Array | None) -> None:
+    """Set the fields of P, once."""
+    rows = Stated(*map(frozen, rows))
+    vertices = None if V is None else frozen(V)
+    names = ("A", "b", "A_eq", "b_eq", "stated", "given_vertices")
+    for name, value in zip(names, (*rows[:4], rows, vertices)):
+        object.__setattr__(P, name, value)
+
+
+def set_of(kind: type[AnySet], rows: Stated, V: Array | None = None, body: Body | None = None,
+           settled: bool = True) -> AnySet:
+    """Set of these rows, with vertices V (k, n) and body where known.
+
+    A body that is not settled says where the set lies; its own extents are found when something asks for them.
+    """
+    P = kind.__new__(kind)
+    _fill(P, rows, V)
+    if body is not None:
+        P.__dict__["body" if settled else "_unsettled"] = body
+    return P
+
+
+def hull_of(kind: type[AnySet], anchor: Array, Y: Array, terms: Array) -> AnySet:
+    """Hull of the points anchor + Y (k, n), with term sizes (n,).
+
+    Far from the origin the differences Y keep the digits that the points themselves have lost.
+    """
+    body, extreme = hull_about(anchor, Y, terms)
+    return set_of(kind, body.rows, counter_clockwise(anchor + Y[extreme]), body)
+
+
+def nonempty_body(P: Polyhedron, what: str) -> Body:
+    """Body, or raise `EmptySetError`."""
+    if P.body is None:
+        raise EmptySetError(what)
+    return P.body

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.interior_form import Body
+from invariant_sets.bodies import Body
 from invariant_sets.linear_programs import minimise
 from invariant_sets.operations import SetOperations, same_space
-from invariant_sets.plotting import plot_polytope
-from invariant_sets.polyhedron import Polyhedron
-from invariant_sets.tolerances import JITTER, MEMBERSHIP
+from invariant_sets.polyhedron import Polyhedron, nonempty_body
+from invariant_sets.tolerances import JITTER, MEMBERSHIP, PLACE, ROUNDING
 from invariant_sets.validation import as_count, as_generator, check_tolerance
 
 Array = np.ndarray
@@ -34,11 +33,16 @@ class Polytope(SetOperations):
         """
         other = same_space(self, other)
         tol = check_tolerance(tol)
-        if self._body is None:
+        if self.body is None:
             return True
-        if other._body is None:
+        if other.body is None:
             return False
-        return other._covers(self, tol)
+        A, b = other.one_sided
+        ranges = np.maximum(other.ranges, np.abs(A) @ self.widths)
+        rounding = min(tol, ROUNDING) * (other.row_terms + np.abs(A) @ np.abs(self.body.centre))
+        place = min(tol, PLACE) * (np.abs(A) @ self.body.terms)
+        slack = np.maximum.reduce([tol * ranges, rounding, place, (tol > 0) * other.missed])
+        return bool((self.support(A) <= b + slack).all())
 
     def equals(self, other: Polyhedron, tol: float = MEMBERSHIP) -> bool:
         """Whether P and Q are the same points, to relative `tol`."""
@@ -53,7 +57,7 @@ class Polytope(SetOperations):
         ----------
         Boyd, Vandenberghe (2004), Convex Optimization, section 8.5.1.
         """
-        body = self._require_point("chebyshev_ball")
+        body = nonempty_body(self, "chebyshev_ball")
         if body.basis.shape[1] < self.dim:
             return body.centre.copy(), 0.0
         if not len(body.g):
@@ -123,6 +127,8 @@ class Polytope(SetOperations):
         **style
             Passed to the matplotlib artist, for example color, alpha, label.
         """
+        from invariant_sets.plotting import plot_polytope
+
         return plot_polytope(self, ax=ax, **style)
 
 

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from invariant_sets.equalities import row_norms
+from invariant_sets.bodies import row_norms
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import BEYOND, CANCELLED, CHEAP_HULL_DIM, CUT, FEW_ROWS, MOST_ROWS, NEEDLE_RADIUS, SILENT
+from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FEW_ROWS, FLAT, MOST_ROWS, ROUNDING, THIN
 
 Array = np.ndarray
 
@@ -71,8 +71,8 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
     """
     last = R[:, -1]
     rest = np.column_stack([R[:, :-1], r])
-    up = last > SILENT
-    down = last < -SILENT
+    up = last > ROUNDING
+    down = last < -ROUNDING
     level = ~(up | down)
     if fresh is None:
         rows = [rest[level], _combined(rest[up], last[up], rest[down], -last[down])]
@@ -120,7 +120,7 @@ def without_far_rows(R: Array, r: Array, reach: Array) -> tuple[Array, Array]:
     with np.errstate(invalid="ignore"):
         products = np.abs(R) * reach
     products[R == 0.0] = 0.0
-    touching = r <= products.sum(axis=1) * (1.0 + BEYOND)
+    touching = r <= products.sum(axis=1) * (1.0 + FLAT)
     return R[touching], r[touching]
 
 
@@ -129,7 +129,7 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
     if len(r) <= FEW_ROWS:
         return R, r
     ball = largest_ball(R, r)
-    if ball.radius <= NEEDLE_RADIUS:
+    if ball.radius <= THIN:
         return R, r
     kept = needed_rows(R, r - R @ ball.centre, deadline)
     return R[kept], r[kept]
@@ -150,7 +150,7 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
             rows = np.vstack([F[others], F[i]])
             right = np.append(g[others], g[i] + 1.0)
             value, y = minimise(-F[i], rows, right)
-            if y is None or -value <= g[i] + CUT:
+            if y is None or -value <= g[i] + ROUNDING:
                 open_rows[i] = False
                 continue
             hit = _hit_by_rays(F, g, y[None])[0]

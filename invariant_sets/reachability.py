@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.steps import Step, backward_step, forward_step
-from invariant_sets.engine.trajectories import Trajectories, inner_hull
+from invariant_sets.engine.trajectories import inner_hull
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.maximal_sets import NO_INPUT
+from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
-from invariant_sets.system_checks import Set, as_set, checked_state_matrix, checked_system
+from invariant_sets.system_checks import LinearSystem, Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached
 from invariant_sets.tolerances import EXACT_SHARE, LOOSE
 from invariant_sets.validation import as_count
@@ -115,9 +115,8 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
         """One step backwards from S, checked."""
         return backward_step(system, S, within, inputs, deadline)
 
-    states = Trajectories(system.A, system.B, within, within, goal, inputs, steps)
-    last = None if W is not None else partial(inner_hull, states, 0)
-    return _in_given_units(_repeat(step_back, goal, steps, deadline, within, last), size)
+    hull = partial(inner_hull, A=system.A, B=system.B, sets=(within, within, goal), U=inputs, steps=steps, at=0)
+    return _in_given_units(_repeat(step_back, goal, steps, deadline, within, hull if W is None else None), size)
 
 
 def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: Set | None = None,
@@ -178,11 +177,10 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
         moves = inputs.affine_map(system.B)
         if system.disturbances is not None:
             moves = moves.minkowski_sum(Polytope.from_vertices(system.disturbances))
-        step = forward_step(system, R, moves, deadline)
-        return replace(step, set=step.set.intersection(within).minimal()) if len(within.b) + len(within.b_eq) else step
+        ahead, check = forward_step(system, R, moves, deadline)
+        return ahead.intersection(within).minimal() if len(within.b) + len(within.b_eq) else ahead, check
 
-    states = Trajectories(system.A, system.B, first, within, within, inputs, steps)
-    last = partial(inner_hull, states, steps)
+    last = partial(inner_hull, A=system.A, B=system.B, sets=(first, within, within), U=inputs, steps=steps, at=steps)
     return _in_given_units(_repeat(step_ahead, first, steps, deadline, within, last), size)
 
 
@@ -209,14 +207,14 @@ def _in_units(system: LinearSystem, size: Array) -> LinearSystem:
 
 def _scaled(S: Polytope, size: Array) -> Polytope:
     """Set {x / size : x in S}; size (n,) are powers of two."""
-    body = S._body
+    body = S.body
     if body is None:
         return Polytope.empty(S.dim)
     body = replace(body, centre=body.centre / size, basis=body.basis / size[:, None],
                    half_widths=body.half_widths / size, terms=body.terms / size)
-    V = None if S._vertices is None else S._vertices / size
-    rows = S._stated
-    return Polytope._of(rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
+    V = None if S.given_vertices is None else S.given_vertices / size
+    rows = S.stated
+    return set_of(Polytope, rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
 
 
 def _in_given_units(result: SetResult, size: Array) -> SetResult:
@@ -234,8 +232,7 @@ def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
     for k in range(1, steps + 1):
         try:
             exact.check()
-            done = step(S, exact)
-            S = done.set
+            S, check = step(S, exact)
             if S.is_empty:
                 return no_set(S.dim, k)
         except NumericalError:
@@ -247,9 +244,9 @@ def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int,
             if inner is None:
                 return no_set(outer.dim, k - 1, outer, status_of(limit))
             return SetResult(inner, outer, status_of(limit), k - 1, Certificate(0.0, np.inf, len(inner.vertices)))
-        violation = max(violation, done.violation)
-        missing = max(missing, done.missing)
-        points += done.points
+        violation = max(violation, check.violation)
+        missing = max(missing, check.missing)
+        points += check.points
     return _exact(S, steps, Certificate(violation, max(missing, 0.0), points, missing=missing))
 
 

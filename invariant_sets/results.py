@@ -9,7 +9,7 @@ import numpy as np
 from ccdtools_ground.outcome import Outcome
 from invariant_sets.polytope import Polytope
 from invariant_sets.time_limits import LimitReached, TimeLimitReached
-from invariant_sets.tolerances import INVARIANT
+from invariant_sets.tolerances import MEMBERSHIP
 
 
 class Status(Outcome):
@@ -56,7 +56,7 @@ class Certificate:
     violation: float
     gap: float
     points: int
-    tolerance: float = INVARIANT
+    tolerance: float = MEMBERSHIP
     outside: float = 0.0
     missing: float = np.inf
 

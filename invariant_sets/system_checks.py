@@ -1,18 +1,27 @@
-"""Checks of linear systems and their sets."""
+"""Linear systems and their sets, checked."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import InputError
 from invariant_sets.polytope import Polytope
 from invariant_sets.validation import as_floats, as_matrix, shown
 
 Array = np.ndarray
 Set = Polytope | tuple[Any, Any]  # a polytope, or bounds (lower, upper): numbers, or one number a coordinate
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """System x⁺ = A x + B u + w; `disturbances` are vertices, or None."""
+
+    A: Array
+    B: Array
+    disturbances: Array | None = None
 
 
 def checked_state_matrix(A: Any) -> Array:

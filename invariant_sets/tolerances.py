@@ -5,84 +5,57 @@
 
 # --- what a set is ---------------------------------------------------------------------------------------------------
 FLAT = 1e-9  # What is thinner than this part of the extent is flat, what is closer is one, what misses by more is not.
-ROUNDING = 1e-12  # Data may be wrong by this part of the sum of their absolute terms after a computation in doubles.
+ROUNDING = 1e-12  # Data and what doubles make of them may be wrong by this part of the sum of their absolute terms.
 PLACE = 4e-15  # Coordinates of a point may be wrong by this part of the sum of absolute terms that it was solved from.
 GIVEN = 1e-15  # A coordinate of a point that the caller states may be wrong by this part of its own size.
-CANCELLED = 1e-13  # A sum smaller than this part of the sum of its absolute terms is zero, its terms have cancelled.
-DEPENDENT = 1e-11  # An equality row smaller than this part of the sum of absolute terms depends on the others.
-MEMBERSHIP = 1e-9  # `contains` and `is_subset` by default tolerate this part of a row's range over the bounding box.
+CANCELLED = 1e-13  # A sum smaller than this part of the sum of its absolute terms is zero; a series ends there.
+DEPENDENT = 1e-11  # A row or direction of which less than this part of its terms is left depends on the others.
+MEMBERSHIP = 1e-9  # A point in a set may by default violate a row by this part of its range over the bounding box.
 
 # --- linear programs -------------------------------------------------------------------------------------------------
-LP_RESIDUAL = 1e-9  # An accepted answer has no larger primal, dual or complementarity residual, for rows of unit norm.
-LP_COARSE = 1e-7  # Where no solver does better, this residual is accepted: rows almost parallel leave no more digits.
-LP_ROUNDING = 1e-12  # The accepted residual grows by this part of |bᵢ| + |Aᵢ||x|, for large data.
-LP_SOLVER = 1e-10  # The solvers are handed this feasibility tolerance.
-LP_PROXIMAL = 1e-9  # DAQP's proximal steps on a linear program end when one moves by less than this part of a unit row.
+LP_RESIDUAL = 1e-9  # An accepted answer has no larger residual for rows of unit norm; proximal steps end at it, too.
+LP_COARSE = 1e-7  # Where no solver does better this residual is accepted; smaller multipliers and values are zero.
+LP_SOLVER = 1e-10  # The solvers are handed this feasibility tolerance, and their multipliers meet it.
 BOXES = (1e3, 1e6, 1e9, 1e12, 1e15)  # These half widths [-] are tried in turn if a program without a ray is unsolved.
-ACTIVE = 1e-7  # Rows with more than this part of the largest multiplier are active when an answer is recomputed.
 UNEVEN = 1e-3  # A column is scaled if none of its entries reaches this part of the largest entry of its row.
-STEEP_RAY = 1e-7  # A ray moves by at least this part of its largest entry in the coordinate asked for.
 
 # --- the local box around a set ---------------------------------------------------------------------------------------
-THIN = 1e-7  # A set that misses feasibility by less than this part of the local box may still be there: look closer.
+THIN = 1e-7  # A ball whose radius is within this part of the extent from zero decides nothing: look closer.
 CLOSER = 1e-8  # One step closer shrinks the local box by this factor at most.
 SETTLED = 1e-4  # Extents larger than this part of the local box are known to 1e-6 of themselves.
 HALF_BOX = 4.0  # The local box has this half width, where the set should have half widths of one.
-WIDER = 1e3  # One step away widens the local box by this factor.
+WIDER = 1e3  # One step away widens the local box by this factor, and a scale that is more wrong is replaced.
 ENDLESS = 1e300  # A set that has not ended at this size [units of x] has no end that doubles can tell.
-WRONG_SCALE = 3.0  # A scale that is wrong by more decades than this is replaced.
 LOST = 1e-3  # A row that keeps less than this part of its slope on a flat hull is as wrong as its rounding.
-CLOSED = 1e-10  # Multipliers whose rows sum to less than this part of the absolute terms are a Farkas certificate.
 
 # --- minimal descriptions --------------------------------------------------------------------------------------------
-REDUNDANT = 1e-11  # A row that cuts off less than this part of the extent is redundant.
-CHECKED = 1e-7  # Vertices and linear programs must agree to this part of the extent in five and more dimensions.
+REDUNDANT = 1e-11  # A row that cuts off less than this part of the extent is redundant, and ends a recursion.
 EPS = 4e-16  # Entries below this part of a unit row are rounding.
-TOUCHING = 1e-7  # A vertex closer to a row than this part of the extent lies on its face, a set touches the row.
-NULL_SPACE = 1e-8  # Singular values below this part of the largest one, for rows of order one, span the null space.
+TOUCHING = 1e-7  # Vertices are known to this part of the extent: one closer to a row lies on its face.
 PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part of the sum of its absolute terms.
 
-# --- projections and redundant rows ----------------------------------------------------------------------------------
-NEEDLE_RADIUS = 1e-7  # No inner point decides which rows are needed if the radius is below this part of the extent.
-BEYOND = 1e-9  # A row further outside than this part of the box of a set cannot touch it.
-
 # --- the problem in local coordinates --------------------------------------------------------------------------------
-NEGLIGIBLE = 1e-8  # A coefficient or residual of an equality below this part of its largest term is rounding.
-SILENT = 1e-12  # In or beside rows of norm one a coefficient, or a row, below this size says nothing about a variable.
-DEPENDENT_COLUMNS = 1e-12  # Singular values below this part of the largest one are zero in a least-squares solution.
-AT_REST = 1e-13  # The origin is an equilibrium if it moves by less than this part of the extent.
+NEGLIGIBLE = 1e-8  # What is below this part of the largest term of an equality, or of a row of order one, is rounding.
 NEEDLE = 0.03  # Coordinates are made round if the smallest width is below this part of the largest one.
-THINNEST = 1e-12  # Round coordinates allow for a smallest width of this part of the largest one.
-UNSEEN = 1e-11  # Constraints do not see directions that move the outputs by less than this part of |A|, balanced.
 
 # --- the recursion ---------------------------------------------------------------------------------------------------
 WELL_INSIDE = 0.02  # The origin stays the equilibrium if it is further than this part of X from every row.
 GAP = 1e-7  # `tol`, the largest relative gap between an invariant set and its outer set, has this default.
 LOOSE = 1e3  # A step that moves a coordinate by more extents of X than this makes the other bounds loose.
 BOX_ROOM = 0.1  # A box is enlarged by this part of its width; a row is far beyond its inverse times the width.
-STOP = 1e-11  # The outer recursion has converged if no row cuts more than this part of the right-hand side.
-CUT = 1e-12  # A row that cuts off less than this part of the extent is rounding, and left out.
 LEAST_RIGHT = 1e-3  # A cut is compared with a right-hand side of at least this part of the extent.
 UNRESOLVED = 1e-6  # A set that Qhull cannot resolve is flat if its radius is below this part of the extent.
 SMALL = 0.1  # A set that began with width two is rescaled below this width.
-CENTRAL = 1e-9  # Rows closer to the equilibrium than this part of the extent pass through it.
-MARGIN = 1e-9  # A closed loop contracts, and a neighbour's set is inflated, by at least this part, against rounding.
-SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)  # These parts in turn are taken off an outer set that has not converged.
-CONTRACTIONS = (1e-3, 1e-2, 0.1)  # These contractions per step are tried in turn where the outer set has not converged.
+# These parts in turn are taken off an outer set that has not converged; the last three are tried as contractions per
+# step, too.
+SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)
 GAP_ROUNDING = 1e-6  # A gap may exceed `tol` by this part of it.
-UNSTABLE = 1e-6  # An eigenvalue is unstable if its modulus exceeds one by more.
-REAL_EIGENVALUE = 1e-12  # An eigenvalue is real if its imaginary part is below this part of its modulus.
-DOUBLE_EIGENVALUE = 1e-6  # Eigenvalues closer than this part of their modulus are treated as one Jordan block.
+EIGENVALUE = 1e-6  # Eigenvalues closer to one another or to the unit circle than this part of their modulus are one.
 SERIES_END = 1e-17  # A series over the unstable modes ends, with a bound on its tail, where Λ⁻ʲ has a smaller norm.
-EDGE = 1e-9  # Edges of the sum over the unstable modes below this part of the longest one give no facet.
-DRIVEN = 1e-9  # A disturbance does not move directions that it moves by less than this part of the largest move.
-SUM_END = 1e-13  # A sum of supports ends at terms smaller than this part of it.
 USEFUL_INPUTS = 1e-6  # The box of the useful inputs is enlarged by this part of its width.
 
 # --- certificates ----------------------------------------------------------------------------------------------------
-INVARIANT = 1e-9  # A set counts as invariant, an input as admissible, if a successor leaves by this part of the extent.
 MISSING = 1e-8  # A backward step may by rounding enlarge a set by this part of the extent.
-DOUBTFUL = 1e-12  # A violation above this part of the extent is checked a second time.
 WITNESS = 1e-6  # An input that a solver proposes may leave U by this part, and is then moved back into it.
 WITNESS_SOLVER = 1e-11  # The solver that proposes the inputs has this primal tolerance.
 DUAL_RESIDUAL = 1e-11  # Multipliers that miss stationarity, for a unit cost, by less than this bound the optimum.

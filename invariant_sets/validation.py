@@ -9,8 +9,8 @@ import numpy as np
 from ccdtools_ground.door import as_count, as_floats, as_generator, as_number, check_finite, frozen, shown
 from invariant_sets.exceptions import InputError
 
-__all__ = ["as_batch", "as_bounds", "as_count", "as_floats", "as_generator", "as_matrix", "as_number", "as_vector",
-           "check_finite", "check_tolerance", "frozen", "shown"]  # fmt: skip
+__all__ = ["as_batch", "as_bounds", "as_coordinates", "as_count", "as_floats", "as_generator", "as_matrix", "as_number",
+           "as_vector", "check_finite", "check_tolerance", "frozen", "shown"]  # fmt: skip
 Array = np.ndarray
 
 
@@ -67,6 +67,18 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
         raise InputError("lower", f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}", "lower <= upper",
                          "Exchange them; the empty set is Polytope.empty(n).")
     return lower, upper
+
+
+def as_coordinates(value: Any, dim: int) -> Array:
+    """Distinct indices of coordinates, or raise `InputError`."""
+    try:
+        index = np.atleast_1d(np.asarray(value))
+    except ValueError:  # ragged
+        index = np.zeros(0)
+    proper = index.ndim == 1 and len(index) > 0 and index.dtype.kind in "iu" and len(np.unique(index)) == len(index)
+    if not proper or index.min() < 0 or index.max() >= dim:
+        raise InputError("coordinates", shown(value), f"distinct integers from 0 to {dim - 1}")
+    return index
 
 
 def check_tolerance(tol: Any, name: str = "tol") -> float:

@@ -9,24 +9,24 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-from invariant_sets.checked_optima import highs
-from invariant_sets.engine.local_problem import LinearSystem
-from invariant_sets.equalities import row_norms
+from invariant_sets.bodies import row_norms
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.linear_programs import minimise
+from invariant_sets.linear_programs import highs, minimise
+from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import (
-    DOUBTFUL,
     DUAL_RESIDUAL,
     FLAT,
-    INVARIANT,
-    LP_PROXIMAL,
+    LP_RESIDUAL,
+    MEMBERSHIP,
     MISSING,
     PLACE,
     PROGRAMS_PER_CHECK,
+    ROUNDING,
     WITNESS,
     WITNESS_SOLVER,
 )
@@ -68,11 +68,11 @@ def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target:
         return Certificate(0.0, np.inf, 0)
     if not C.is_bounded:
         return _violation_at_facets(system, C, U, (F, g), deadline)
-    body = U._require_point("the certificate")
+    body = nonempty_body(U, "the certificate")
     slope = F @ system.B @ body.basis
     room = g - C.vertices @ (F @ system.A).T - F @ system.B @ body.centre
     terms = np.abs(C.vertices) @ (np.abs(F) @ np.abs(system.A)).T + np.abs(F) @ np.abs(system.B) @ body.terms
-    room = room + np.where(PLACE * terms > DOUBTFUL, PLACE * terms, 0.0)  # a thin target far from what was added
+    room = room + np.where(PLACE * terms > ROUNDING, PLACE * terms, 0.0)  # a thin target far from what was added
     if slope.shape[1] == 0:
         return Certificate(float((-room).max()), np.inf, len(room))
     return Certificate(_least_violation(slope, room, (body.F, body.g), deadline), np.inf, len(room))
@@ -94,26 +94,23 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     cost[nu] = 1.0
     witnesses = _middle_inputs(slope[:, 0], room, (H, h)) if nu == 1 else np.full((len(room), nu), np.inf)
     leaves = _violations(witnesses, slope, room, (H, h))
-    doubtful = np.flatnonzero(~(leaves <= DOUBTFUL))
-    for count, k in enumerate(doubtful):
-        if count % PROGRAMS_PER_CHECK == 0:
-            deadline.check()
+    doubtful = np.flatnonzero(~(leaves <= ROUNDING))
+    for k in doubtful:
+        deadline.check()
         v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
-    if len(doubtful):
-        leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
-    for count, k in enumerate(np.argsort(-leaves)):  # DAQP stops early where the inputs are nearly parallel
-        if leaves[k] <= DOUBTFUL:
+    leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
+    for k in np.argsort(-leaves):  # DAQP stops early where the inputs are nearly parallel
+        if leaves[k] <= ROUNDING:
             break
-        if count % PROGRAMS_PER_CHECK == 0:
-            deadline.check()
+        deadline.check()
         for solver in (_checked_minimiser, precise_minimiser):
             v = solver(cost, rows, np.concatenate([room[k], h]))
             if v is not None:
                 leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], (H, h))[0])
-            if leaves[k] <= INVARIANT:
+            if leaves[k] <= MEMBERSHIP:
                 break
-        if leaves[k] > INVARIANT:  # confirmed by three solvers: the other vertices cannot mend that
+        if leaves[k] > MEMBERSHIP:  # confirmed by three solvers: the other vertices cannot mend that
             break
     return float(leaves.max())
 
@@ -157,7 +154,7 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Arr
     closed = system.A + system.B @ gain
     shift = system.B @ offset
     F, g = tightened_rows(C, system.disturbances)
-    H, h = U._relative_rows
+    H, h = U.relative_rows
     rows = np.vstack([F @ closed, H @ gain])
     right = np.append(g - F @ shift, h - H @ offset)
     worst = -np.inf
@@ -181,7 +178,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
         extent = np.ptp(C.vertices, axis=0)
     else:
         beyond = C.support(F) - g
-        extent = 2 * row_norms(C._require_point("the certificate").basis)
+        extent = 2 * row_norms(nonempty_body(C, "the certificate").basis)
     scale = np.abs(F) @ np.maximum(extent, FLAT * extent.max(initial=0.0))
     return float((beyond / np.where(scale > 0.0, scale, 1.0)).max())
 
@@ -192,9 +189,9 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
     that has collapsed, or was cut too far, shows here.
     """
-    state = X._require_point("the certificate")
-    inputs = U._require_point("the certificate")
-    F, g = C._relative_rows
+    state = nonempty_body(X, "the certificate")
+    inputs = nonempty_body(U, "the certificate")
+    F, g = C.relative_rows
     T, t = tightened_rows(C, system.disturbances)
     k = state.basis.shape[1]
     m = len(state.g)
@@ -230,7 +227,7 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
     dual = np.zeros((len(costs), len(right)))
     solved = np.zeros(len(costs), bool)
     for i, cost in enumerate(costs):
-        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_PROXIMAL)
+        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_RESIDUAL)
         if flag == 1:
             dual[i] = info["lam"]
             solved[i] = True
@@ -243,16 +240,16 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
 
 def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
     """Relative rows of C ⊖ E W."""
-    F, g = C._relative_rows
+    F, g = C.relative_rows
     return F, g if disturbances is None or not len(g) else g - (F @ disturbances.T).max(axis=1)
 
 
 def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows,
                          deadline: Deadline) -> Certificate:
     """Violation of the target's predecessor rows by C."""
-    body = U._require_point("the certificate")
+    body = nonempty_body(U, "the certificate")
     F, g = target
-    state = C._require_point("the certificate")
+    state = nonempty_body(C, "the certificate")
     N = state.basis
     rows = np.vstack([np.hstack([F @ system.A @ N, F @ system.B @ body.basis]),
                       np.hstack([np.zeros((len(body.g), N.shape[1])), body.F])])

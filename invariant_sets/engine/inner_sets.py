@@ -19,7 +19,7 @@ from invariant_sets.engine.recursion import Limits, Outcome, Predecessor, Region
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.projection import eliminate_last, project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CENTRAL, CHEAP_HULL_DIM, CONTRACTIONS, MARGIN, SHRUNK
+from invariant_sets.tolerances import CHEAP_HULL_DIM, FLAT, MEMBERSHIP, SHRUNK
 
 Array = np.ndarray
 
@@ -68,7 +68,7 @@ def candidates(problem: LocalProblem, outcome: Outcome, region: Region, limits: 
             yield Candidate(shrunk(region, part))
     if problem.at_equilibrium:
         yield from _grown(problem, region, limits)
-        for delta in CONTRACTIONS:
+        for delta in SHRUNK[3:]:
             yield from _contracted(problem, region, delta, limits)
 
 
@@ -154,9 +154,9 @@ def _closed_loop_set(problem: LocalProblem, region: Region, K: Array, limits: Li
         """Rows of the states that the feedback takes into the target."""
         F, g = target if fresh is None else (target[0][fresh], target[1][fresh])
         reach = 0.0 if noise is None else (F @ noise.T).max(axis=1)
-        return F @ closed, g * (1 - MARGIN) - reach
+        return F @ closed, g * (1 - MEMBERSHIP) - reach
 
-    ended = iterate(seed, backwards, limits, stop=MARGIN)
+    ended = iterate(seed, backwards, limits, stop=MEMBERSHIP)
     if not ended.converged or ended.region.shape is not Shape.SOLID:
         return None
     return Candidate(ended.region.tidy(limits.deadline), ended.iterations, K)
@@ -186,8 +186,8 @@ def gap(outer: Region, inner: Region) -> float:
     if not len(inner.g):
         return 0.0
     excess = outer.reach(inner.F) - inner.g
-    passing = inner.g <= CENTRAL
-    if (excess[passing] > CENTRAL).any():
+    passing = inner.g <= FLAT
+    if (excess[passing] > FLAT).any():
         return np.inf
     return float(max(0.0, (excess[~passing] / inner.g[~passing]).max(initial=0.0)))
 

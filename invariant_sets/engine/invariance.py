@@ -24,20 +24,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invariant_sets.bodies import row_norms
 from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
-from invariant_sets.engine.local_problem import LinearSystem, LocalProblem, localise
+from invariant_sets.engine.local_problem import LocalProblem, localise
 from invariant_sets.engine.loose_bounds import unstable_bounds, without_loose_bounds
 from invariant_sets.engine.observable import cylinder, observed_directions, quotient
 from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
-from invariant_sets.equalities import row_norms
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import largest_ball
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import FLAT, GAP_ROUNDING, INVARIANT, MISSING
+from invariant_sets.tolerances import FLAT, GAP_ROUNDING, MEMBERSHIP, MISSING
 
 Array = np.ndarray
 
@@ -86,12 +87,14 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     """Largest invariant set, by local problems until one is solved."""
     system, X, U = without_loose_bounds(task.system, task.X, task.U)
     task = replace(task, system=system, X=X, U=U)
+    X = X if guess is None else X.intersection(guess)
     limits = task.limits
     nx = X.dim
     iterations = 0
     widest = _extent(X)
-    reserve: _Reserve | None = None
-    outer_deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
+    reserve: _Inner | None = None
+    searched = not np.isfinite(limits.deadline.end)
+    deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
     for _ in range(4 * nx + 8):
         problem = localise(task.system, X, task.U, widest)
         if isinstance(problem, Polytope):
@@ -102,18 +105,16 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
         if problem.frame.basis.shape[1] == 0:
             return _point(task, problem, X, iterations)
         start = _bounded_modes(problem, _start(problem, X))
-        if guess is not None and start.shape is Shape.SOLID:
-            start = start.cut(*problem.frame.rows_of(guess))
-            guess = None
         steps = limits.iterations - iterations if problem.bounded else min(nx, limits.iterations - iterations)
-        deadline = outer_deadline if reserve is None else reserve.deadline
         own = replace(limits, iterations=max(steps, 1), deadline=deadline)
         outcome = Outcome(start, 0)
         if start.shape is Shape.SOLID and not start.is_small:
             outcome = iterate(start, predecessor_of(problem, deadline=deadline), own)
-        if outcome.limit is not None and reserve is None and np.isfinite(limits.deadline.end):
-            reserve = _reserve(task, problem, start)
-            outcome = _continued(problem, outcome, replace(own, deadline=reserve.deadline))
+        if outcome.limit is not None and not searched:
+            searched = True
+            reserve = _feedback_set(task, problem, start)
+            deadline = limits.deadline.part(0.5)  # half of what is left is for the rest of the recursion
+            outcome = _continued(problem, outcome, replace(own, deadline=deadline))
         iterations += outcome.iterations
         region = outcome.region if outcome.limit is not None else outcome.region.tidy()
         if region.shape is Shape.EMPTY:
@@ -142,7 +143,7 @@ def _continued(problem: LocalProblem, outcome: Outcome, limits: Limits) -> Outco
 
 def _extent(X: Polytope) -> Array:
     """Half width (nx,) of X in every coordinate, zero if empty."""
-    body = X._body
+    body = X.body
     return np.zeros(X.dim) if body is None else row_norms(body.basis)
 
 
@@ -180,34 +181,21 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
     return region.cut(D[cutting], d[cutting]) if cutting.any() else region
 
 
-@dataclass(frozen=True)
-class _Reserve:
-    """Feedback set in reserve or None, and the recursion's last deadline."""
-
-    inner: _Inner | None
-    deadline: Deadline
-
-
-def _reserve(task: Task, problem: LocalProblem, start: Region) -> _Reserve:
-    """Feedback set, if part of the time left suffices."""
-    inner = None
-    if problem.bounded and problem.at_equilibrium and start.shape is Shape.SOLID:
-        inner = _feedback_set(task, problem, replace(start, V=None), task.limits.deadline.part(0.7))
-    return _Reserve(inner, task.limits.deadline.part(0.5))  # half of what is left is for the rest of the recursion
-
-
-def _feedback_set(task: Task, problem: LocalProblem, start: Region, deadline: Deadline) -> _Inner | None:
-    """First certified feedback set in `start`, or None."""
-    for candidate in feedback_sets(problem, start, replace(task.limits, deadline=deadline)):
-        inner = _certified(task, problem, start, candidate, deadline)
+def _feedback_set(task: Task, problem: LocalProblem, start: Region) -> _Inner | None:
+    """First feedback set in `start` that is certified in part of the time left, or None."""
+    if not problem.bounded or not problem.at_equilibrium or start.shape is not Shape.SOLID:
+        return None
+    deadline = task.limits.deadline.part(0.7)
+    rows = replace(start, V=None)
+    for candidate in feedback_sets(problem, rows, replace(task.limits, deadline=deadline)):
+        inner = _certified(task, problem, rows, candidate, deadline)
         if inner is not None:
             return inner
     return None
 
 
-def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Status, steps: int) -> SetResult:
+def _fallback(task: Task, inner: _Inner | None, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Reserve with its gap where it helps, otherwise no set."""
-    inner = None if reserve is None else reserve.inner
     if inner is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
     C = inner.C
@@ -217,7 +205,7 @@ def _fallback(task: Task, reserve: _Reserve | None, outer: Polytope, status: Sta
     return _with_status(task, replace(inner, check=check), outer, status, steps)
 
 
-def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Reserve | None) -> SetResult:
+def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Inner | None) -> SetResult:
     """Result with an inner set that passes the certificate."""
     region = outcome.region
     limits = task.limits
@@ -254,24 +242,24 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
     C = problem.frame.polytope(found.F, found.g, found.V)
     try:
         if candidate.gain is not None and found.V is None:
-            law = problem.input_map
-            gain = (law.states + law.inputs @ candidate.gain) @ problem.frame.back
-            offset = law.offset - gain @ problem.frame.centre
+            moves = np.vstack([np.eye(candidate.gain.shape[1]), candidate.gain])
+            gain = problem.law[:, 1:] @ moves @ problem.frame.back
+            offset = problem.law[:, 0] - gain @ problem.frame.centre
             check = certificate.feedback_violation(task.system, C, task.U, gain, offset, deadline)
         else:
             check = certificate.control_violation(task.system, C, task.U, deadline=deadline)
-        if not check.violation <= INVARIANT:
+        if not check.violation <= MEMBERSHIP:
             return None
         beyond = certificate.outside(C, task.X, by_vertices=found.V is not None)
     except LimitReached:
         return None
     check = replace(check, gap=gap(region, found), outside=beyond)
-    return _Inner(C, check, problem.frame.centre) if beyond <= INVARIANT else None
+    return _Inner(C, check, problem.frame.centre) if beyond <= MEMBERSHIP else None
 
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Result with the status that its gap and missing states deserve."""
-    small = inner.check.gap <= task.limits.tol * (1 + GAP_ROUNDING) + INVARIANT
+    small = inner.check.gap <= task.limits.tol * (1 + GAP_ROUNDING) + MEMBERSHIP
     absent = inner.check.missing
     if small:
         try:
@@ -303,6 +291,6 @@ def _point(task: Task, problem: LocalProblem, X: Polytope, iterations: int) -> S
         return _nothing(task, iterations)
     point = Polytope.from_vertices(problem.frame.centre[None])
     check = certificate.control_violation(task.system, point, task.U)
-    if check.violation > INVARIANT:
+    if check.violation > MEMBERSHIP:
         return no_set(task.X.dim, iterations, X, Status.NOT_CERTIFIED)
     return SetResult(point, X, Status.CONVERGED, iterations, replace(check, gap=0.0))

@@ -15,34 +15,18 @@ from functools import cached_property
 
 import numpy as np
 
-from invariant_sets.equalities import Stated, row_norms
+from invariant_sets.bodies import Body, Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
-from invariant_sets.interior_form import Body, normals, null_space
+from invariant_sets.interior_form import normals, null_space
 from invariant_sets.linear_programs import largest_ball, maximise_rows
+from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
-from invariant_sets.tolerances import (
-    AT_REST,
-    DEPENDENT_COLUMNS,
-    NEEDLE,
-    NEGLIGIBLE,
-    SILENT,
-    THINNEST,
-    TINY,
-    WELL_INSIDE,
-)
+from invariant_sets.system_checks import LinearSystem
+from invariant_sets.tolerances import CANCELLED, NEEDLE, NEGLIGIBLE, ROUNDING, TINY, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
-
-
-@dataclass(frozen=True)
-class LinearSystem:
-    """System x⁺ = A x + B u + w; `disturbances` are vertices, or None."""
-
-    A: Array
-    B: Array
-    disturbances: Array | None = None
 
 
 def left_inverse(basis: Array) -> Array:
@@ -67,14 +51,6 @@ class Frame:
         """Matrix (k, n) that takes x − centre to y."""
         return left_inverse(self.basis)
 
-    def rows_of(self, P: Polytope) -> Rows:
-        """Inequalities of P as unit rows on y, silent ones dropped."""
-        F = P.A @ self.basis
-        g = P.b - P.A @ self.centre
-        norms = row_norms(F)
-        used = norms > SILENT * np.abs(P.A).max(axis=1, initial=0.0) * np.abs(self.basis).max(initial=0.0)
-        return unit(F[used], g[used])
-
     def polytope(self, F: Array, g: Array, V: Array | None = None) -> Polytope:
         """Polytope {x : F y <= g} on the hull; V are its vertices."""
         n, k = self.basis.shape
@@ -82,35 +58,7 @@ class Frame:
         normal = normals(self.basis) if k < n else np.zeros((0, n))
         rows, right = unit(rows, g)
         V = None if V is None else counter_clockwise(self.centre + V @ self.basis.T)
-        return Polytope._of(Stated.given(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
-
-
-@dataclass(frozen=True)
-class InputMap:
-    """Input map u = offset + states y + inputs v."""
-
-    offset: Array
-    states: Array
-    inputs: Array
-
-    def about(self, y: Array, v: Array) -> InputMap:
-        """Map with y and v counted from this point."""
-        return InputMap(self.offset + self.states @ y + self.inputs @ v, self.states, self.inputs)
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Motion x⁺ − centre = states y + inputs v + drift, with joint rows."""
-
-    # where the state goes, in the units of x
-    states: Array  # (n, k)
-    inputs: Array  # (n, q)
-    drift: Array  # (n,)
-    # constraints on both together
-    state_rows: Array  # (m, k)
-    input_rows: Array  # (m, q)
-    right: Array  # (m,)
-    input_map: InputMap  # the input that belongs to y and v
+        return set_of(Polytope, Stated.given(rows, right + rows @ self.centre, normal, normal @ self.centre), V)
 
 
 @dataclass(frozen=True)
@@ -123,7 +71,7 @@ class LocalProblem:
     states: Rows  # (F, g): state set F y <= g, rows of unit norm
     joint: Rows  # (H, h): rows H [y; v] <= h
     input_moves: Array | None  # (m, k): vertices of B V where V does not depend on y and is bounded
-    input_map: InputMap  # back to u
+    law: Array  # (nu, 1 + k + q): the input u = law (1, y, v)
     # whether the state set is bounded, and whether y = 0 is an equilibrium
     bounded: bool
     at_equilibrium: bool
@@ -131,18 +79,20 @@ class LocalProblem:
 
 def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> LocalProblem | Polytope | None:
     """Problem in local coordinates, or a flatter X to try, or neither; `units` (nx,) is the first extent."""
-    state = X._body
-    inputs = U._body
+    state = X.body
+    inputs = U.body
     if state is None or inputs is None:
         return None
     frame, states = _round_frame(X, state)
     mean = np.zeros(X.dim) if system.disturbances is None else system.disturbances.mean(axis=0)
     spread = None if system.disturbances is None else system.disturbances - mean
-    motion = Motion(system.A @ frame.basis, system.B @ inputs.basis,
-                    system.A @ frame.centre + system.B @ inputs.centre + mean - frame.centre,
-                    np.zeros((len(inputs.g), frame.basis.shape[1])), inputs.F, inputs.g,
-                    InputMap(inputs.centre, np.zeros((U.dim, frame.basis.shape[1])), inputs.basis))
-    flat = frame.basis.shape[1] < X.dim
+    k = frame.basis.shape[1]
+    # maps of (1, y, v): where the state goes from the centre, the constraints that have to be <= 0, and the input
+    drift = system.A @ frame.centre + system.B @ inputs.centre + mean - frame.centre
+    motion = np.column_stack([drift, system.A @ frame.basis, system.B @ inputs.basis])
+    rows = np.column_stack([-inputs.g, np.zeros((len(inputs.g), k)), inputs.F])
+    law = np.column_stack([inputs.centre, np.zeros((U.dim, k)), inputs.basis])
+    flat = k < X.dim
     if flat:
         size = np.maximum(np.abs(system.A) @ np.abs(frame.basis).sum(axis=1), units)
         size = np.maximum(size, np.abs(system.B) @ np.abs(inputs.basis).sum(axis=1))
@@ -152,12 +102,10 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
             return X.intersection(Polytope(A_eq=held, b_eq=answer[1] + held @ frame.centre))
         if answer is None:
             return None
-        motion = answer
-    back = frame.back
-    noise = None if spread is None else spread @ back.T
-    dynamics = LinearSystem(back @ motion.states, back @ motion.inputs, noise)
-    joint = np.hstack([motion.state_rows, motion.input_rows]), motion.right
-    problem = LocalProblem(frame, dynamics, back @ motion.drift, states, joint, None, motion.input_map, state.bounded,
+        motion, rows, law = (part @ answer for part in (motion, rows, law))
+    local = frame.back @ motion
+    dynamics = LinearSystem(local[:, 1:k + 1], local[:, k + 1:], None if spread is None else spread @ frame.back.T)
+    problem = LocalProblem(frame, dynamics, local[:, 0], states, (rows[:, 1:], -rows[:, 0]), None, law, state.bounded,
                            at_equilibrium=False)
     if flat:
         vertices = _joint_input_corners(problem)
@@ -166,14 +114,15 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
     return _at_equilibrium(problem, vertices, system)
 
 
-def _stay_on_hull(motion: Motion, basis: Array, spread: Array | None,
-                  size: Array) -> Motion | tuple[Array, Array] | None:
-    """Motion that stays on the hull of `basis`, or equalities (rows, values) that y has to meet before, or None."""
+def _stay_on_hull(motion: Array, basis: Array, spread: Array | None,
+                  size: Array) -> Array | tuple[Array, Array] | None:
+    """Map of (1, y, v') to (1, y, v) that stays on the hull of `basis`, or equalities on y to meet before, or None."""
     # `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) is one in each coordinate of x
+    k = basis.shape[1]
     normal = normals(basis)
-    P = normal @ motion.states
-    Q = normal @ motion.inputs
-    s = -normal @ motion.drift
+    P = normal @ motion[:, 1:k + 1]
+    Q = normal @ motion[:, k + 1:]
+    s = -normal @ motion[:, 0]
     size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), TINY)
     if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
             size, np.abs(spread).max() + TINY)).any():
@@ -190,16 +139,9 @@ def _stay_on_hull(motion: Motion, basis: Array, spread: Array | None,
         return None
     if bound.any():
         return rest_P[bound], rest_s[bound]
-    pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])  # v = pseudo (s − P y) + free v'
-    fixed = pseudo @ s
-    follow = -pseudo @ P
-    free = vt[rank:].T
-    law = motion.input_map
-    return Motion(
-        states=motion.states + motion.inputs @ follow, inputs=motion.inputs @ free,
-        drift=motion.drift + motion.inputs @ fixed, state_rows=motion.state_rows + motion.input_rows @ follow,
-        input_rows=motion.input_rows @ free, right=motion.right - motion.input_rows @ fixed,
-        input_map=InputMap(law.offset + law.inputs @ fixed, law.states + law.inputs @ follow, law.inputs @ free))
+    pseudo = vt[:rank].T @ (left[:, :rank].T / values[:rank, None])
+    v = np.column_stack([pseudo @ s, -pseudo @ P, vt[rank:].T])  # v = pseudo (s − P y) + free v'
+    return np.vstack([np.eye(k + 1, v.shape[1]), v])
 
 
 def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
@@ -214,7 +156,7 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
     widths, axes = np.linalg.eigh((Y - middle).T @ (Y - middle) / len(Y))
     if widths[0] > NEEDLE**2 * widths[-1]:
         return frame, rows
-    turn = axes * np.sqrt(np.maximum(widths, THINNEST**2 * widths[-1]))
+    turn = axes * np.sqrt(np.maximum(widths, ROUNDING**2 * widths[-1]))
     return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
 
 
@@ -240,7 +182,7 @@ def _lifted(problem: LocalProblem) -> Rows:
     F, g = problem.states
     H, h = problem.joint
     rows = np.vstack([np.hstack([F, np.zeros((len(F), H.shape[1] - F.shape[1]))]), H])
-    used = np.linalg.norm(rows, axis=1) > SILENT
+    used = np.linalg.norm(rows, axis=1) > ROUNDING
     return unit(rows[used], np.append(g, h)[used])
 
 
@@ -256,14 +198,14 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
         moves = None if vertices is None else vertices @ problem.dynamics.B.T
         return None if problem.bounded else replace(problem, input_moves=moves)
     y = point[:k]
-    v = point[k:]
+    law = np.column_stack([problem.law @ np.append(1.0, point), problem.law[:, 1:]])
     return replace(
         problem, frame=Frame(problem.frame.centre + problem.frame.basis @ y, problem.frame.basis),
         drift=np.zeros(k),
         states=(problem.states[0], problem.states[1] - problem.states[0] @ y),
         joint=(problem.joint[0], problem.joint[1] - problem.joint[0] @ point),
-        input_moves=None if vertices is None else (vertices - v) @ problem.dynamics.B.T,
-        input_map=problem.input_map.about(y, v), at_equilibrium=True)
+        input_moves=None if vertices is None else (vertices - point[k:]) @ problem.dynamics.B.T,
+        law=law, at_equilibrium=True)
 
 
 def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
@@ -277,7 +219,7 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     v = np.linalg.lstsq(dynamics.B, residual, rcond=None)[0] if q else np.zeros(0)
     # any v with B v = residual will do as u = 0 does not change the state
     point = np.append(y, v)
-    if np.abs(residual - dynamics.B @ v).max() > AT_REST * max(1.0, np.abs(y).max()):
+    if np.abs(residual - dynamics.B @ v).max() > CANCELLED * max(1.0, np.abs(y).max()):
         return None
     inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > WELL_INSIDE
     inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
@@ -293,7 +235,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     rows, right = _lifted(problem)
     matrix = matrix * scale
     rows = rows * scale
-    z, *_ = np.linalg.lstsq(matrix, problem.drift, rcond=DEPENDENT_COLUMNS)
+    z, *_ = np.linalg.lstsq(matrix, problem.drift, rcond=ROUNDING)
     worst = np.abs(matrix @ z - problem.drift).max(initial=0.0)
     if worst > NEGLIGIBLE * max(1.0, np.abs(problem.drift).max(initial=0.0)):
         return None
@@ -301,7 +243,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
-    moving = norms > SILENT
+    moving = norms > ROUNDING
     if (room[~moving] < -NEGLIGIBLE).any():
         return None
     if not moving.any():

@@ -13,19 +13,11 @@ from functools import reduce
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.exceptions import NumericalError
+from invariant_sets.polyhedron import nonempty_body, set_of
 from invariant_sets.polytope import Polytope
-from invariant_sets.tolerances import (
-    BOX_ROOM,
-    DOUBLE_EIGENVALUE,
-    EDGE,
-    FLAT,
-    LOOSE,
-    REAL_EIGENVALUE,
-    SERIES_END,
-    UNSTABLE,
-)
+from invariant_sets.system_checks import LinearSystem
+from invariant_sets.tolerances import BOX_ROOM, EIGENVALUE, FLAT, LOOSE, ROUNDING, SERIES_END
 
 Array = np.ndarray
 
@@ -47,9 +39,9 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
 def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
                   target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
     """Problem with what is felt in one step, or in nx."""
-    states = X._body
-    inputs = U._body
-    goal = states if target is None else target._body
+    states = X.body
+    inputs = U.body
+    goal = states if target is None else target.body
     if states is None or inputs is None or goal is None or not len(goal.g):
         return system, X, U
     half = states.half_widths
@@ -76,7 +68,7 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
     lower = -lifted.support(-eye)
     room = BOX_ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     cut = U.intersection(Polytope.from_bounds(lower - room, upper + room))
-    useful = cut if cut._body is None else Polytope._of(cut._body.rows, body=cut._body)  # the rows that are felt
+    useful = cut if cut.body is None else set_of(Polytope, cut.body.rows, body=cut.body)  # the rows that are felt
     return system, _felt(X, lifted, moves[:-1], drift[:-1]), useful
 
 
@@ -85,7 +77,7 @@ def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Po
     from scipy.linalg import matrix_balance
 
     A, (units, _) = matrix_balance(system.A, permute=False, separate=True)
-    if X.is_empty or not U.is_bounded or np.abs(np.linalg.eigvals(A)).max() <= 1 + UNSTABLE:
+    if X.is_empty or not U.is_bounded or np.abs(np.linalg.eigvals(A)).max() <= 1 + EIGENVALUE:
         return X
     moves = U.vertices @ system.B.T / units
     size = np.abs(moves).max() or 1.0
@@ -118,7 +110,7 @@ def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
     """X without the rows that no trajectory comes near; what has no width has nothing far away."""
-    body = lifted._require_point("backward_step")
+    body = nonempty_body(lifted, "backward_step")
     far = np.abs(X.A) @ body.half_widths[:X.dim] > 0.0
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
@@ -172,11 +164,11 @@ def unstable_bounds(A: Array, inputs: Array, disturbances: Array | None = None) 
     """
     values, left = np.linalg.eig(A.T)
     radius = np.abs(values)
-    unstable = radius > 1.0 + UNSTABLE
+    unstable = radius > 1.0 + EIGENVALUE
     if not unstable.any():
         return np.zeros((0, len(A))), np.zeros(0), np.zeros(0, int)
-    real = np.abs(values.imag) <= REAL_EIGENVALUE * radius
-    simple = np.array([np.sum(np.abs(values - value) <= DOUBLE_EIGENVALUE * abs(value)) == 1 for value in values])
+    real = np.abs(values.imag) <= ROUNDING * radius
+    simple = np.array([np.sum(np.abs(values - value) <= EIGENVALUE * abs(value)) == 1 for value in values])
     rows: list[Array] = []
     bounds: list[tuple[float, float]] = []
     groups: list[int] = []
@@ -217,7 +209,7 @@ def _subspace_bounds(A: Array, inputs: Array,
 
     def outside(real: float, imaginary: float = 0.0) -> bool:
         """Whether an eigenvalue is unstable."""
-        return bool(np.hypot(real, imaginary) > 1.0 + UNSTABLE)
+        return bool(np.hypot(real, imaginary) > 1.0 + EIGENVALUE)
 
     T, Z, k = schur(A.T, output="real", sort=outside)
     L = Z[:, :k].T  # L A = Λ L with Λ = T₁₁ᵀ
@@ -251,7 +243,7 @@ def _edge_normals(moves: Array) -> Array:
     first, second = np.triu_indices(moves.shape[2], k=1)
     edges = (moves[:, :, first] - moves[:, :, second]).transpose(0, 2, 1).reshape(-1, 2)
     length = np.linalg.norm(edges, axis=1)
-    edges = edges[length > EDGE * length.max(initial=0.0)][:400]  # barely unstable: the recursion finds more
+    edges = edges[length > FLAT * length.max(initial=0.0)][:400]  # barely unstable: the recursion finds more
     return np.asarray(np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None])
 
 

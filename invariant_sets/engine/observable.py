@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from invariant_sets.engine.local_problem import LinearSystem, left_inverse
+from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.polytope import Polytope
-from invariant_sets.tolerances import CANCELLED, UNSEEN
+from invariant_sets.system_checks import LinearSystem
+from invariant_sets.tolerances import CANCELLED, DEPENDENT
 
 Array = np.ndarray
 
@@ -48,7 +49,7 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
 def _row_space(rows: Array, size: float) -> Array:
     """Orthonormal rows that span the given ones, up to rounding."""
     _, values, vt = np.linalg.svd(rows, full_matrices=False)
-    return vt[values > UNSEEN * size]
+    return vt[values > DEPENDENT * size]
 
 
 def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem, Polytope]:

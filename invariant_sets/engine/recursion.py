@@ -15,7 +15,7 @@ from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status, status_of
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, CUT, FLAT, LEAST_RIGHT, SMALL, STOP, UNRESOLVED
+from invariant_sets.tolerances import CHEAP_HULL_DIM, FLAT, LEAST_RIGHT, REDUNDANT, ROUNDING, SMALL, UNRESOLVED
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -117,7 +117,7 @@ class Limits:
     deadline: Deadline = NO_DEADLINE  # latest end
 
 
-def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: float = STOP,
+def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: float = REDUNDANT,
             fresh: Array | None = None) -> Outcome:
     """Outcome of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
@@ -164,7 +164,7 @@ def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
     if region.V is None and len(r):
         R, r = _worth_testing(region, R, r, deadline)
     reach = region.reach(R, deadline)
-    cutting = reach > r + CUT
+    cutting = reach > r + ROUNDING
     if not cutting.any():
         return region, 0.0
     depth = (reach - r)[cutting]
@@ -180,7 +180,7 @@ def _cut_in_rounds(region: Region, R: Array, r: Array, depth: Array, deadline: D
         if len(first) == len(r) or region.shape is not Shape.SOLID:
             break
         depth = region.reach(R, deadline) - r
-        left = depth > CUT
+        left = depth > ROUNDING
         left[first] = False  # whatever rounding says of them, so that every round leaves fewer rows
         R = R[left]
         r = r[left]

@@ -9,46 +9,27 @@ Control for Linear and Hybrid Systems, section 10.1.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from invariant_sets.engine.certificate import control_violation, precise_minimiser
-from invariant_sets.engine.local_problem import LinearSystem
 from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
+from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
+from invariant_sets.results import Certificate
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, HALF_BOX, INVARIANT, LOOSE, PROGRAMS_PER_CHECK, ROUNDING, USEFUL_INPUTS
+from invariant_sets.tolerances import FLAT, HALF_BOX, LOOSE, MEMBERSHIP, ROUNDING, USEFUL_INPUTS
 
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Step:
-    """Set after one step, and what was checked of it.
-
-    Attributes
-    ----------
-    set : Polytope
-        The set, without redundant rows.
-    violation, missing : float
-        By how much the worst vertex should not be in it, and by how much it should be larger, relative to its extent.
-    points : int
-        Vertices or facets checked.
-    """
-
-    set: Polytope
-    violation: float
-    missing: float
-    points: int
-
-    @property
-    def worst(self) -> float:
-        """Larger of violation and missing."""
-        return max(self.violation, self.missing)
+Step = tuple[Polytope, Certificate]  # the set after one step, and by how much a vertex is too much or it is too small
+_UNCHECKED = Certificate(0.0, np.inf, 0, missing=0.0)
 
 
 def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
@@ -63,7 +44,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
     system, X, U = without_loose_bounds(system, X, U, tight)
     lifted = tight.preimage(np.hstack([system.A, system.B])).intersection(X.cartesian_product(U))
     if lifted.is_empty:
-        return Step(Polytope.empty(n), 0.0, 0.0, 0)
+        return Polytope.empty(n), _UNCHECKED
     if lifted.affine_dim < lifted.dim:
         longer = _without_far_ends(system, S, X, U, lifted, deadline)
         if longer is not None:
@@ -72,21 +53,26 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
         lambda: _by_elimination(lifted, n, deadline), lambda: _by_sum(system, tight, X, U, lifted, deadline)]
     if system.B.shape[1] > 1:
         ways.reverse()
-    best: Step | None = None
+    best = X, replace(_UNCHECKED, violation=np.inf)
     for way in ways:
         try:
             P = way()
             if P is None or P.is_empty:
                 continue
             check = control_violation(system, P, U, target=S, deadline=deadline)
-            step = Step(P, check.violation, _too_small(P, lifted, n, deadline), check.points)
+            check = replace(check, missing=_too_small(P, lifted, n, deadline))
         except NumericalError:
             continue
-        if step.worst <= INVARIANT:
-            return step
-        if best is None or step.worst < best.worst:
-            best = step
-    return Step(X, np.inf, 0.0, 0) if best is None else best
+        if _worst(check) < _worst(best[1]):
+            best = P, check
+        if _worst(check) <= MEMBERSHIP:
+            break
+    return best
+
+
+def _worst(check: Certificate) -> float:
+    """Larger of what is too much and what is missing."""
+    return max(check.violation, check.missing)
 
 
 def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
@@ -102,9 +88,9 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
         An end is nearer than that: it would be missed, and beside it the width is nothing.
     """
     n = len(system.A)
-    body = lifted._require_point("backward_step")
+    body = nonempty_body(lifted, "backward_step")
     M = np.hstack([system.A, system.B])
-    width = S._require_point("backward_step").half_widths
+    width = nonempty_body(S, "backward_step").half_widths
     with np.errstate(divide="ignore", over="ignore"):
         unit = (np.where(width > 0.0, LOOSE * width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
         moved = np.minimum(np.abs(system.A) @ unit + np.abs(system.B) @ body.half_widths[n:], 1.0)
@@ -116,7 +102,7 @@ def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytop
         if len(states.b) + len(target.b) == rows:
             continue
         step = backward_step(system, target, states, U, deadline)
-        if step.set.affine_dim > lifted.projection(np.arange(n)).affine_dim:
+        if step[0].affine_dim > lifted.projection(np.arange(n)).affine_dim:
             if distance > LOOSE:
                 return step
             raise NumericalError("X", X.A.shape, "the width of the set is nothing beside its length")
@@ -131,7 +117,7 @@ def _without_rows_beyond(P: Polytope, point: Array, reach: Array) -> Polytope:
 
 def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
     """Projection of the lifted set on x, by Fourier–Motzkin elimination."""
-    body = lifted._require_point("backward_step")
+    body = nonempty_body(lifted, "backward_step")
     if body.basis.shape[1] < lifted.dim:
         return lifted.projection(np.arange(n)).minimal()
     reach = np.full(lifted.dim, HALF_BOX if body.bounded else np.inf)
@@ -155,17 +141,16 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
 
 def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
     """Largest relative reach of the lifted set beyond facets of P."""
-    body = lifted._require_point("backward_step")
-    F, g = P._relative_rows
+    body = nonempty_body(lifted, "backward_step")
+    F, g = P.relative_rows
     worst = 0.0
     for i, f in enumerate(F):
-        if i % PROGRAMS_PER_CHECK == 0:
-            deadline.check()
+        deadline.check()
         local = body.basis[:n].T @ f
         level = float(f @ body.centre[:n] - g[i])
         size = float(np.hypot.reduce(local, initial=0.0))
         beyond = size * -minimise(-local / size, body.F, body.g)[0] + level if size > 0.0 else level
-        if beyond > INVARIANT and size > 0.0:  # a flat optimum may be found too large: a second solver
+        if beyond > MEMBERSHIP and size > 0.0:  # a flat optimum may be found too large: a second solver
             point = precise_minimiser(-local / size, body.F, body.g)
             beyond = beyond if point is None else min(beyond, float(local @ point) + level)
         worst = max(worst, beyond)
@@ -179,26 +164,26 @@ def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: D
         deadline.check_hull(len(R.vertices) * len(moves.vertices), n)
     image = R.affine_map(system.A).minkowski_sum(moves).minimal()
     if image.is_empty or not len(image.b) + len(image.b_eq):
-        return Step(image, 0.0, 0.0, 0)
-    F, g = image._relative_rows
+        return image, _UNCHECKED
+    F, g = image.relative_rows
     exact = R.support(F @ system.A) + moves.support(F)
     missing = float((exact - g).max())
     violation = float((g - exact).max())
     if image.is_bounded:
         violation = max(violation, _unreached(system, image, R, moves, deadline))
-    return Step(image, violation, missing, len(g))
+    return image, Certificate(violation, np.inf, len(g), missing=missing)
 
 
 def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polytope, deadline: Deadline) -> float:
     """Largest relative distance of the image's vertices from A R ⊕ moves."""
-    start = R._require_point("forward_step")
-    move = moves._require_point("forward_step")
+    start = nonempty_body(R, "forward_step")
+    move = nonempty_body(moves, "forward_step")
     n = len(system.A)
     k = start.basis.shape[1]
     q = move.basis.shape[1]
     width = np.ptp(image.vertices, axis=0)
     known = np.abs(system.A) @ start.terms + move.terms
-    width = np.maximum(np.where(width > 0.0, width, width.max()), ROUNDING / INVARIANT * known)
+    width = np.maximum(np.where(width > 0.0, width, width.max()), ROUNDING / MEMBERSHIP * known)
     width = np.where(width > 0.0, width, 1.0)
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
     at = (system.A @ start.centre + move.centre) / width
@@ -208,9 +193,8 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
         np.column_stack([np.zeros((len(move.g), k)), move.F, np.zeros(len(move.g))])])
     cost = np.append(np.zeros(k + q), 1.0)
     worst = 0.0
-    for i, v in enumerate(image.vertices / width):
-        if i % PROGRAMS_PER_CHECK == 0:
-            deadline.check()
+    for v in image.vertices / width:
+        deadline.check()
         scaled, right = unit(rows, np.concatenate([v - at, at - v, start.g, move.g]))
         worst = max(worst, minimise(cost, scaled, right)[0])
     return worst

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from invariant_sets.exceptions import NumericalError
@@ -16,46 +14,35 @@ from invariant_sets.tolerances import TINY
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
-class Trajectories:
-    """All x₀, …, x_N of x⁺ = A x + B u within state and input sets.
-
-    Attributes
-    ----------
-    A, B : arrays
-        Dynamics.
-    first, between, last : Polytope
-        Sets of x₀, of x₁, …, x_{N−1}, and of x_N.
-    U : Polytope
-        Input set.
-    steps : int
-        N, at least one.
-    """
-
-    A: Array
-    B: Array
-    first: Polytope
-    between: Polytope
-    last: Polytope
-    U: Polytope
-    steps: int
-
-
-def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polytope | None:
-    """Hull of extreme states at time `at` (0 or N), or None.
+def inner_hull(deadline: Deadline, *, A: Array, B: Array, sets: tuple[Polytope, Polytope, Polytope], U: Polytope,
+               steps: int, at: int) -> Polytope | None:
+    """Hull of extreme states x₀ or x_N of trajectories x⁺ = A x + B u, or None.
 
     None, too, where the linear program over all steps would be too large.
 
     One linear program a point, in the coordinates of the bodies of x₀ and U. Every point belongs to a trajectory that
     respects all sets, so their hull is inside the set of all such states.
+
+    Parameters
+    ----------
+    deadline : Deadline
+        No point is sought after it.
+    A, B : arrays
+        Dynamics.
+    sets : three Polytopes
+        Sets of x₀, of x₁, …, x_{N−1}, and of x_N.
+    U : Polytope
+        Input set.
+    steps, at : int
+        N, at least one, and 0 or N, the time of the states.
     """
-    steps = trajectories.steps
-    rows_a_step = len(trajectories.U.b) + len(trajectories.between.b) + 2 * len(trajectories.between.b_eq)
-    if steps * rows_a_step * (trajectories.first.dim + steps * trajectories.U.dim) > 2_000_000:  # more than a second
+    start, between, last = sets
+    rows_a_step = len(U.b) + len(between.b) + 2 * len(between.b_eq)
+    if steps * rows_a_step * (start.dim + steps * U.dim) > 2_000_000:  # more than a second
         return None
-    states = (trajectories.first, *[trajectories.between] * (steps - 1), trajectories.last)
-    first = trajectories.first._body
-    inputs = trajectories.U._body
+    states = (start, *[between] * (steps - 1), last)
+    first = start.body
+    inputs = U.body
     if first is None or inputs is None:
         return None
     n = len(first.centre)
@@ -64,10 +51,10 @@ def inner_hull(trajectories: Trajectories, at: int, deadline: Deadline) -> Polyt
     maps = [np.hstack([first.basis, np.zeros((n, steps * q))])]
     offsets = [first.centre]
     for step in range(steps):
-        moved = trajectories.A @ maps[-1]
-        moved[:, k + step * q:k + (step + 1) * q] += trajectories.B @ inputs.basis
+        moved = A @ maps[-1]
+        moved[:, k + step * q:k + (step + 1) * q] += B @ inputs.basis
         maps.append(moved)
-        offsets.append(trajectories.A @ offsets[-1] + trajectories.B @ inputs.centre)
+        offsets.append(A @ offsets[-1] + B @ inputs.centre)
     rows = [np.hstack([np.zeros((steps * len(inputs.g), k)), np.kron(np.eye(steps), inputs.F)])]
     right = [np.tile(inputs.g, steps)]
     for S, M, c in zip(states, maps, offsets):

@@ -154,11 +154,11 @@ def test_membership_is_the_same_before_and_after_the_vertices_are_known(rng):
     Q = np.linalg.qr(rng.normal(size=(3, 3)))[0][:, :2]
     for P in (Polytope.from_vertices(rng.normal(size=(8, 2)) @ Q.T), box([0, 0, 0], [1, 1e-6, 1e6])):
         fresh = Polytope(P.A, P.b, P.A_eq, P.b_eq)
-        ranges = fresh._ranges.copy()
+        ranges = fresh.ranges.copy()
         again = Polytope(P.A, P.b, P.A_eq, P.b_eq)
         again.vertices  # noqa: B018
-        np.testing.assert_array_equal(ranges, again._ranges)
-        np.testing.assert_allclose(ranges, P._ranges, rtol=1e-6)
+        np.testing.assert_array_equal(ranges, again.ranges)
+        np.testing.assert_allclose(ranges, P.ranges, rtol=1e-6)
 
 
 def test_membership_tolerance_is_a_part_of_the_range_of_the_row():

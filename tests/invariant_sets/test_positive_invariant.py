@@ -93,7 +93,7 @@ def test_smallest_set_is_robust_and_exceeds_the_true_one_by_at_most_eps(name, ep
     D = np.vstack([rng.normal(size=(40, 2)), result.set.A])
     rest = np.linalg.solve(np.eye(2) - A, noise.mean(axis=0))
     if name == "triangle":  # the excess is counted about the centre of the largest ball
-        rest = np.linalg.solve(np.eye(2) - A, W._body.centre)
+        rest = np.linalg.solve(np.eye(2) - A, W.body.centre)
     exact = partial_sum_support(A, noise, D) - D @ rest
     mine = result.set.support(D) - D @ rest
     assert (mine >= exact * (1 - 1e-9)).all()

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from invariant_sets.checked_optima import exact_optimum
 from invariant_sets.linear_programs import largest_ball, minimise
+from invariant_sets.rational_programs import exact_optimum
 
 
 def test_programs_in_rationals_agree_with_highs():

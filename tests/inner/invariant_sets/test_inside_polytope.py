@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from invariant_sets import Polytope, checked_optima
+from invariant_sets import Polytope, linear_programs
 from invariant_sets.hulls import extreme_points, hull_volume
 
 
@@ -25,8 +25,8 @@ def test_points_that_are_one_within_their_doubt_keep_one_vertex():
 @pytest.mark.parametrize("closed", [True, False], ids=["bounded", "unbounded"])
 def test_a_tightening_that_leaves_room_needs_the_support_alone_and_says_the_rest_when_asked(closed, rng, monkeypatch):
     programs = []
-    solve = checked_optima.daqp.solve
-    monkeypatch.setattr(checked_optima.daqp, "solve", lambda *a, **k: programs.append(a) or solve(*a, **k))
+    solve = linear_programs.daqp.solve
+    monkeypatch.setattr(linear_programs.daqp, "solve", lambda *a, **k: programs.append(a) or solve(*a, **k))
     A = np.vstack([rng.standard_normal((8, 3)), np.eye(3), -np.eye(3)])
     A = A if closed else A[A[:, 2] >= 0]
     P = Polytope(A, np.ones(len(A))).affine_map(np.eye(3), [1e6, -1e6, 1e6])
