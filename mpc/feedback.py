@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from mpc.checks import Array
-from mpc.problem import MPCProblem
 from mpc.riccati import cost_units
 from mpc.tolerances import GROWTH
+
+if TYPE_CHECKING:
+    from mpc.problem import MPCProblem
 
 Weights: TypeAlias = tuple[Array, Array, Array, Array]
 

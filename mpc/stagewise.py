@@ -11,12 +11,15 @@ References: Rao, Wright and Rawlings, *Application of interior-point methods to 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mpc.checks import Array
-from mpc.stages import QPStage
 from mpc.tolerances import FEEDBACK_ROUNDING, KKT_REPORTED, NEWTON, ROUNDING, SLACK_FLOOR
+
+if TYPE_CHECKING:
+    from mpc.stages import QPStage
 
 Arrays = list[Array]
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ccdtools.evidence.percent import number, share, with_minus
 from ccdtools.evidence.verdict import Status, Verdict
 from ccdtools.studies.names import FORMER
-from ccdtools.studies.redesign import Redesign
 from ccdtools.studies.service import Agreement, Delivery
-from ccdtools.twin.online import OnlineUpdate
+
+if TYPE_CHECKING:
+    from ccdtools.studies.redesign import Redesign
+    from ccdtools.twin.online import OnlineUpdate
 
 
 def account(

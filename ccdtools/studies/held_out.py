@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -16,15 +16,17 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import change_of_level
-from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.names import SOURCES
 from ccdtools.studies.redesign import same_design
-from ccdtools.studies.service import Deployed
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.studies.trust_region import Trust
-from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import START
+
+if TYPE_CHECKING:
+    from ccdtools.studies.evaluation import Evaluation
+    from ccdtools.studies.service import Deployed
+    from ccdtools.twin.deployable import Deployable
 
 Step: TypeAlias = tuple[str, Controller, Array]  # source of a change, the controller changed to, and its design
 

@@ -5,26 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.co_design.risk import measure
 from ccdtools.evidence.evidence import NOTHING, summary_of
 from ccdtools.evidence.verdict import Status, Verdict
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.statistics import Summary
-from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.tolerances import WORTH_A_POLICY
-from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution
-from ccdtools.twin.residuals import Residuals
-from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.updated_plant import UpdatedPlant
+
+if TYPE_CHECKING:
+    from ccdtools.arrays import Array
+    from ccdtools.plants.design_space import DesignSpace
+    from ccdtools.statistics import Summary
+    from ccdtools.studies.evaluation import Evaluation
+    from ccdtools.twin.deployable import Deployable
+    from ccdtools.twin.residuals import Residuals
+    from ccdtools.twin.twin import DigitalTwin
 
 POLICY_PRICE = RedesignPrice(100 * WORTH_A_POLICY, relative=True)
 

@@ -72,7 +72,8 @@ class LoopCost(DesignCost):
         self.evaluations += 1
         try:
             with torch.set_grad_enabled(exact):
-                seen = self._episodes(p, self._law(self.problem, p), depths=self._priced)
+                law = self._law(self.problem, p)
+                seen = simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=self._priced)
                 cost = self._cost(seen, point)
         except NotStabilisableError:  # any other error is a mistake in what was stated
             return np.inf, lambda: np.zeros(len(v))
@@ -147,11 +148,7 @@ class LoopCost(DesignCost):
     def seen(self, v: Array) -> Episode:
         """Episodes of the law at a point, with limit violations."""
         p = to_design(self.problem, torch.tensor(v, dtype=torch.float64))
-        return self._episodes(p, self._law(self.problem, p), depths=True)
-
-    def _episodes(self, p: Tensor, law: Law, *, depths: bool) -> Episode:
-        """Episodes of a law at a design (np,)."""
-        return simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=depths)
+        return simulated(Stepper.at(self.problem, p), self._law(self.problem, p), self.scenarios, depths=True)
 
     @property
     def _law(self) -> Callable[[CoDesignProblem, Tensor], Law]:
