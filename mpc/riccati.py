@@ -14,18 +14,7 @@ from scipy.linalg import LinAlgWarning, solve_discrete_are
 from mpc.checks import Array, as_cross_weight, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
-from mpc.tolerances import (
-    DOUBLED,
-    GAINED,
-    NEAR_CIRCLE,
-    NEGATIVE_WEIGHT,
-    REACH,
-    RICCATI,
-    ROUNDED_SUM,
-    SETTLED_MARGIN,
-    UNIT_CIRCLE,
-    UNSEEN,
-)
+from mpc.tolerances import EPS, GAINED, NEAR_CIRCLE, NEGATIVE_WEIGHT, REACH, RICCATI, ROUNDED_SUM, SETTLED_MARGIN
 
 
 def lqr(
@@ -232,7 +221,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
     for _ in range(60):  # 2^60 samples
         more = root @ A
         root = np.asarray(np.linalg.qr(np.vstack([root, more]), mode="r"))
-        if (np.linalg.norm(more, axis=0) <= DOUBLED * np.linalg.norm(root, axis=0)).all():
+        if (np.linalg.norm(more, axis=0) <= EPS * np.linalg.norm(root, axis=0)).all():
             return root
         A = A @ A
     return np.full_like(A, np.inf)
@@ -243,7 +232,7 @@ def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
     A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
     none = np.ones(len(A))
     eigenvalues = np.linalg.eigvals(A)
-    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - UNIT_CIRCLE], none, user_unit)
+    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - NEAR_CIRCLE], none, user_unit)
     what = "Q: got no weight on the mode"
     if S.any():  # of the plant and the cost that u = v - R⁻¹S'x leaves
         free = np.linalg.pinv(R, rcond=NEGATIVE_WEIGHT, hermitian=True) @ S.T
@@ -252,7 +241,7 @@ def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
         eigenvalues = np.linalg.eigvals(A)
         what = "S: got a stage cost without weight on the mode of A - BR⁻¹S'"
     unseen = least_reached(A.T, Q, eigenvalues[np.abs(np.abs(eigenvalues) - 1) <= NEAR_CIRCLE], none)
-    if unseen.strength < min(UNSEEN, lost.strength):
+    if unseen.strength < min(REACH, lost.strength):
         return NotStabilisableError(
             f"{what} at eigenvalue {unseen.value}, on the unit circle, so the Riccati "
             "equation has no stabilising solution; expected Q to see it. Give the mode a weight, however small.",

@@ -6,6 +6,10 @@ scaled coordinates has no unit and means the same whatever units the user measur
 
 from __future__ import annotations
 
+import sys
+
+EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
+
 # ---- the online QP ----
 # Relative optimality residual above which the second solver is asked, at which OSQP stops before it polishes, and at
 # which a sequence of quadratic programs has come to an optimum [-]
@@ -22,9 +26,6 @@ FEASIBLE = 1e-6
 NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
 DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
 MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
-# Scaled violations of the origin are at most the inverse of this: with larger ones `PRIMAL` would lie below rounding
-# [-]
-FAR_BOUND = 1e-7
 # Part of the bounds below which forces and steps count as zero in the residuals, and part of the extent of a set below
 # which a bound says nothing of sizes [-]
 NEGLIGIBLE = 1e-6
@@ -45,8 +46,6 @@ EMPTY = 1e-9
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
 SMALL_STATE = 1e-3
 FAR = 1e4  # Distance in units of a set beyond which only the direction of a point counts for its projection [-]
-# Growth of an unstable plant over the horizon up to which costates keep the digits that a check needs [-]
-REMEMBERED = 1e6
 # Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator
 OVERFLOW = 1e100
 
@@ -63,10 +62,9 @@ RELAXATION_MARGIN = 1e-8  # Room that relaxed bounds leave, relative to the boun
 RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 
 # ---- regulator ----
-# Relative distance to an unstabilisable pair below which a mode counts as not reached, and inverse of how many times
-# further than the plant a feedback may move the states [-]
+# Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
+# inverse of how many times further than the plant a feedback may move the states [-]
 REACH = 1e-7
-UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts as not decaying [-]
 # Distance from the unit circle up to which a mode neither grows nor decays within what is computed [-]
 NEAR_CIRCLE = 1e-6
 # Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]
@@ -74,9 +72,6 @@ RICCATI = 1e-4
 GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken where it may be rounding [-]
 # Last relative change of the distance of the closed loop from the unit circle that is accepted [-]
 SETTLED_MARGIN = 0.1
-DOUBLED = 1e-9  # Root of the last term of a sum of doubled terms, relative to that of the sum, that is left out [-]
-# Relative distance of (Q, A) from not seeing a mode on the unit circle below which it counts as unseen [-]
-UNSEEN = 1e-8
 
 # ---- explained infeasibility ----
 LP_SUPPORT = 1e-8  # Violation, in the unit of the row, above which a row is among those that give [-]
@@ -88,15 +83,10 @@ FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled d
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or sizes, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----
-FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
-SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
-# Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
-FEEDBACK_ROUNDING = 1e-14
 ROUNDING = 1e-15  # Residual of a row, relative to its terms, that is rounding [-]
 
 # ---- targets ----
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]
-TARGET_DRIFT = 1e-6  # Weight of the output error beside the squared drift where no state is steady [-]
 
 # ---- sensitivities ----
 # Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
