@@ -20,9 +20,9 @@ KKT_REPORTED = 1e-6
 # Violation of a scaled row that DAQP accepts, and of a row that no input reaches that is put down to rounding [-]
 PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
-# Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
-# QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides.
-FEASIBLE = 1e-6
+# Violation, relative to the unit of its row, up to which a problem counts as feasible [-]: that which a plan may have,
+# well above what the LP and QP solvers themselves accept on scaled rows
+FEASIBLE = KKT_REPORTED
 NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
 DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
 MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
@@ -58,8 +58,6 @@ RUNAWAY = 1e7  # Feedback Kx, in units of the limits of u, beyond which too few 
 # Weights of the control cost beside the squared violation [-], tried in turn until the QP solves accurately
 RELAXATION_SHARES = (1e-6, 1e-3, 1.0)
 RELAXATION_MARGIN = 1e-8  # Room that relaxed bounds leave, relative to the bound or to the slack [-]
-# Further room tried in turn where the QP with the least relaxation is called infeasible, in units of the rows [-]
-RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 
 # ---- regulator ----
 # Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
@@ -74,12 +72,10 @@ GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken w
 SETTLED_MARGIN = 0.1
 
 # ---- explained infeasibility ----
-LP_SUPPORT = 1e-8  # Violation, in the unit of the row, above which a row is among those that give [-]
-# Multiplier of a proof of infeasibility above which its row takes part, and weight of z beside a violation [-]
-CERTIFICATE = 1e-12
-# Violation of a row, in its unit, that HiGHS accepts [-]; the least that it allows
-LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]
+# Violation of a row, in its unit, that HiGHS accepts, and multiplier of a proof of infeasibility above which its row
+# takes part [-]: the least that HiGHS allows
+LP = 1e-10
+LP_OPTIONS = {"primal_feasibility_tolerance": LP, "dual_feasibility_tolerance": LP}
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or sizes, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from mpc.checks import Array
-from mpc.tolerances import CERTIFICATE, LP_OPTIONS
+from mpc.tolerances import LP, LP_OPTIONS
 
 SOLVED, INFEASIBLE, UNBOUNDED = 0, 2, 3  # what `status` says
 
@@ -40,7 +40,7 @@ def proves_infeasible(y: Array, rows: Array, right: Array, reach: float) -> bool
         return False
     if y @ right < -reach * np.abs(y @ rows).sum():
         return True
-    taken = np.flatnonzero(y > CERTIFICATE * y.max(initial=0.0))
+    taken = np.flatnonzero(y > LP * y.max(initial=0.0))
     if not len(taken) or not y @ right < 0:
         return False
     own = y[taken] - np.linalg.lstsq(rows[taken].T, rows[taken].T @ y[taken], rcond=None)[0]
