@@ -27,7 +27,7 @@ from mpc.solving import (
     timed,
 )
 from mpc.stages import StagewiseQP
-from mpc.tolerances import EPS, INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW
+from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, RUNAWAY
 
 
 class SparseSolver:
@@ -62,7 +62,7 @@ class SparseSolver:
         self._weight = float(np.abs(self._whole_H.diagonal()[self._inputs]).max(initial=0.0))
         radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
         # costates keep the digits that `_doubt` needs
-        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(KKT / EPS)
+        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(RUNAWAY)
         self._parameters = parameters
         self._workspace = threading.local()
 

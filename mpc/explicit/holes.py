@@ -22,14 +22,13 @@ from mpc.tolerances import (
     CROSSING,
     FARTHEST_BEHIND,
     KKT,
-    LAW_ERROR,
     OPTIMAL_SET,
-    PARALLEL,
     POINTS_ANYWHERE,
     POINTS_BEHIND,
     POINTS_BETWEEN,
     QPS_AT_ONCE,
     REGIONS_PER_POINT,
+    ROUNDED_SUM,
     THIN,
     TIE,
 )
@@ -47,7 +46,7 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
     slack = others[:, -1] - others[:, :-1] @ foot
     along = others[:, :-1] @ plane
     length = np.linalg.norm(along, axis=1)
-    sides = length > PARALLEL
+    sides = length > ROUNDED_SUM
     centre = np.zeros(plane.shape[1])
     radius = 1.0
     if len(centre):
@@ -82,7 +81,7 @@ class OnlineQP:
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
         """Fewest rows active at v that carry it, linearly independent."""
-        near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
+        near = np.flatnonzero(bounds - self.qp.M @ v <= KKT * (1.0 + np.abs(bounds)))
         if not len(near):
             return ()
         share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
