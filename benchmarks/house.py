@@ -37,18 +37,18 @@ MID_SENTENCE = ("And", "As", "At", "Beside", "By", "From", "In", "Its", "Of", "O
 def constants() -> tuple[int, int]:
     """Numeric constants of all modules, and those outside files of tolerances."""
     where = [path for path, tree in FILES.items() for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign)
-             and node.value is not None and _numbers(node.value) for _ in _upper_case(node)]  # fmt: skip
+             and node.value is not None and numbers(node.value) for _ in upper_case(node)]  # fmt: skip
     return len(where), sum(path.name != "tolerances.py" for path in where)
 
 
-def _numbers(value: ast.expr) -> bool:
+def numbers(value: ast.expr) -> bool:
     """Whether a value is made of numbers, and of no call."""
     parts = list(ast.walk(value))
-    numbers = any(isinstance(p, ast.Constant) and type(p.value) in (int, float) for p in parts)
-    return numbers and not any(isinstance(p, ast.Call | ast.Lambda) for p in parts)
+    found = any(isinstance(p, ast.Constant) and type(p.value) in (int, float) for p in parts)
+    return found and not any(isinstance(p, ast.Call | ast.Lambda) for p in parts)
 
 
-def _upper_case(node: ast.Assign | ast.AnnAssign) -> list[str]:
+def upper_case(node: ast.Assign | ast.AnnAssign) -> list[str]:
     """Upper-case names that a statement binds."""
     target = node.targets[0] if isinstance(node, ast.Assign) else node.target
     names = [part.id for part in getattr(target, "elts", [target]) if isinstance(part, ast.Name)]

@@ -2,6 +2,7 @@
 
     python benchmarks/mutants.py --reach                   which test enters which function: once
     python benchmarks/mutants.py [--killed 200] [--seed 0] [--under mpc]    draws mutants until so many were killed
+    python benchmarks/mutants.py --thresholds --drawn 50   the numbers of files of tolerances, each tenfold
 
 A mutant is one change of one line: a number tenfold or of the other sign, a comparison or its boundary turned, + for -,
 `and` for `or`, a condition negated, a result left out, a call removed. Every mutant stands in a copy of the tree. The
@@ -28,6 +29,7 @@ import sys
 import time
 from pathlib import Path
 
+import house
 import numba
 import pytest
 from reach_of_tests import CHILDREN, PACKAGES, told
@@ -117,6 +119,46 @@ def sites(path: Path):
     yield from walk(tree)
 
 
+def tenfold(path: Path):
+    """Yield the change of every number of a file of tolerances to ten times its value, as `sites` does."""
+    if path.name != "tolerances.py":
+        return
+    source = path.read_text(encoding="utf-8")
+    for node in ast.parse(source).body:
+        if named(node) and node.value is not None and house.numbers(node.value):
+            parts = getattr(node.value, "elts", [node.value])
+            text = ", ".join(f"10 * ({ast.unparse(part)})" for part in parts)
+            yield node.value, "tenfold", ast.get_source_segment(source, node.value), f"({text})"
+
+
+def named(node: ast.stmt) -> list[str]:
+    """Names in capitals that a statement of a module binds."""
+    return house.upper_case(node) if isinstance(node, ast.Assign | ast.AnnAssign) else []
+
+
+def users_of(path: Path, line: int) -> set[str]:
+    """Functions that mention the constants stated at a line, or what follows from them; none if there are none."""
+    names = {
+        name for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if node.lineno <= line <= (node.end_lineno or line) for name in named(node)
+    }  # fmt: skip
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")] if names else []
+    trees = {file: ast.parse(file.read_text(encoding="utf-8")) for file in files}
+    for _ in range(2):  # what follows from them, and what follows from that
+        bound = [node for tree in trees.values() for node in tree.body if named(node) and _mentioned(node, names)]
+        names |= {name for node in bound for name in named(node)}
+    mentions = {(file, line) for file, tree in trees.items() for line in _mentioned(tree, names)}
+    return {name for file, line in mentions for name in _function_around(file, line)}
+
+
+def _mentioned(tree: ast.AST, names: set[str]) -> list[int]:
+    """Lines that mention one of the names."""
+    return [
+        node.lineno for node in ast.walk(tree)
+        if (isinstance(node, ast.Name) and node.id in names) or (isinstance(node, ast.Attribute) and node.attr in names)
+    ]  # fmt: skip
+
+
 def _no_logic(node):
     """Yield the parts of a node that no test could miss: annotations, decorators, messages, what types alone need."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -175,12 +217,11 @@ def mutated(source: str, node, new: str | None) -> str:
     return b"\n".join(lines).decode()
 
 
-def drawn(seed: int, under: str):
-    """Yield mutants without end in a random order: (path, node, what, before, new)."""
-    everything = [
-        (path, *site) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))
-        if path.relative_to(ROOT).as_posix().startswith(under) and path.name != "__init__.py" for site in sites(path)
-    ]  # fmt: skip
+def drawn(seed: int, under: str, thresholds: bool):
+    """Yield mutants in a random order: (path, node, what, before, new); of tolerances alone if asked."""
+    files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))
+             if path.relative_to(ROOT).as_posix().startswith(under) and path.name != "__init__.py"]  # fmt: skip
+    everything = [(path, *site) for path in files for site in (tenfold(path) if thresholds else sites(path))]
     random.Random(seed).shuffle(everything)
     print(f"{len(everything)} possible mutants")
     yield from everything
@@ -188,25 +229,32 @@ def drawn(seed: int, under: str):
 
 def enclosing(path: Path, line: int) -> list[str]:
     """Names of the functions around a line, as the plugin names them; those of a whole file where there is none."""
-    name = path.relative_to(ROOT).as_posix()
-    functions = [
-        node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    file = path.relative_to(ROOT).as_posix()
+    return _function_around(path, line) or [f"{file}:{start}" for start, _ in _functions(path)]
+
+
+def _function_around(path: Path, line: int) -> list[str]:
+    """Name of the innermost function around a line, if there is one."""
+    around = [start for start, end in _functions(path) if start <= line <= end]
+    return [f"{path.relative_to(ROOT).as_posix()}:{start}" for start in around[-1:]]
+
+
+def _functions(path: Path) -> list[tuple[int, int]]:
+    """First and last lines of the functions of a file, in order of their first lines."""
+    return sorted(
+        (min([node.lineno, *(d.lineno for d in node.decorator_list)]), node.end_lineno or node.lineno)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-    ]  # fmt: skip
-    starts = {id(node): min([node.lineno, *(d.lineno for d in node.decorator_list)]) for node in functions}
-    around = [node for node in functions if starts[id(node)] <= line <= node.end_lineno]
-    if around:
-        return [f"{name}:{starts[id(max(around, key=lambda node: node.lineno))]}"]
-    if not functions:
-        return []
-    return [f"{name}:{starts[id(node)]}" for node in functions]
+    )
 
 
 def tests_of(reach: list[dict], path: Path, line: int) -> list[dict]:
     """Tests that enter the function of a line, those that enter little first; for a constant those of its users."""
-    names = set(enclosing(path, line))
-    if KERNELS in path.parents:  # what is compiled enters no function that Python sees
+    names = users_of(path, line) or set(enclosing(path, line))
+    compiled = KERNELS.relative_to(ROOT).as_posix()
+    if any(name.startswith(compiled) for name in names):  # what is compiled enters no function that Python sees
         found = [row for row in reach if any(entry.startswith("mpc/explicit/exploration") for entry in row["entered"])]
+        found += [row for row in reach if names & row["entered"] and row not in found]
     elif not names:
         module = path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
         files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
@@ -297,6 +345,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--reach", nargs="*", metavar="TESTS", help="measure which test enters which function")
     parser.add_argument("--quick", action="store_true", help="with --reach: the quick tests alone")
+    parser.add_argument("--thresholds", action="store_true", help="numbers of files of tolerances alone, tenfold")
     parser.add_argument("--killed", type=int, default=200, help="draw until so many mutants were killed")
     parser.add_argument("--drawn", type=int, default=10**9, help="draw no more than so many")
     parser.add_argument("--seed", type=int, default=0)
@@ -310,7 +359,8 @@ def main() -> None:
         return
     reach = [json.loads(line) for line in (STORE / "reach.jsonl").read_text(encoding="utf-8").splitlines()]
     reach = [row | {"entered": set(row["entered"])} for row in reach if row["passed"]]
-    kept = STORE / f"found-{options.seed}-{options.under.replace('/', '.')}.jsonl"
+    kind = "thresholds" if options.thresholds else "found"
+    kept = STORE / f"{kind}-{options.seed}-{options.under.replace('/', '.')}.jsonl"
     done = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
     for name in FOREIGN:
         importlib.import_module(name)
@@ -320,7 +370,7 @@ def main() -> None:
         (tree / "chosen.txt").write_text("\n".join(row["test"] for row in some))
         if not passes(tree, [f"@{tree / 'chosen.txt'}"], 1200.0, {"NUMBA_CACHE_DIR": str(tree / ".numba")}):
             raise SystemExit(f"tests of the library as it is fail in the copy: {tree / 'tests.txt'}")
-        for i, mutant in enumerate(drawn(options.seed, options.under)):
+        for i, mutant in enumerate(drawn(options.seed, options.under, options.thresholds)):
             if i >= options.drawn or sum(bool(row["killed"]) for row in done) >= options.killed:
                 break
             if i >= len(done):

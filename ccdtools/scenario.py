@@ -82,7 +82,8 @@ class Scenario(Immutable):
         """Sensor of the first run, at a design (np,)."""
         if self.output is None:
             return None
-        return Sensor(self.output.first(1, self.steps), self.plant, np.asarray(p, dtype=float), 1, self.steps, None)
+        first: Measurement = self.output.first(1, self.steps)
+        return first.sensor(self.plant, np.asarray(p, dtype=float), 1, self.steps, None)
 
     def first(self, runs: int, steps: int | None = None) -> Scenario:
         """Scenario of the first `runs` runs and `steps` steps."""

@@ -13,7 +13,7 @@ from ccdtools.checks import as_count, as_floats, as_generator, finite, shown
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference
 from ccdtools.disturbances.disturbance import Disturbance
-from ccdtools.estimation.measurement import Measurement, Sensor, as_measurement
+from ccdtools.estimation.measurement import Measurement, as_measurement
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.linear_model import LinearModel
@@ -111,7 +111,7 @@ def simulate(
         measurement = as_output(plant, output)
         given = _drawn(plant, x0, disturbance, steps, rng)
         x, w = matched_runs(plant, x0, given, steps)
-        sensor = None if measurement is None else Sensor(measurement, plant, p, len(x), steps, rng)
+        sensor = None if measurement is None else measurement.sensor(plant, p, len(x), steps, rng)
         driver = Driver(
             controller, len(x), plant.nu, disturbances=_record(given, w), recorded=disturbance is not None,
             reference=as_reference(plant, reference), output=sensor,

@@ -12,7 +12,7 @@ from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
-from mpc.tolerances import EPS, FEASIBLE, KKT_REPORTED, LP, LP_OPTIONS, OVERFLOW
+from mpc.tolerances import EPS, FARTHEST, FEASIBLE, KKT_REPORTED, LP, LP_OPTIONS, OVERFLOW
 
 Rows = list[int]
 
@@ -86,8 +86,8 @@ def explain_infeasibility(
     scale = 1 / np.sqrt(np.diag(qp.H))
     G = qp.G * scale / units[:, None]
     b = b / units
-    # far away, where `FEASIBLE` would be less than the rounding of bounds, they are compared in units of the largest
-    far = max(1.0, float(np.abs(b).max(initial=0.0)) * EPS / FEASIBLE)
+    # the LP solver takes 1e20 for infinite: far away, bounds are compared in units of the largest
+    far = max(1.0, float(np.abs(b).max(initial=0.0)) / FARTHEST)
     b = b / far
     everything = list(range(qp.m))
     if runaway is None and not _impossible(G, b, everything):

@@ -14,7 +14,17 @@ from scipy.linalg import LinAlgWarning, solve_discrete_are
 from mpc.checks import Array, as_cross_weight, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
-from mpc.tolerances import EPS, GAINED, NEAR_CIRCLE, REACH, RICCATI, ROUNDED_SUM, SETTLED_MARGIN, WEIGHT_ROUNDING
+from mpc.tolerances import (
+    EPS,
+    GAINED,
+    NEAR_CIRCLE,
+    REACH,
+    RICCATI,
+    ROUNDED_SUM,
+    SETTLED_MARGIN,
+    UNIT_CIRCLE,
+    WEIGHT_ROUNDING,
+)
 
 
 def lqr(
@@ -232,7 +242,7 @@ def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
     A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
     none = np.ones(len(A))
     eigenvalues = np.linalg.eigvals(A)
-    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - NEAR_CIRCLE], none, user_unit)
+    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - UNIT_CIRCLE], none, user_unit)
     what = "Q: got no weight on the mode"
     if S.any():  # of the plant and the cost that u = v - R⁻¹S'x leaves
         free = np.linalg.pinv(R, rcond=WEIGHT_ROUNDING, hermitian=True) @ S.T

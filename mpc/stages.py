@@ -10,7 +10,7 @@ from mpc.checks import Array
 from mpc.feedback import block_lengths
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, no_faster, pushes
-from mpc.tolerances import SMALL_STATE
+from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +73,13 @@ class StagewiseQP:
         self.stages = [self._stage(k) for k in range(N + 1)]
 
     def first_guess(self, inputs: Array) -> list[Array]:
-        """Variables of every stage near inputs (N, nu), within the rate limit."""
+        """Strictly admissible variables of every stage near inputs (N, nu)."""
+        # towards the middle, within less than the rate limit
+        scaled = FIRST_GUESS_SHARE * np.asarray(inputs)
         if self.problem.rate_limit is not None:
             last = self.start[self.problem.nx :] * self.input_size
-            inputs = no_faster(inputs, last, self.problem.rate_limit, self.held)
-        scaled = inputs / self.input_size
+            scaled = no_faster(scaled, last, FIRST_GUESS_SHARE * self.problem.rate_limit, self.held)
+        scaled = scaled / self.input_size
         return [
             np.concatenate([scaled[k] if stage.nu else [], np.zeros(len(stage.gv) - stage.nu)])
             for k, stage in enumerate(self.stages)

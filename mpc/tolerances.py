@@ -64,6 +64,7 @@ RELAXATION_MARGIN = 1e-8  # Room that relaxed bounds leave, relative to the boun
 # Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
 # inverse of how many times further than the plant a feedback may move the states [-]
 REACH = 1e-7
+UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts as not decaying [-]
 # Distance from the unit circle up to which a mode neither grows nor decays within what is computed [-]
 NEAR_CIRCLE = 1e-6
 # Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]
@@ -77,9 +78,15 @@ SETTLED_MARGIN = 0.1
 # takes part [-]: the least that HiGHS allows
 LP = 1e-10
 LP_OPTIONS = {"primal_feasibility_tolerance": LP, "dual_feasibility_tolerance": LP}
+FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or sizes, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----
+FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
+SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
+# Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
+FEEDBACK_ROUNDING = 1e-14
+ROUNDING = 1e-15  # Residual of a row, relative to its terms, that is rounding [-]
 
 # ---- targets ----
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]

@@ -34,8 +34,6 @@ from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from invariant_sets.system_checks import as_set
 
-MPC_RUNS = 100  # Online MPC sees so many runs by default.
-
 
 @dataclass(frozen=True)
 class Score:
@@ -169,27 +167,20 @@ class Comparison:
 
         return plot_scores(self, ax=ax)
 
-    def __repr__(self) -> str:
-        minus = f"minus {self.baseline}"
-        outside = f"outside {self.limits}"
-        head = ("controller".ljust(20), f"{'return':>11}", f"{'std':>10}", f"{'n':>7}", minus,
-                f"  {'95 % interval':<24}", f"{'diverged':>9}", outside, f"{'depth':>9}")  # fmt: skip
-        wide = {4: max(12, len(minus) + 2), 7: max(11, len(outside) + 2)}
-        lines = ["".join(cell.rjust(wide.get(i, 0)) for i, cell in enumerate(row)) for row in (head, *self._cells())]
-        return "\n".join([*lines, *self.notes])
-
-    def _cells(self) -> Iterator[tuple[str, ...]]:
-        """Cells of every printed row, without a mean over fewer runs."""
-        most = max(score.runs for score in self.scores)
-        return (_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores)
-
-    def _repr_html_(self) -> str:
-        """Table for a notebook."""
+    @property
+    def _table(self) -> Table:
+        """Printed table, without the means of fewer runs."""
         head = ("controller", "return", "std", "n", f"minus {self.baseline}", "95 % interval", "diverged",
                 f"outside {self.limits}", "depth")  # fmt: skip
-        table = Table(head, [tuple(cell.strip() for cell in cells) for cells in self._cells()])
-        below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
-        return table.html + below
+        most = max(score.runs for score in self.scores)
+        rows = [_text_cells(score, self.baseline, whole=score.runs == most) for score in self.scores]
+        return Table(head, rows, right=frozenset(range(1, len(head))) - {5})
+
+    def __repr__(self) -> str:
+        return "\n".join([*self._table.aligned(), *self.notes])
+
+    def _repr_html_(self) -> str:
+        return self._table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
 
 
 def compare(
@@ -256,7 +247,7 @@ def compare(
     X = as_set(X, "X", scenario.plant.nx)
     if output_limits is not None:
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
-    few = {"MPC": MPC_RUNS} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
+    few = {"MPC": 100} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
     as_metrics(metrics)
     if risk is not None:
@@ -284,7 +275,6 @@ def _score(
     name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: Objective,
     outside: Excursions, scenario: Scenario,
 ) -> Score:  # fmt: skip
-    """Score of one controller, paired to the reference run."""
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
     own = run.rewards(objective)
@@ -331,7 +321,7 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
 
 
 def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
-    """Padded cells of a printed row; `whole` if it is of all runs."""
+    """Cells of a printed row; `whole` if it is of all runs."""
     floor = SAME_RETURN * abs(score.lqr_mean)
     paired = score.paired_to_lqr
     compared = score.controller != baseline and np.isfinite(paired.mean) and not score.remark
@@ -340,9 +330,8 @@ def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:
     mean = _shown(score.summary.mean, ".5g") if whole else "*"
     std = _shown(score.summary.std, ".3g") if whole else "*"
     return (
-        f"{score.controller:<20}", f"{mean:>11}", f"{std:>10}", f"{score.summary.n:>7}",
-        f"{difference:>12}", f"  {interval:<24}", f"{score.diverged:>9.1%}",
-        f"{_percent(score.violations):>11}", f"{_shown(score.depth_peak, '.2g'):>9}",
+        score.controller, mean, std, str(score.summary.n), difference, interval, f"{score.diverged:.1%}",
+        _shown(score.violations, ".1%"), _shown(score.depth_peak, ".2g"),
     )  # fmt: skip
 
 
@@ -350,9 +339,4 @@ def _shown(value: float, form: str, floor: float = 0.0) -> str:
     """Printed number: 0 within rounding, a dash if not finite."""
     if not np.isfinite(value):
         return "-"
-    return "0" if abs(value) <= floor else format(value, form)
-
-
-def _percent(fraction: float) -> str:
-    """Fraction in per cent, a dash if not finite."""
-    return f"{fraction:.1%}" if np.isfinite(fraction) else "-"
+    return "0" if abs(value) < floor else format(value, form)

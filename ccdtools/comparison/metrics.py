@@ -11,8 +11,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_mapping, shown
-from ccdtools.comparison.tolerances import METRIC_CHANGE
 from ccdtools.evidence.percent import word_of_change
+from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
@@ -22,11 +22,11 @@ Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]
 EXPECTED = "a function that takes a Trajectory and returns a mapping of names to numbers"
 
 
-def as_metrics(metrics: Any, *, argument: str = "metrics") -> Metrics | None:
+def as_metrics(metrics: Any) -> Metrics | None:
     """Function of a trajectory, or None."""
     if metrics is None or (callable(metrics) and not isinstance(metrics, type)):
         return metrics
-    raise InputError(argument, shown(metrics), f"{EXPECTED}, or None")
+    raise InputError("metrics", shown(metrics), f"{EXPECTED}, or None")
 
 
 def try_metrics(metrics: Metrics, plant: Any) -> None:
@@ -129,12 +129,11 @@ def metric_changes(metrics: Metrics, before: Trajectory, after: Trajectory) -> t
 
 
 def _change(name: str, before: float, after: float, first: Array, second: Array, larger: bool) -> MetricChange:
-    """Change of one metric, from its values overall and per run."""
     spread = paired_difference(second, first)
     change = after - before
     low, high = (change + end - spread.mean for end in spread.ci95)
     better, worse = ("more", "less") if larger else ("less", "more")
-    word = word_of_change(change, low, high, METRIC_CHANGE * abs(before))
+    word = word_of_change(change, low, high, NOT_WORSE * abs(before))
     said = {better: "better", worse: "worse"}.get(word, word)
     return MetricChange(name, before, after, PairedDifference(change, (low, high)), said)
 
@@ -152,7 +151,6 @@ def _units(run: Trajectory) -> Iterator[Trajectory]:
 
 
 def _part(run: Trajectory, runs: Any, steps: slice) -> Trajectory:
-    """Selected runs over selected steps."""
     start, end, _ = steps.indices(run.inputs.shape[1])
     return replace(
         run, states=run.states[runs, start : end + 1], inputs=run.inputs[runs, start:end],

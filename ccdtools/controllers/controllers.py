@@ -26,6 +26,7 @@ loop, such as `mpc.OffsetFreeMPC`, has ``loop(n)`` instead, which makes such a c
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -91,15 +92,8 @@ class LinearFeedback(Immutable):
         return u
 
 
-class Remembering(Immutable):
-    """Base of the dataclasses with values kept from sample to sample in `_memory`; copies begin without any."""
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state | {"_memory": {}})
-
-
 @dataclass(frozen=True, eq=False)
-class PID(Remembering):
+class PID(Immutable):
     """PID on outputs y = C x, with clamping anti-windup.
 
     u = clip(−(kp y + ki ∫y dt + kd dy/dt)), fixed gains. `reset` clears integral and last output; copies start afresh.
@@ -125,7 +119,6 @@ class PID(Remembering):
     lower: ArrayField = field(kw_only=True)
     upper: ArrayField = field(kw_only=True)
     remark: str = field(default="", kw_only=True, repr=False)
-    _memory: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -136,6 +129,11 @@ class PID(Remembering):
         _set_bounds(self, len(self.C))
         if not np.any([self.kp, self.ki, self.kd]):
             set_(self, "remark", NO_GAINS)
+
+    @cached_property
+    def _memory(self) -> dict[str, Any]:
+        """Values kept from sample to sample; copies begin without any."""
+        return {}
 
     def reset(self, n: int) -> None:
         """Forget the past of `n` runs."""

@@ -66,7 +66,6 @@ class LearnedPolicy(Immutable):
         set_(self, "_range", tuple(map(_array, self.agent.action_range(at[0]))))
 
     def _check_design(self) -> None:
-        """Raise an `InputError` unless the agent was made for the design."""
         size = len(self.design)
         most = len(self.agent.observation_offset) - 1
         if size > most:

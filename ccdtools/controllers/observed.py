@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_floats, has_method
-from ccdtools.controllers.controllers import Controller, Remembering
+from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Around, needs_in_loop, needs_of, opened
-from ccdtools.estimation.belief import Belief, Estimator
+from ccdtools.estimation.belief import Belief
 from ccdtools.exceptions import InputError
 
 SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
@@ -20,7 +21,7 @@ EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Observed(Around, Remembering):
+class Observed(Around):
     """Controller u = κ(x̂_{k|k}) on an estimate from outputs and applied inputs.
 
     It needs "output" and "last_input", and asks for what the controller asks for besides (reference, preview, time);
@@ -36,8 +37,8 @@ class Observed(Around, Remembering):
     ----------
     controller : callable
         u = controller(x), batched; see `ccdtools.controllers.controllers`.
-    estimator : KalmanFilter, ExtendedKalmanFilter, or anything with their start, predict and update
-        Of the same states.
+    estimator : KalmanFilter, ExtendedKalmanFilter, or anything with their nu, ny, start, predict and update
+        Of the same states, without memory: beliefs in, next beliefs out.
 
     Raises
     ------
@@ -52,8 +53,7 @@ class Observed(Around, Remembering):
 
     passed_on: ClassVar[tuple[str, ...]] = ("horizon", "design", "agent")
     controller: Controller
-    estimator: Estimator
-    _memory: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
+    estimator: Any
 
     def __post_init__(self) -> None:
         needs_of(self.controller)
@@ -67,6 +67,11 @@ class Observed(Around, Remembering):
     def needs(self) -> frozenset[str]:
         """Names of the signals needed besides the state."""
         return needs_in_loop(self.controller) | {"output", "last_input"}
+
+    @cached_property
+    def _memory(self) -> dict[str, Any]:
+        """Values kept from sample to sample; copies begin without any."""
+        return {}
 
     @property
     def estimate(self) -> Array | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import inspect
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -140,19 +141,12 @@ class Around(Immutable):
         return found if name != "loop" else lambda n: replace(self, controller=found(n))  # type: ignore[type-var]
 
 
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """Controller from ``predict(x)`` → u or ``predict(x, deterministic=True)`` → (u, memory)."""
-
-    model: Any
-    deterministic: bool
-
-    def __call__(self, x: ArrayLike) -> Array:
-        """Inputs (n, nu) or (nu,)."""
-        rows = np.atleast_2d(np.asarray(x))
-        found = self.model.predict(rows, deterministic=True)[0] if self.deterministic else self.model.predict(rows)
-        u = np.asarray(found, dtype=float).reshape(len(rows), -1)  # of one input a model may return (n,)
-        return u if np.ndim(x) > 1 else u[0]
+def _predicted(model: Any, deterministic: bool, x: ArrayLike) -> Array:
+    """Inputs (n, nu) or (nu,) from ``predict(x)`` → u or ``predict(x, deterministic=True)`` → (u, memory)."""
+    rows = np.atleast_2d(np.asarray(x))
+    found = model.predict(rows, deterministic=True)[0] if deterministic else model.predict(rows)
+    u = np.asarray(found, dtype=float).reshape(len(rows), -1)  # of one input a model may return (n,)
+    return u if np.ndim(x) > 1 else u[0]
 
 
 def as_controller(controller: Any) -> Any:
@@ -165,7 +159,7 @@ def as_controller(controller: Any) -> Any:
         signature.bind(None)
     except TypeError:  # an estimator's, of a belief and an input
         return controller
-    return Predicted(controller, "deterministic" in signature.parameters)
+    return functools.partial(_predicted, controller, "deterministic" in signature.parameters)
 
 
 def needs_of(controller: Any) -> frozenset[str]:
@@ -196,7 +190,6 @@ def needs_of(controller: Any) -> frozenset[str]:
 
 
 def _check_takes_state(controller: Any) -> None:
-    """Raise an `InputError` unless the signature takes the state."""
     try:
         signature = inspect.signature(controller)
     except (TypeError, ValueError):  # a callable in C need not have one
@@ -246,7 +239,6 @@ def _copies(controller: Any, runs: int, *, one_by_one: bool) -> tuple[list[Any],
 
 
 def _takes_count(reset: Any) -> bool:
-    """Whether `reset` takes the number of runs."""
     return len(inspect.signature(reset).parameters) > 0
 
 

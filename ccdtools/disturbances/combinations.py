@@ -205,7 +205,6 @@ def as_chances(argument: str, weights: ArrayLike | None, size: int, *, of: str) 
 
 
 def _checked(argument: str, value: Any) -> tuple[Disturbance, ...]:
-    """Tuple of at least one disturbance."""
     try:
         terms = tuple(value)
     except TypeError:
@@ -218,6 +217,5 @@ def _checked(argument: str, value: Any) -> tuple[Disturbance, ...]:
 
 
 def _check_alike(widths: list[int]) -> None:
-    """Raise an `InputError` if numbers of channels differ."""
     if len(set(widths)) > 1:
         raise InputError("terms", f"disturbances of {', '.join(map(str, widths))} channels", "as many in each")

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_positive, shown
 from ccdtools.disturbances.tolerances import SAMPLING
 from ccdtools.exceptions import InputError
 
-Array: TypeAlias = NDArray[np.float64]
 FilePath: TypeAlias = str | PathLike[str]
 
 TIME_COLUMNS = ("time", "t", "timestamp", "seconds")  # in any case, with or without a unit behind
@@ -192,7 +191,6 @@ class _Table:
             )  # fmt: skip
 
     def _number(self, cell: str, name: str, line: int) -> float:
-        """Finite number in a cell."""
         try:
             value = float(cell) if "_" not in cell else math.nan  # Python reads "1_0" as 10
         except ValueError:
@@ -257,12 +255,10 @@ def _check_sampling(table: _Table, time: Array, dt: float) -> None:
 
 
 def _is_time(name: str) -> bool:
-    """Whether a header names a column of times."""
     return re.sub(r"[\[(].*", "", name).strip().lower() in TIME_COLUMNS
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell holds a number."""
     try:
         float(cell)
     except ValueError:

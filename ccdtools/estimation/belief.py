@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,60 +51,23 @@ class Estimates:
     innovation_covariances: Array
 
 
-class Estimator(Protocol):
-    """Estimator for `Observed`, without memory: belief in, next belief out."""
-
-    @property
-    def nx(self) -> int:
-        """Number of states."""
-        ...
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-        ...
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        ...
-
-    def start(self, n: int) -> Belief:
-        """Belief of n runs before the first measurement."""
-        ...
-
-    def predict(self, belief: Belief, u: Array) -> Belief:
-        """Belief one sample later, after inputs (n, nu)."""
-        ...
-
-    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        ...
-
-
 def transposed(M: Array) -> Array:
     """Transposes of matrices (..., n, m)."""
     return M.swapaxes(-1, -2)
 
 
-def symmetric(M: Array) -> Array:
-    """Symmetric part of matrices (..., n, n), against rounding."""
-    return np.asarray((M + transposed(M)) / 2)
+def propagated_covariance(P: Array, M: Array, noise: Array) -> Array:
+    """Covariance M P Mᵀ + noise of M x with added noise, symmetric under rounding.
 
-
-def predicted_covariance(P: Array, F: Array, W: Array) -> Array:
-    """Predicted covariance F P Fᵀ + W."""
-    return symmetric(F @ P @ transposed(F) + W)
-
-
-def innovation_covariance(P: Array, H: Array, V: Array) -> Array:
-    """Innovation covariance H P Hᵀ + V."""
-    return symmetric(H @ P @ transposed(H) + V)
+    With (F, W) that of a prediction, with (H, V) that of an innovation.
+    """
+    after = M @ P @ transposed(M) + noise
+    return np.asarray((after + transposed(after)) / 2)
 
 
 def gain_of(P: Array, H: Array, V: Array) -> Array:
     """Kalman gain P Hᵀ (H P Hᵀ + V)⁻¹ (..., nx, ny), in any units."""
-    S = innovation_covariance(P, H, V)
+    S = propagated_covariance(P, H, V)
     unit = np.sqrt(np.diagonal(S, axis1=-2, axis2=-1))
     scaled = S / unit[..., :, None] / unit[..., None, :]
     found = np.linalg.solve(scaled, (H @ P) / unit[..., :, None]) / unit[..., :, None]
@@ -114,7 +77,7 @@ def gain_of(P: Array, H: Array, V: Array) -> Array:
 def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
     """Updated covariance in Joseph's form, positive semidefinite under rounding."""
     rest = np.eye(P.shape[-1]) - K @ H
-    return symmetric(rest @ P @ transposed(rest) + K @ V @ transposed(K))
+    return propagated_covariance(P, rest, K @ V @ transposed(K))
 
 
 class Filter(Immutable):

@@ -19,8 +19,7 @@ from ccdtools.estimation.belief import (
     as_noise_covariances,
     as_start,
     gain_of,
-    innovation_covariance,
-    predicted_covariance,
+    propagated_covariance,
     updated_covariance,
 )
 from ccdtools.estimation.measurement import as_measurement
@@ -145,7 +144,6 @@ class ExtendedKalmanFilter(Filter):
 
     @cached_property
     def _h(self) -> Output:
-        """Measured output at the design."""
         output: Output = self.output.at(self.nx, self.nu, self.design)
         return output
 
@@ -165,11 +163,11 @@ class ExtendedKalmanFilter(Filter):
     def predict(self, belief: Belief, u: Array) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
         mean, F = self._f(belief.mean, u)
-        return Belief(mean, predicted_covariance(belief.covariance, F, self.W))
+        return Belief(mean, propagated_covariance(belief.covariance, F, self.W))
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
         """Innovation of y (n, ny) after u (n, nu), and first-order covariance (n, ny, ny)."""
-        return y - self._h.of(belief.mean, u), innovation_covariance(belief.covariance, self._slope(belief, u), self.V)
+        return y - self._h.of(belief.mean, u), propagated_covariance(belief.covariance, self._slope(belief, u), self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
         """Belief after outputs (n, ny) measured after inputs (n, nu)."""

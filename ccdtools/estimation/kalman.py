@@ -16,8 +16,7 @@ from ccdtools.estimation.belief import (
     as_noise_covariances,
     as_start,
     gain_of,
-    innovation_covariance,
-    predicted_covariance,
+    propagated_covariance,
     updated_covariance,
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
@@ -135,7 +134,7 @@ class KalmanFilter(Filter):
         c = model.constant(design)
         C, D, y0 = output_matrices(plant, model.design.check_one(design) if model.design is not None else np.zeros(0))
         found = cls(A, B, C, W, V, D=D, y0=y0, steady=steady, x0=x0, P0=P0)
-        P = found.predicted if found.steady else predicted_covariance(found.P0, A, found.W)
+        P = found.predicted if found.steady else propagated_covariance(found.P0, A, found.W)
         if (np.abs(c) > MOVED_AT_REST * np.sqrt(np.maximum(np.diag(P), 0.0))).any():
             got = f"a constant term in the dynamics, up to {np.abs(c).max():.3g} a sample"
             raise InputError("plant", got, "a linear plant that rests at 0", LINEARISED)
@@ -187,12 +186,12 @@ class KalmanFilter(Filter):
     def predict(self, belief: Belief, u: Array) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
         mean = belief.mean @ self.A.T + u @ self.B.T
-        P = self.predicted if self.steady else predicted_covariance(belief.covariance, self.A, self.W)
+        P = self.predicted if self.steady else propagated_covariance(belief.covariance, self.A, self.W)
         return Belief(mean, P)
 
     def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
         """Innovation of y (n, ny) after u (n, nu), and covariance (ny, ny)."""
-        return self._surprise(belief, y, u), innovation_covariance(belief.covariance, self.C, self.V)
+        return self._surprise(belief, y, u), propagated_covariance(belief.covariance, self.C, self.V)
 
     def update(self, belief: Belief, y: Array, u: Array) -> Belief:
         """Belief after outputs (n, ny) measured after inputs (n, nu)."""

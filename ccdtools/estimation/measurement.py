@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.estimation.outputs import Output, as_stated_output, check_sizes, output_at
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
+
+Sensor: TypeAlias = Callable[[int, Array, Array], Array]  # sample k, states (n, nx), inputs (n, nu) → outputs (n, ny)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,38 +93,29 @@ class Measurement(Immutable):
             return self
         return replace(self, noise=self.noise[:runs, :steps])
 
+    def sensor(self, plant: Any, p: Array, runs: int, steps: int, rng: np.random.Generator | None) -> Sensor:
+        """Sensor (k, x, u) → y of a closed loop.
 
-class Sensor:
-    """Sensor (k, x, u) → y of a closed loop.
+        Its noise comes from a generator of its own, split off from `rng`: what else is drawn from `rng` stays the same
+        with and without it, and it is drawn only where a controller listens.
+        """
+        h = self.at(plant.nx, plant.nu, p)
+        own = as_generator("rng", rng).spawn(1)[0] if self.random else None
+        drawn = cache(lambda: self.drawn(runs, steps, own).noise)
+        if not self.random:
+            drawn()  # refused at once, not where a controller listens
 
-    Its noise comes from a generator of its own, split off from `rng`: what else is drawn from `rng` stays the same with
-    and without it, and it is drawn only where a controller listens.
-    """
+        def measured(k: int, x: Array, u: Array) -> Array:
+            """Outputs (n, ny) of states (n, nx) after inputs (n, nu)."""
+            with np.errstate(all="ignore"):  # of a run that is lost
+                y = h.of(x, u)
+            noise = drawn()
+            if noise is None:
+                return y
+            _check_channels(noise, y.shape[1])
+            return np.asarray(y + noise[:, k])
 
-    def __init__(
-        self, measurement: Measurement, plant: Any, p: Array, runs: int, steps: int, rng: np.random.Generator | None
-    ) -> None:
-        self._h = measurement.at(plant.nx, plant.nu, p)
-        self._measurement = measurement
-        self._size = (runs, steps)
-        self._rng = as_generator("rng", rng).spawn(1)[0] if measurement.random else None
-        if not measurement.random:
-            measurement.drawn(runs, steps, None)  # refused at once, not where a controller listens
-
-    @cached_property
-    def noise(self) -> Array | None:
-        """Noise (n, T, ny) or (1, T, ny), None without any."""
-        noise: Array | None = self._measurement.drawn(*self._size, self._rng).noise
-        return noise
-
-    def __call__(self, k: int, x: Array, u: Array) -> Array:
-        """Outputs (n, ny) of states (n, nx) after inputs (n, nu)."""
-        with np.errstate(all="ignore"):  # of a run that is lost
-            y = self._h.of(x, u)
-        if self.noise is None:
-            return y
-        _check_channels(self.noise, y.shape[1])
-        return np.asarray(y + self.noise[:, k])
+        return measured
 
 
 def as_measurement(value: Any) -> Measurement:
@@ -149,6 +143,5 @@ def _as_noise(value: Any) -> Any:
 
 
 def _check_channels(noise: Array, outputs: int) -> None:
-    """Raise an `InputError` unless every output has noise."""
     if noise.shape[2] != outputs:
         raise InputError("output.noise", f"{noise.shape[2]} channels", f"{outputs}, one per output")

@@ -14,7 +14,7 @@ from ccdtools.co_design.objective import Objective
 from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, parts_of_risk, too_few
 from ccdtools.evidence.percent import in_measure, percent_interval
-from ccdtools.statistics import PairedDifference, mean_interval, paired_returns
+from ccdtools.statistics import PairedDifference, Summary, mean_interval, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
 
 NOTHING = PairedDifference(float("nan"), (float("nan"), float("nan")))
@@ -182,8 +182,12 @@ class Pairing:
         return replace(none, gain=gain, values=values, size=size)
 
 
+def summary_of(run: Trajectory, objective: Objective) -> Summary:
+    """Statistics of the returns of the runs that did not diverge."""
+    return summarise_returns(run.rewards(objective)[~run.diverged], runs=len(run.states))
+
+
 def _grouped(labels: Indices, series: bool) -> str:
-    """Description of how runs are grouped, in words."""
     if series:
         return "one run, as a series"
     groups = len(np.unique(labels))

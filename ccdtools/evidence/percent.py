@@ -70,7 +70,6 @@ def with_minus(text: str) -> str:
 
 
 def _finite(value: float | None) -> bool:
-    """Whether a value is given and finite."""
     return value is not None and math.isfinite(value)
 
 

@@ -1,3 +1,3 @@
 """Every tolerance of `ccdtools.evidence`, with its meaning."""
 
-NOT_WORSE = 0.005  # A candidate that loses less than this part of the size of a return [-] is called not worse.
+NOT_WORSE = 0.005  # A loss or a change below this part of the size of a return or a metric [-] does not matter.

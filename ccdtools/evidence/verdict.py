@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from ccdtools.checks import as_number, shown
-from ccdtools.evidence.evidence import Asked, Evidence
+from ccdtools.evidence.evidence import NOTHING, Asked, Evidence
 from ccdtools.evidence.percent import signed_percent
 from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
+from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools_ground.outcome import Outcome
 
@@ -81,6 +82,11 @@ class Verdict:
     def replaces(self) -> bool:
         """Whether the candidate replaces the current one."""
         return self.status.replaces
+
+    @property
+    def gain(self) -> PairedDifference:
+        """Gain on what the candidate was made for; NaN without evidence."""
+        return self.evidence[0].gain if self.evidence else NOTHING
 
     @property
     def percent(self) -> str:

@@ -38,14 +38,15 @@ def account(
         clauses = [f"{name} designed {place} on the nominal model", returns]
         consequence = "the policy is as designed"
     elif redesign.accepted:
-        clauses = [f"{name} {redesign.text} and measured {delivery.percent} against generation {delivery.former}"]
+        against = f"measured {delivery.verdict.percent} against generation {delivery.former}"
+        clauses = [f"{name} {redesign.text} and {against}"]
         if not delivery.replaces:
             why = delivery.verdict.status.value + (f" ({delivery.breach})" if delivery.breach else "")
             clauses.append(f"{why}, so design and policy of generation {delivery.former} stay deployed")
         consequence = "none of it is due to updates"
     else:
         clauses = [f"{name} {_without_redesign(delivery, accepted)}: {redesign.text}"]
-        clauses += [f"measured {delivery.percent}"] * (accepted > 0 and delivery.replaces)
+        clauses += [f"measured {delivery.verdict.percent}"] * (accepted > 0 and delivery.replaces)
         consequence = _kept(delivery, accepted)
     if redesign is not None and less:
         clauses.append(f"{delivery.agreement.value}, {expected}")
@@ -78,7 +79,6 @@ def region_line(region: Mapping[str, Any]) -> str:
 
 
 def _without_redesign(delivery: Delivery, accepted: int) -> str:
-    """Clause on a generation whose redesign was refused."""
     if delivery.replaces:
         return "changed the policy only, by updates while deployed" if accepted else "changed nothing"
     rolled_back = " and its updates were rolled back" if accepted else ", though nothing had changed"
@@ -87,7 +87,7 @@ def _without_redesign(delivery: Delivery, accepted: int) -> str:
             f", so that the updates of generation {delivery.former}, measured by a whole deployment, were rolled back"
         )
     status = delivery.verdict.status
-    worse = f"{status.value} than generation {delivery.former} ({delivery.percent})"
+    worse = f"{status.value} than generation {delivery.former} ({delivery.verdict.percent})"
     why = {Status.LIMITS: f"{status.value} ({delivery.breach})", Status.MORE_LOST: f"rolled back, {delivery.verdict}"}
     return f"was {why.get(status, worse)}{rolled_back}"
 

@@ -44,7 +44,6 @@ def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
 
 
 def _check_effect(options: Options, study: Study) -> None:
-    """Raise an `InputError` where an option would have no effect."""
     sets = study.sets if options.sets is None else options.sets
     if options.sets_time_limit is not None and sets != "auto":
         raise InputError("--sets-time-limit", f"it with sets {sets!r}, which computes none", "it with --sets auto")

@@ -20,11 +20,11 @@ from ccdtools.comparison.pid_tuning import baselines
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
+from ccdtools.evidence.evidence import summary_of
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import summarise_returns
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
@@ -32,10 +32,11 @@ from ccdtools.studies.tolerances import MOSTLY_OUTSIDE
 from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
-from ccdtools.twin.distributions import ServedDistributions, logged
+from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals, is_common
 from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 
 
@@ -118,8 +119,13 @@ class Evaluation:
         if not logs:
             x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
             return Scenario(self.study.model, x0, w)
-        most = self.config.model_runs
-        return logged(self.split, logs[-1:], series=self.single, most=most, rng=self.rng("replayed runs")).scenario
+        return self.logged(self.split, logs[-1:], self.rng("replayed runs")).scenario
+
+    def logged(
+        self, by: ErrorSplit | UpdatedPlant, logs: Sequence[Residuals], rng: np.random.Generator
+    ) -> Distribution:
+        """Whole logged runs on the nominal model or the updated one."""
+        return logged(by, logs, series=self.single, most=self.config.model_runs, rng=rng)
 
     @cached_property
     def split(self) -> ErrorSplit:
@@ -244,7 +250,6 @@ class Evaluation:
 
     @cached_property
     def _filters(self) -> Callable[[tuple[float, ...]], AdmissibleInputs]:
-        """Filter of a design, computed once."""
         return cache(lambda design: admissible_inputs(self.problem, np.array(design)))
 
     def deployed(self, one: Deployable) -> Controller:
@@ -277,24 +282,18 @@ class Evaluation:
         return [place | self._row(design, score) for score in scores]
 
     def _row(self, design: Array, score: Score) -> dict[str, Any]:
-        """Table row of one controller."""
         space = self.problem.design
-        return {
-            "controller": score.controller,
-            "design": space.as_dict(design), "active_bounds": space.active_bounds(design),
-            "active_constraints": space.active_constraints(design), **asdict(score.summary),
-            "paired_to_lqr": asdict(score.paired_to_lqr), "lqr_mean": score.lqr_mean, "diverged": score.diverged,
-            "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
-            "depth_worst": score.depth_worst, "exceeded": score.exceeded,
-            "further_outside_than": list(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
-            "metrics": score.metrics, "design_cost": score.design_cost, "remark": score.remark,
+        values: dict[str, Any] = asdict(score)
+        summary, seconds, *_ = (values.pop(name) for name in ("summary", "step_time", "in_risk", "runs"))
+        return values | dict(summary) | {
+            "step_time_us": 1e6 * seconds, "design": space.as_dict(design),
+            "active_bounds": space.active_bounds(design), "active_constraints": space.active_constraints(design),
         }  # fmt: skip
 
     def _mean_return(self, policy: LearnedPolicy, scenario: Scenario) -> dict[str, Any]:
         """Return statistics of undiverged runs, and the diverged fraction."""
         run = scenario.run(policy, design=policy.design, limit=self.problem.limit)
-        rewards = run.rewards(self.study.objective)[~run.diverged]
-        return asdict(summarise_returns(rewards, runs=len(run.states))) | {"diverged": run.diverged.mean()}
+        return asdict(summary_of(run, self.study.objective)) | {"diverged": run.diverged.mean()}
 
     def _bands(self, scenario: Scenario, design: Array, controllers: Mapping[str, Controller]) -> dict[str, Array]:
         """Edges and mean (3, T, ·) of the 95 % band of signals."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, jsonable
+from ccdtools.arrays import jsonable
 from ccdtools.checks import as_count
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
@@ -23,9 +23,9 @@ from ccdtools.studies.held_out import GenerationRecord, held_out_stage
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.service import Deployed, Outcome, after_deployment
+from ccdtools.studies.service import after_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.stages import LoopStages, deployable_of, deployed_of
+from ccdtools.studies.stages import LoopStages, changes_of, deployable_of, deployed_of
 from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
@@ -33,22 +33,7 @@ from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.twin import DigitalTwin
 
 Echo = Callable[[str], None]
-SCHEMA_VERSION = 6
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """State of the loop between two generations."""
-
-    service: Deployable
-    twin: DigitalTwin
-    stages: tuple[Stage, ...]
-    served: Deployed | None = None  # reference deployment of what is deployed
-    trust: Trust = field(default_factory=Trust)
-    entries: tuple[dict[str, Any], ...] = ()
-    rows: tuple[dict[str, Any], ...] = ()
-    history: tuple[GenerationRecord, ...] = ()
 
 
 class Generations:
@@ -94,30 +79,34 @@ class Generations:
 
     def run(self) -> dict[str, Any]:
         """Run all stages; write and return the contents of results.json."""
-        state = self._begin()
+        study = self.evaluation.study
+        twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
+        history = [self._begin()]
         for generation in range(1, self.generations + 1):
-            state = self._next(generation, state)
-        service = state.service
+            twin, record = self._next(generation, twin, history)
+            history.append(record)
+        service = history[-1].after
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, state.history))
-        notes = {"study": self.evaluation.study.name, "mode": "QUICK" if config.quick else "full"}
+        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history))
+        notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = self._results(state, beyond)
+        contents = self._results(history, beyond)
         self.folder.write_json("results.json", contents)
         return contents
 
-    def _results(self, state: _State, beyond: Stage) -> dict[str, Any]:
-        """Results that the tables show, with what reproduces them."""
+    def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
+        stages = [stage for record in history for stage in record.stages.values()]
+        initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
         study = evaluation.study
         config = evaluation.config
         space = evaluation.problem.design
         contents: dict[str, Any] = {
-            "schema_version": SCHEMA_VERSION,
+            "schema_version": 6,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*state.stages, beyond)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -126,9 +115,9 @@ class Generations:
             "start": space.as_dict(study.p0), "limits": limits_in_words(evaluation.problem.output_limits),
             "measure": measure(study.judged_in), "optimised": measure(evaluation.problem.risk),
             "objective": study.objective.describe(), "linearisation": tangent_note(evaluation.problem),
-            "initialisation": {key: value for key, value in state.stages[0].values.items() if key != "report"},
-            "generations": list(state.entries),
-            "comparison": list(state.rows),
+            "initialisation": {key: value for key, value in initial.items() if key != "report"},
+            "generations": [self._entry(number, record) for number, record in enumerate(history[1:], 1)],
+            "comparison": [row for record in history for row in record.stages["comparison"].values["rows"]],
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
             "configuration": asdict(config),
@@ -136,60 +125,62 @@ class Generations:
         }  # fmt: skip
         return dict(jsonable(contents | {"headline": headline(contents)}))
 
-    def _begin(self) -> _State:
-        """Initial state: the first policy, compared at the start design."""
-        study = self.evaluation.study
+    def _begin(self) -> GenerationRecord:
+        """Record of the start: the first policy, compared at the start design."""
         initial = self._stage("initialisation", "Step 0: expert, sets and imitation", self.compute.initialise)
-        service = Deployable(initial.networks["agent"], np.asarray(study.p0), "the start")
+        service = Deployable(initial.networks["agent"], np.asarray(self.evaluation.study.p0), "the start")
         title = "Comparison at the start design"
         start = self._stage("comparison-0", title, self.evaluation.comparison, 0, service, service, ())
-        rows = tuple(start.values["rows"])
-        twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
-        record = GenerationRecord(service, service)
-        return _State(service, twin, (initial, start), rows=rows, history=(record,))
+        return GenerationRecord(service, service, stages={"initialisation": initial, "comparison": start})
 
-    def _next(self, generation: int, state: _State) -> _State:
-        """State after one more generation: design, deploy, learn, compare, evaluate."""
+    def _next(
+        self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]
+    ) -> tuple[DigitalTwin, GenerationRecord]:
+        """Twin and record after one more generation: design, deploy, learn, compare, evaluate."""
         title = f"Generation {generation}"
-        known = state.twin.logs
+        last = history[-1]
+        known = twin.logs
         found = self._stage(
-            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, generation, state.service,
-            state.twin, state.trust, state.history,
+            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, generation, last.after, twin,
+            last.trust, history,
         )  # fmt: skip
         deployed = self._stage(
-            f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, state.service,
-            state.served, state.trust, state.twin,
+            f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
+            last.served, last.trust, twin,
         )  # fmt: skip
         log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
         learned = self._stage(
-            f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, state.twin, log, deployed
+            f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, twin, log, deployed
         )
-        twin = self.compute.learned_twin(state.twin, log, learned)
-        following = self._following(generation, state, found, deployed, log)
-        designed = following.served.designed if following.served is not None else following.service
+        taught = self.compute.learned_twin(twin, log, learned)
+        now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, changes_of(deployed))
+        delivery = deployed.values["delivery"]
+        service, served = after_deployment(
+            now, last.after, last.served, replaces=delivery["replaces"], carried=delivery["carried"]
+        )
         compared = self._stage(
-            f"comparison-{generation}", f"{title}: comparison", self.evaluation.comparison, generation, designed,
-            following.service, known,
+            f"comparison-{generation}", f"{title}: comparison", self.evaluation.comparison, generation, served.designed,
+            service, known,
         )  # fmt: skip
-        assert twin.discrepancy is not None
-        discrepancy = twin.discrepancy
+        assert taught.discrepancy is not None
+        discrepancy = taught.discrepancy
         returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
-                              lambda _: self.evaluation.returns(designed, known, discrepancy))  # fmt: skip
-        stayed = deployed.decided(Outcome).replaces
-        record = GenerationRecord(deployable_of(found), following.service, stayed=stayed)
-        entry = {"generation": generation} | self._entry(found, deployed, learned, returns, following.service.design)
-        return replace(
-            following, twin=twin, stages=(*state.stages, found, deployed, learned, compared, returns),
-            entries=(*state.entries, entry), rows=(*state.rows, *compared.values["rows"]),
-            history=(*state.history, record),
-        )  # fmt: skip
+                              lambda _: self.evaluation.returns(served.designed, known, discrepancy))  # fmt: skip
+        stages = {"codesign": found, "deployment": deployed, "twin": learned, "comparison": compared,
+                  "evaluation": returns}  # fmt: skip
+        trust = Trust(**deployed.values["trust"])
+        return taught, GenerationRecord(now.designed, service, delivery["replaces"], served, trust, stages)
 
-    def _entry(self, found: Stage, deployed: Stage, learned: Stage, returns: Stage, design: Array) -> dict[str, Any]:
-        """Element of ``generations`` in results.json; `design` is deployed after it."""
+    def _entry(self, generation: int, record: GenerationRecord) -> dict[str, Any]:
+        """Element of ``generations`` in results.json."""
+        found, deployed, learned, returns = (
+            record.stages[name] for name in ("codesign", "deployment", "twin", "evaluation")
+        )
+        design = record.after.design
         space = self.evaluation.problem.design
         keep = ("model", "model_return", "nominal_return", "updated_model_return")
         return {
-            "account": deployed.values["account"],
+            "generation": generation, "account": deployed.values["account"],
             "design": space.as_dict(design), "active_bounds": space.active_bounds(design),
             "active_constraints": space.active_constraints(design),
             "deployed_design": space.as_dict(found.arrays["design"]), "predicted_return": found.values["predicted"],
@@ -201,15 +192,6 @@ class Generations:
             "gradient_check": found.values["gradient_check"], "codesign": found.values["ended"],
             "redesign": found.values["redesign"], "limits": found.values["limits"],
         }  # fmt: skip
-
-    def _following(self, generation: int, state: _State, found: Stage, deployed: Stage, log: Trajectory) -> _State:
-        """State after a deployment, kept or rolled back."""
-        outcome = deployed.decided(Outcome)
-        now = deployed_of(generation, deployable_of(found), deployed.networks["agent"], log, outcome.changes)
-        service, reference = after_deployment(
-            now, state.service, state.served, replaces=outcome.replaces, carried=outcome.carried
-        )
-        return replace(state, service=service, served=reference, trust=outcome.trust)
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:
         """Stage of a name, read back or computed."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -19,17 +19,19 @@ from ccdtools.statistics import change_of_level
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.names import SOURCES
 from ccdtools.studies.redesign import same_design
+from ccdtools.studies.service import Deployed
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.tolerances import REAL_RUNS
+from ccdtools.studies.trust_region import Trust
 from ccdtools.twin.deployable import Deployable
+from ccdtools.twin.distributions import START
 
 Step: TypeAlias = tuple[str, Controller, Array]  # source of a change, the controller changed to, and its design
-OWN_START = "the study's start"
 
 
 @dataclass(frozen=True, eq=False)
 class GenerationRecord:
-    """Generation as designed, and what was deployed at its end.
+    """Generation as designed, what is deployed at its end, and what it hands on.
 
     The start counts as a generation: both are the first policy at the first design. `stayed` says whether what was
     deployed stayed.
@@ -38,6 +40,9 @@ class GenerationRecord:
     designed: Deployable
     after: Deployable
     stayed: bool = True
+    served: Deployed | None = None  # reference deployment of what is deployed
+    trust: Trust = field(default_factory=Trust)
+    stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
 def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
@@ -62,9 +67,9 @@ def places_of(evaluation: Evaluation) -> dict[str, Scenario]:
     own = {"deployed drive": deployed} if single else {"real plant": deployed.first(REAL_RUNS)}
     if study.starts is None and np.array_equal(study.real.x0, study.x0):
         return own | evaluation.held_out
-    rng = evaluation.rng(OWN_START)
+    rng = evaluation.rng(START)
     x0, w = evaluation.problem.scenarios.sample(REAL_RUNS, study.steps, rng)
-    return own | evaluation.held_out | {OWN_START: Scenario(study.real.plant, x0, w)}
+    return own | evaluation.held_out | {START: Scenario(study.real.plant, x0, w)}
 
 
 def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) -> dict[str, Deployable]:

@@ -100,7 +100,6 @@ class Options:
         self._check_source()
 
     def _check_source(self) -> None:
-        """Raise unless the disturbance has one source at most."""
         given = self.sources()
         if len(given) > 1:
             raise InputError(f"--{given[1]}", f"it together with --{given[0]}", "one source of the disturbance")
@@ -207,7 +206,6 @@ def numbers(argument: str, text: str | None) -> list[float] | None:
 
 
 def _check_study(study: Any) -> None:
-    """Raise unless `study` is a study's name or a Python file."""
     expected = known_studies()
     if not isinstance(study, str):
         raise InputError("study", shown(study), expected)
@@ -219,7 +217,6 @@ def _check_study(study: Any) -> None:
 
 
 def _is_file(path: str) -> bool:
-    """Whether there is a file at a path."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):

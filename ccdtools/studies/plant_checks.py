@@ -80,12 +80,13 @@ def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Arra
         warnings.warn(f"real.plant: {got}, where {wrong}. {advice}", SamplingWarning, stacklevel=5)
 
 
-def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array]:
+def extent_of(disturbance: Disturbance) -> tuple[Array, Array]:
     """Bounds (nw,) of draws of a disturbance.
 
     They are symmetric but for what does not change in a run: an uncertain mass may be far heavier, and is not negative.
     """
     several = disturbance.sample(200, 2, np.random.default_rng(0))  # what differs from run to run
+    steps = 1000
     while True:
         try:
             single = disturbance.sample(1, steps, np.random.default_rng(0))
@@ -102,13 +103,11 @@ def extent_of(disturbance: Disturbance, steps: int = 1000) -> tuple[Array, Array
 
 
 def _error(plant: Plant, region: Region, substeps: int) -> IntegrationError:
-    """Error of a sample in `substeps` parts."""
     coarse, fine = (ExplicitStep.of(plant.right_hand_side, plant.dt, k * substeps) for k in (1, 2))
     return measured_error(coarse, fine, region)
 
 
 def _advice(plant: Plant, region: Region) -> str:
-    """Advice about steps that are too long."""
     substeps = 2 * plant.substeps
     while substeps <= 1000:  # no more are recommended
         if _error(plant, region, substeps).relative <= WRONG_SAMPLE:

@@ -92,7 +92,6 @@ def prepare_again(folder: RunFolder) -> PreparedRun:
 
 
 def _kept_recording(folder: RunFolder, options: Options) -> Recorded | None:
-    """Recording kept with a run; None if there was none."""
     path = folder.path / DISTURBANCE
     asked = options.disturbance is not None or options.road is not None
     if not path.is_file():
@@ -160,7 +159,6 @@ def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:
 
 
 def _difference(name: str, before: Any, now: Any) -> str:
-    """One difference in words."""
     if name.startswith("source."):
         return f"the source {name.removeprefix('source.')} was edited"
     if any(str(value).startswith("sha256:") for value in (before, now)):

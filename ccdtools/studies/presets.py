@@ -111,7 +111,6 @@ def configuration(
 
 
 def _paper(config: StudyConfig, study: Study) -> StudyConfig:
-    """Configuration with the paper's networks, rates, epochs and design gradient."""
     rate = 1e-5
     codesign = CoDesignConfig(
         iterations=10_000, block=10_000, starts=1, runs=1, design_gradient="network_input",
@@ -126,10 +125,8 @@ def _paper(config: StudyConfig, study: Study) -> StudyConfig:
 
 
 def _quick(config: StudyConfig) -> StudyConfig:
-    """Configuration with fewer samples, runs and iterations."""
 
     def fewer(codesign: CoDesignConfig, iterations: int) -> CoDesignConfig:
-        """Co-design of at most `iterations` iterations."""
         iterations = min(iterations, codesign.iterations)
         block = max(1, iterations // 2)
         return replace(codesign, iterations=iterations, block=block, runs=min(64, codesign.runs), pathwise_runs=64,

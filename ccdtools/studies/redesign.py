@@ -11,17 +11,17 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.risk import measure
-from ccdtools.evidence.evidence import NOTHING
+from ccdtools.evidence.evidence import NOTHING, summary_of
 from ccdtools.evidence.verdict import Status, Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.statistics import Summary, summarise_returns
+from ccdtools.statistics import Summary
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.price import RedesignPrice
 from ccdtools.studies.tolerances import WORTH_A_POLICY
 from ccdtools.twin.deployable import Deployable
-from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution, logged, on_updated
+from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.updated_plant import UpdatedPlant
@@ -90,7 +90,7 @@ class RedesignJudge:
         moved = self.moved(candidate)
         cheaper = not moved and made is not None and made.needed < study.price.needed(made.size, 1.0)
         return verdict.as_dict() | {
-            "gain": vars(NOTHING if made is None else made.gain), "accepted": verdict.replaces, "moved": moved,
+            "gain": vars(verdict.gain), "accepted": verdict.replaces, "moved": moved,
             "updated_gain": vars(NOTHING if updated is None else updated.gain),
             "needed": np.nan if made is None else made.needed, "size": np.nan if made is None else made.size,
             "nominal_before": before, "nominal_after": after, "price": str(POLICY_PRICE if cheaper else study.price),
@@ -102,10 +102,7 @@ class RedesignJudge:
     def _made_for(self) -> Distribution:
         """Nominal model with all errors of whole logged runs."""
         evaluation = self.evaluation
-        return logged(
-            evaluation.split, self.twin.logs, series=evaluation.single, most=evaluation.config.model_runs,
-            rng=evaluation.rng("replayed runs"),
-        )  # fmt: skip
+        return evaluation.logged(evaluation.split, self.twin.logs, evaluation.rng("replayed runs"))
 
     @cached_property
     def _others(self) -> list[Distribution]:
@@ -114,8 +111,7 @@ class RedesignJudge:
         logs = self.twin.logs
         rng = evaluation.rng(f"judged: {len(logs)}")
         plant = UpdatedPlant.from_logs(evaluation.split, logs, rng=rng, config=evaluation.config.quantile)
-        again = on_updated(plant, logs, series=evaluation.single, most=evaluation.config.model_runs, rng=rng)
-        return [again, *evaluation.served.on(logs, plant, self.current.design, rng)]
+        return [evaluation.logged(plant, logs, rng), *evaluation.served.on(logs, plant, self.current.design, rng)]
 
 
 def described(proposed: str, decision: Mapping[str, Any]) -> str:
@@ -139,8 +135,7 @@ def predicted(
     if steps is not None:
         scenario = scenario.first(len(scenario.x0), min(steps, scenario.steps))
     run = scenario.run(evaluation.deployed(choice), design=choice.design, limit=evaluation.problem.limit)
-    rewards = run.rewards(evaluation.study.objective)[~run.diverged]
-    return summarise_returns(rewards, runs=len(run.states))
+    return summary_of(run, evaluation.study.objective)
 
 
 def same_design(space: DesignSpace, one: Array, other: Array) -> bool:

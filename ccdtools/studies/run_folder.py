@@ -217,7 +217,6 @@ class RunFolder:
 
     @property
     def _stages(self) -> Path:
-        """Folder of the stages."""
         return self.path / "stages"
 
 

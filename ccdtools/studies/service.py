@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any
@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Pairing, Violation
-from ccdtools.evidence.percent import in_measure, percent_interval
+from ccdtools.evidence.evidence import Asked, Evidence, Pairing, Violation
 from ccdtools.evidence.verdict import Status, Verdict, decide
-from ccdtools.statistics import PairedDifference, Summary, summarise_returns
+from ccdtools.statistics import Summary, summarise_returns
 from ccdtools.studies.tolerances import FALSE_ALARM
-from ccdtools.studies.trust_region import Trust
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
@@ -39,25 +37,6 @@ class Agreement(Enum):
     def kept(self) -> bool | None:
         """True if the prediction was right, False if wrong, None if undecided."""
         return {Agreement.AGREED: True, Agreement.LESS: False}.get(self)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a deployment, for the generations after it.
-
-    Attributes
-    ----------
-    changes : sequence of int
-        Samples logged before every update that was accepted.
-    replaces, carried : bool
-        As in `Delivery`.
-    trust : Trust
-    """
-
-    changes: Sequence[int]
-    replaces: bool
-    carried: bool
-    trust: Trust
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +124,6 @@ class Delivery:
         return self.verdict.replaces
 
     @property
-    def change(self) -> PairedDifference:
-        """Measured change of the return."""
-        return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
-
-    @property
-    def measure(self) -> str:
-        """Measure of the returns that the change is in."""
-        return self.verdict.evidence[0].measure if self.verdict.evidence else "mean"
-
-    @property
-    def percent(self) -> str:
-        """Measured change in per cent of the deployed return."""
-        return percent_interval(self.change.mean, self.change.ci95, self.size) + in_measure(self.measure)
-
-    @property
     def breach(self) -> str:
         """Limits that were left too far, in words; empty if none."""
         return next((str(one.violation) for one in self.verdict.evidence if one.violation is not None), "")
@@ -168,8 +132,9 @@ class Delivery:
         """Plain values, for results.json."""
         return self.verdict.as_dict() | {
             "predicted": asdict(self.predicted), "returns": asdict(self.returns), "agreement": self.agreement.value,
-            "change": asdict(self.change), "size": self.size, "carried": self.carried, "former": self.former,
-            "paired": self.former is not None, "measure": self.measure, "breach": self.breach,
+            "change": asdict(self.verdict.gain), "size": self.size, "carried": self.carried, "former": self.former,
+            "paired": self.former is not None, "breach": self.breach,
+            "measure": self.verdict.evidence[0].measure if self.verdict.evidence else "mean",
         }  # fmt: skip
 
 
@@ -245,7 +210,6 @@ def judge_deployment(
 
 
 def _agreement(predicted: Summary, returns: Summary, rounding: float = 0.0) -> Agreement:
-    """Agreement of a predicted and a measured return."""
     if np.isfinite(predicted.mean) and not np.isfinite(returns.mean):
         return Agreement.LESS
     if not np.isfinite([*predicted.ci95, *returns.ci95]).all():

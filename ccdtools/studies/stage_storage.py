@@ -8,16 +8,15 @@ import json
 import os
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array, jsonable as jsonable
 
 Network = Any
-Record = TypeVar("Record")
 MANIFEST = "manifest.json"
 
 
@@ -28,21 +27,6 @@ class Stage:
     values: dict[str, Any] = field(default_factory=dict)
     arrays: dict[str, Array] = field(default_factory=dict)
     networks: dict[str, Network] = field(default_factory=dict)
-
-    def deciding(self, record: Any) -> Stage:
-        """Stage that hands a frozen record on to later ones."""
-        return replace(self, values=self.values | {"decided": asdict(record)})
-
-    def decided(self, kind: type[Record]) -> Record:
-        """Record of a kind that the stage hands on."""
-        return _read_record(kind, self.values["decided"])
-
-
-def _read_record(kind: type[Record], values: dict[str, Any]) -> Record:
-    """Record of a kind from its plain values, with the records within it."""
-    kinds = get_type_hints(kind)
-    read = {name: _read_record(kinds[name], v) if is_dataclass(kinds[name]) else v for name, v in values.items()}
-    return kind(**read)
 
 
 def write_stage(folder: Path, stage: Stage, run: str) -> None:

@@ -12,18 +12,17 @@ from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.evidence.evidence import Pairing, Violation
+from ccdtools.evidence.evidence import Pairing, Violation, summary_of
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.statistics import summarise_returns
 from ccdtools.studies.account import account, proposed, refused, region_line
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
 from ccdtools.studies.names import FORMER, POLICY_ALONE
 from ccdtools.studies.redesign import Redesign, RedesignJudge, described, predicted, same_design
-from ccdtools.studies.service import Deployed, Outcome, judge_deployment
+from ccdtools.studies.service import Deployed, judge_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
 from ccdtools.trajectory import Trajectory
@@ -119,7 +118,8 @@ class LoopStages:
             "region": {"radius": radius, **asdict(doubt), "text": doubt.describe(), "edges": held},
         }  # fmt: skip
         found = self._co_designed(result, current if best is None else proposals[best], twin, redesign)
-        return found.deciding(Redesign(best is not None, moved, said))
+        decided = Redesign(best is not None, moved, said)
+        return replace(found, values=found.values | {"decided": asdict(decided)})
 
     def _redesigned(
         self, rng: np.random.Generator, current: Deployable, twin: DigitalTwin, region: CoDesignProblem,
@@ -202,30 +202,27 @@ class LoopStages:
             place = evaluation.problem.design.describe(designed.design)
             got = f"a start from which every run of deployment {generation} diverged at {place}"
             raise InputError("real.x0", got, "one that some design can recover from")
-        redesign = None if twin is None or twin.discrepancy is None else found.decided(Redesign)
+        redesign = Redesign(**found.values["decided"]) if "decided" in found.values else None
         redesigned = redesign is not None and redesign.accepted
-        changes = tuple(update.after for update in deployment.updates if update.accepted)
         known = () if twin is None else twin.logs
         delivery = judge_deployment(
-            deployed_of(generation, designed, deployment.agent, log, changes), former, current,
+            deployed_of(generation, designed, deployment.agent, log, deployment.changes), former, current,
             Pairing(study.objective, study.judged_in, evaluation.window),
             lambda steps: predicted(evaluation, designed, known, steps), redesigned=redesigned, limits=self._violation,
         )  # fmt: skip
         moved = redesign is not None and redesign.accepted and redesign.moved
         kept = delivery.agreement.kept if moved else None  # only a design that moved shows how errors follow the design
-        rewards = log.rewards(study.objective)[~log.diverged]
         place = evaluation.problem.design.describe(designed.design)
         sentence = account(generation, delivery, deployment.updates, redesign, place)
         report = [f"update {k} refused, {update.verdict.status.value}: {update.verdict.reason}"
                   for k, update in enumerate(deployment.updates, 1) if not update.accepted]  # fmt: skip
         values = {
             "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
-            "deployed_return": asdict(summarise_returns(rewards, runs=len(log.diverged))),
+            "deployed_return": asdict(summary_of(log, study.objective)),
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
             "report": [sentence, *report],
         }  # fmt: skip
-        stage = Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
-        return stage.deciding(Outcome(changes, delivery.replaces, delivery.carried, trust.after(kept)))
+        return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
 
     def _violation(self, log: Trajectory, former: Trajectory) -> Violation | None:
         """Limits that a deployment violated and the one before kept."""
@@ -251,7 +248,7 @@ class LoopStages:
         scores = updated.scores
         report = [f"held-out coverage {_shares(scores.coverage)} (nominal {scores.nominal_coverage:.0%})"]
         policy = self.evaluation.deployed(Deployable(deployed.networks["agent"], log.design))
-        since = max(deployed.decided(Outcome).changes, default=0)
+        since = max(changes_of(deployed), default=0)
         bands = held_out_bands(updated, log, policy, rng=rng, since=since)
         if bands is not None:
             report += [f"free-running bands of {bands.steps[-1]} steps: coverage {_shares(bands.coverage[-1])} of 80%"]
@@ -270,13 +267,17 @@ class LoopStages:
 
 
 def _shares(values: Sequence[float]) -> str:
-    """Values in whole per cent, as text."""
     return ", ".join(f"{value:.0%}" for value in values)
 
 
 def deployable_of(found: Stage) -> Deployable:
     """Deployable of a co-design's stage."""
     return Deployable(found.networks["agent"], found.arrays["design"], found.values["name"])
+
+
+def changes_of(deployed: Stage) -> tuple[int, ...]:
+    """Samples logged before every accepted update of a deployment's stage."""
+    return tuple(update["after"] for update in deployed.values["updates"] if update["accepted"])
 
 
 def deployed_of(

@@ -165,7 +165,6 @@ class Study(Immutable):
         self._check_real(as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
 
     def _check_kinds(self) -> None:
-        """Raise unless every field is of its kind."""
         for argument in ("name", "title"):
             value = getattr(self, argument)
             if not isinstance(value, str) or not value.strip() or len(value.splitlines()) > 1:
@@ -213,7 +212,6 @@ class Study(Immutable):
             raise InputError(error.argument.removeprefix("scenarios."), error.got, error.expected, error.cure) from None
 
     def _check_stabilisable(self) -> None:
-        """Raise unless LQR exists at the first design."""
         A, B, _ = self.model.matrices(self.p0)
         try:
             lqr(A, B, **self.weights.keywords())
@@ -222,7 +220,6 @@ class Study(Immutable):
             raise InputError("p0", got, "a design at which the model can be stabilised") from None
 
     def _check_starts(self) -> None:
-        """Raise unless the starts are states of the plant within X."""
         try:
             scenarios = RandomStarts(self.starts, self.disturbance)
             drawn = np.shape(scenarios.states(1, np.random.default_rng(0)))
@@ -233,7 +230,6 @@ class Study(Immutable):
             raise InputError("starts", error.got, error.expected, error.cure) from None
 
     def _check_real(self, real: RealPlant) -> None:
-        """Raise unless model and simulation steps fit the real plant."""
         check_same_plant(self.plant, real)
         if isinstance(real.plant, Plant):
             X, U = widest(self.X), widest(self.U)

@@ -20,10 +20,7 @@ SMALL_PART = 0.02  # A part of a whole below this goes unmentioned.
 NOT_WORSE_PERCENT = 100 * NOT_WORSE  # Smaller differences of the return do not matter [% of |LQR|].
 EQUAL_PERCENT = 1e-4  # Two returns this close differ by rounding and the tolerances of the solvers [% of |LQR|].
 DIVERGED_RUNS = 0.01  # A design of the landscape is left blank if a larger part of its runs diverges.
-LANDSCAPE = {1: 21, 2: 9}  # The landscape over 1 or 2 design parameters has so many designs per axis.
-SURFACE_GRID = 121  # Policies are drawn over so many values of each of two states.
 SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
-SHOWN_STEPS = 200  # So many steps of a long trajectory are drawn.
 
 # --- steps of the real plant, errors as parts of half the range of a state in X --------------------------------------
 WRONG_SAMPLE = 0.1  # A sample may be wrong by this without a warning.

@@ -14,8 +14,7 @@ from ccdtools.evidence.percent import share
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.tolerances import CONSTANT_E, FIRST_RADIUS, LEAST_RADIUS, UNATTRIBUTED, WHOLE_NUMBER
-from ccdtools.twin.residuals import Residuals
-from ccdtools.twin.transport import ErrorSplit, Transport, full_rank
+from ccdtools.twin.transport import ErrorSplit, full_rank
 from ccdtools.twin.twin import DigitalTwin
 
 
@@ -64,16 +63,16 @@ class Trust:
 
 def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
     """Parts of a twin's errors unknown at another design."""
-    logs = twin.carried()
-    whole = rest = entering = 0.0
-    for log, left in zip(logs, twin.innovations()):
-        whole += _energy(log.e_next, scale)
-        rest += _energy(_split(twin, log, scale)[1], scale)
-        entering += _energy(_split(twin, left, scale)[0], scale)
+    split = ErrorSplit(twin.model, scale)
+    newest = twin.logs[-1].p
+    logs, left = ([replace(log, p=newest) for log in part] for part in (twin.carried(), twin.innovations()))
+    whole = sum(_energy(log.e_next, scale) for log in logs)
     if whole == 0:
         return ErrorAttribution(0.0, 0.0, True)
+    rest = split.share_of_the_rest(logs)
+    entering = sum(_energy(log.e_next - split.rest(log), scale) for log in left)
     unknown = min(1.0, max(0.0, 1 - entering / whole))
-    return ErrorAttribution(rest / whole, max(0.0, unknown - rest / whole), _identified(twin, scale))
+    return ErrorAttribution(rest, max(0.0, unknown - rest), _identified(twin, scale))
 
 
 def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignProblem:
@@ -109,16 +108,6 @@ def in_whole_box(result: LearnedCoDesign, region: DesignSpace, space: DesignSpac
     status = CoDesignStatus.EDGE_OF_TRUST if held else result.status
     active = space.active_constraints(result.design)
     return replace(result, active_bounds=space.active_bounds(result.design), status=status, active_constraints=active)
-
-
-def _split(twin: DigitalTwin, log: Residuals, scale: Array) -> tuple[Array, Array]:
-    """Split of a log at the newest design into two parts, (n, T, nx) each."""
-    newest = twin.logs[-1].p
-    if isinstance(twin.model, SampledModel):
-        rest = ErrorSplit(twin.model, scale).rest(replace(log, p=newest))
-        return log.e_next - rest, rest
-    w, rest = Transport.at(twin.model, newest, scale).split(log.e_next)
-    return w @ twin.model.matrices(newest)[2].T, rest
 
 
 def _identified(twin: DigitalTwin, scale: Array) -> bool:

@@ -24,7 +24,7 @@ from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
-from ccdtools.twin.distributions import Distribution, ServedDistributions, logged, on_updated
+from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.replay import replay_problem
@@ -220,7 +220,6 @@ class _DeployedPolicy:
 
     @property
     def _several(self) -> bool:
-        """Whether more than one run is deployed."""
         return len(self.whole.x0) > 1
 
     @cached_property
@@ -229,7 +228,6 @@ class _DeployedPolicy:
         return self.served.trained_from(self.deployed.design, self.judged_by)
 
     def _update(self) -> None:
-        """Train a candidate, and deploy it if the judge accepts it."""
         config = self.config
         problem = replay_problem(self.problem, self.train, config.window, starts=self._starts)
         agent = codesign(
@@ -258,7 +256,7 @@ class _DeployedPolicy:
         logs = [*self.former, *self.logs]
         plant = UpdatedPlant.from_logs(self.split, logs, rng=self.judged_by, config=self.config.quantile)
         whole = [log for log in logs if log.steps == self.whole.steps] if self._several else _equally_long(self.logs)
-        again = on_updated(plant, whole, series=not self._several, most=self.config.judged, rng=self.judged_by)
+        again = logged(plant, whole, series=not self._several, most=self.config.judged, rng=self.judged_by)
         return [again, *self.served.on(logs, plant, self.deployed.design, self.judged_by)]
 
     def _unseen(self) -> list[Residuals]:

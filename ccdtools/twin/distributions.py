@@ -104,33 +104,26 @@ class ServedDistributions:
         return Distribution(NOMINAL, Scenario(self.problem.model, x0, w), Asked.SHOWN)
 
 
-def logged(split: ErrorSplit, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator,
-           held_out: float | None = None) -> Distribution:  # fmt: skip
-    """Nominal model under whole logged errors, which a change was made for.
+def logged(by: ErrorSplit | UpdatedPlant, logs: Sequence[Residuals], *, series: bool, most: int,
+           rng: np.random.Generator, held_out: float | None = None) -> Distribution:  # fmt: skip
+    """Whole logged runs, at most `most`, on which a change must bring a gain.
 
     Parameters
     ----------
+    by : ErrorSplit or UpdatedPlant
+        The nominal model under whole errors, which a change was made for; or the updated one, whose errors follow the
+        candidate.
     series : bool
         Whether the logs are consecutive parts of one run, of which the last fraction `held_out` counts, or all of it.
-    most : int
-        Runs at most.
     """
-    replay = Replay(tuple(logs), split)
-    return _whole(REPLAY, split.replayed_model, replay, series=series, most=most, rng=rng, held_out=held_out)
-
-
-def on_updated(
-    plant: UpdatedPlant, logs: Sequence[Residuals], *, series: bool, most: int, rng: np.random.Generator
-) -> Distribution:  # fmt: skip
-    """Updated model on whole logged runs, where errors follow the candidate."""
-    return _whole(UPDATED, plant, Replay(plant.unexplained(logs), plant.split), series=series, most=most, rng=rng)
-
-
-def _whole(
-    name: str, plant: Any, replay: Replay, *, series: bool, most: int, rng: np.random.Generator,
-    held_out: float | None = None,
-) -> Distribution:  # fmt: skip
-    """Whole runs of a replay, at most `most`, on which a change must bring a gain."""
+    if isinstance(by, UpdatedPlant):
+        name = UPDATED
+        plant: Any = by
+        replay = Replay(by.unexplained(logs), by.split)
+    else:
+        name = REPLAY
+        plant = by.replayed_model
+        replay = Replay(tuple(logs), by)
     x0, w = replay.whole()
     chosen = np.arange(len(x0)) if series or len(x0) <= most else rng.permutation(len(x0))[:most]
     counted = None if held_out is None else round(held_out * w.shape[1])

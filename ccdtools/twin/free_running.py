@@ -21,8 +21,6 @@ from ccdtools.twin.tolerances import BLOCKS, HELD_OUT, RUNAWAY
 from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import DigitalTwin
 
-STEPS = (10, 50, 100)  # Bands are measured after so many steps by default.
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FreeRunningBands(Immutable):
@@ -73,7 +71,7 @@ def free_running_bands(
     controller: Controller,
     *,
     rng: np.random.Generator,
-    steps: Sequence[int] = STEPS,
+    steps: Sequence[int] = (10, 50, 100),
     draws: int = 100,
     windows: int = 200,
     held_out: float | None = None,
@@ -141,13 +139,12 @@ def held_out_bands(
     None where these are too short, or the twin has learned a median alone.
     """
     spans = _spans(log, twin.logs[-1], HELD_OUT, BLOCKS, since)
-    if not _drawable(twin) or max((end - first for _, first, end in spans), default=0) < STEPS[0]:
+    if not _drawable(twin) or max((end - first for _, first, end in spans), default=0) < 10:
         return None
     return free_running_bands(twin, log, controller, rng=rng, windows=150, held_out=HELD_OUT, since=since)
 
 
 def _drawable(twin: DigitalTwin) -> bool:
-    """Whether the twin has quantiles to draw from."""
     return twin.discrepancy is not None and len(twin.discrepancy.network.levels) >= 3
 
 

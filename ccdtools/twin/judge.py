@@ -33,11 +33,6 @@ class Judge:
     stretch: int  # steps of a stretch of a single run, see `Pairing`
     tolerance: float = NOT_WORSE  # loss, as a part of the size of a return, that the user accepts on a distribution
 
-    @property
-    def pairing(self) -> Pairing:
-        """Rule by which returns are compared."""
-        return Pairing(self.problem.objective, of_logged_runs(self.problem.risk), self.stretch)
-
     def verdict(
         self, candidate: Deployable, current: Deployable, made_for: Distribution, nominal: Distribution, price: Price,
         others: Callable[[], Sequence[Distribution]],
@@ -88,7 +83,8 @@ class Judge:
         """Evidence, and the runs of both."""
         after, before = (self.run(one, on) for one in (candidate, current))
         names = (f"{candidate.name}, simulated", f"{current.name}, simulated")
-        found = self.pairing.evidence(
+        pairing = Pairing(self.problem.objective, of_logged_runs(self.problem.risk), self.stretch)
+        found = pairing.evidence(
             after, before, names=names, distribution=on.name, asked=on.asked, groups=on.groups, series=on.series,
             counted=on.counted,
         )  # fmt: skip

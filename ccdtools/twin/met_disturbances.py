@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import casadi as ca
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.tolerances import DERIVATIVES_AT_ONCE, LARGEST_UNTOLD, SETTLED_STEP, TOLD, UNTOLD
-
-Indices: TypeAlias = NDArray[np.int64]
 
 
 def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:
@@ -89,7 +84,6 @@ class _LeastSquares:
             return np.asarray(np.nan_to_num(np.sqrt(np.square(moved).sum(axis=-1)), nan=np.inf))
 
     def _next_states(self, w: Array, some: Indices) -> Array:
-        """Next states of the model."""
         with np.errstate(all="ignore"):
             return np.asarray(self._model.advance(self.x[some], self.u[some], w, self.p))
 

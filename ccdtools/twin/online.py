@@ -8,7 +8,6 @@ from typing import Any
 from ccdtools.arrays import Immutable
 from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
-from ccdtools.evidence.evidence import NOTHING
 from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.statistics import PairedDifference
@@ -87,7 +86,7 @@ class OnlineUpdate(Immutable):
     @property
     def gain(self) -> PairedDifference:
         """Return of the candidate minus the deployed policy's, on held-out parts."""
-        return self.verdict.evidence[0].gain if self.verdict.evidence else NOTHING
+        return self.verdict.gain
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""

@@ -145,7 +145,6 @@ class DigitalTwin(Immutable):
 def _check_split(
     train: Sequence[Residuals], test: Sequence[Residuals], log: Residuals, held_out: float, blocks: int
 ) -> None:  # fmt: skip
-    """Raise an `InputError` if the newest log is too short to split."""
     argument = "log" if (held_out, blocks) == (HELD_OUT, BLOCKS) else "held_out"
     of = f"{log.runs} runs" if log.runs > 1 else f"{blocks} blocks of a log of {log.steps} samples"
     trained = sum(part.runs * part.steps for part in train)

@@ -206,7 +206,6 @@ def heights_of_corners(car: Car) -> ca.DM:
 
 
 def _names(by_speed: bool) -> list[str]:
-    """Labels of the states."""
     if by_speed:
         positions = [f"{wheel} {part} [m]" for part in ("tyre", "travel") for wheel in WHEELS]
     else:

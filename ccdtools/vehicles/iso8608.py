@@ -16,12 +16,9 @@ from ccdtools.exceptions import InputError
 
 RoadClass: TypeAlias = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 
-SMOOTHEST = 16e-6  # geometric mean of class A at n₀ [m³]; each class is four times as rough as the one before
 REFERENCE_FREQUENCY = 0.1  # n₀ [1/m]
 BAND = (0.011, 2.83)  # [1/m]: wavelengths from 91 m to 0.35 m, the octaves that ISO 8608 fits its classes to
 SPACING = 0.02  # [m]; reading the road linearly between samples takes 2 % of the spectrum at the upper end of BAND
-CYCLES = 20  # A generated road has so many of the longest waves in its period, and many waves in every octave.
-FEWEST = 4  # The shortest wave has at least so many samples.
 
 
 def road_roughness(road_class: RoadClass) -> float:
@@ -37,7 +34,7 @@ def road_roughness(road_class: RoadClass) -> float:
     ISO 8608. The same classes at 1 rad/m are 1, 4, …, 16384·10⁻⁶ m³, which is the same to 0.6 %.
     """
     classes = get_args(RoadClass)
-    return SMOOTHEST * 4.0 ** classes.index(as_choice("road_class", road_class, classes))
+    return 16e-6 * 4.0 ** classes.index(as_choice("road_class", road_class, classes))
 
 
 def track_coherency(frequency: ArrayLike, track: float) -> Array:
@@ -130,7 +127,8 @@ def generate_profile(
     low, high = as_band("band", band)
     spacing = as_spacing("spacing", spacing, high)
     intervals = math.ceil(as_positive("length", length, unit="m") / spacing - 1e-9)
-    samples = next_fast_len(max(2 * intervals, math.ceil(CYCLES / (low * spacing))) + 1, real=True)
+    period = math.ceil(20 / (low * spacing))  # twenty of the longest waves
+    samples = next_fast_len(max(2 * intervals, period) + 1, real=True)
     frequency, power = _cells(1.0 / (samples * spacing), low, high)
     power *= roughness * REFERENCE_FREQUENCY**2
     waves = _waves(power, rng)
@@ -155,8 +153,8 @@ def as_band(argument: str, value: Any) -> tuple[float, float]:
 def as_spacing(argument: str, value: Any, high: float) -> float:
     """Distance between samples [m] that resolves the frequency `high` [1/m]."""
     spacing = as_positive(argument, value, unit="m")
-    if spacing * high * FEWEST > 1 + 1e-9:
-        most = f"at most {1 / (FEWEST * high):.3g} m, a quarter of the shortest wave of the band"
+    if 4 * spacing * high > 1 + 1e-9:
+        most = f"at most {1 / (4 * high):.3g} m, a quarter of the shortest wave of the band"
         raise InputError(argument, f"{spacing:g} m", most, "Take a smaller spacing, or a narrower band.")
     return spacing
 

@@ -13,7 +13,6 @@ from ccdtools.plants.plant import Plant
 from ccdtools.vehicles.corner import Corner, RealStrut
 
 STATES = ("z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]")
-PAPER_DT = 0.05  # s, of Tsai et al.; it hardly resolves the wheel hop, and `discretise` says so
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
     strut : RealStrut, optional
         What makes the strut nonlinear and real.
     dt : float
-        Sampling time [s]; that of the paper is `PAPER_DT`.
+        Sampling time [s]; the 0.05 s of Tsai et al. hardly resolve the wheel hop, and `discretise` says so.
 
     Returns
     -------

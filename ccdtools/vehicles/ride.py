@@ -119,7 +119,6 @@ def _of_wheels(states: Array, indices: Sequence[int]) -> Array:
 
 
 def _indices(argument: str, value: Sequence[int]) -> tuple[int, ...]:
-    """Different indices of states."""
     try:
         found = tuple(value)
     except TypeError:

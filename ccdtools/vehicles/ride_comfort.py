@@ -15,14 +15,6 @@ from ccdtools.exceptions import InputError
 
 Weighting: TypeAlias = Literal["Wk", "Wd"]
 
-LOWEST, HIGHEST = 0.4, 100.0  # f₁, f₂: limits of the band [Hz]
-BUTTERWORTH = 1 / math.sqrt(2)  # Q₁, Q₂
-
-
-# f₃ and f₄ [Hz] and Q₄ of the transition from acceleration to velocity; f₅ [Hz], Q₅, f₆ [Hz] and Q₆ of the upward step,
-# which W_d does not have.
-CURVES = {"Wk": (12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91), "Wd": (2.0, 2.0, 0.63, 1.0, 1.0, 1.0, 1.0)}
-
 
 def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> NDArray[np.complex128]:
     """Complex transfer function of a weighting at frequencies (...) [Hz].
@@ -44,10 +36,15 @@ def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> ND
     ISO 2631-1, its filters and their parameters. They give the tabulated factors to the last digit, but for
     W_d at 10 Hz: transcriptions have 0.212 there beside −13.9 dB, which is 0.202.
     """
-    f3, f4, Q4, f5, Q5, f6, Q6 = CURVES[as_choice("weighting", weighting, get_args(Weighting))]
+    as_choice("weighting", weighting, get_args(Weighting))
+    f1, f2, butterworth = 0.4, 100.0, 1 / math.sqrt(2)  # limits of the band [Hz], and Q₁ = Q₂
+    # f₃ and f₄ [Hz] and Q₄ of the transition from acceleration to velocity; f₅ [Hz], Q₅, f₆ [Hz] and Q₆ of the upward
+    # step, which W_d does not have.
+    curves = {"Wk": (12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91), "Wd": (2.0, 2.0, 0.63, 1.0, 1.0, 1.0, 1.0)}
+    f3, f4, Q4, f5, Q5, f6, Q6 = curves[weighting]
     f = finite("frequency", as_floats("frequency", frequency)).astype(complex)
-    response: NDArray[np.complex128] = (1j * f / LOWEST) ** 2 / _second_order(f, LOWEST, BUTTERWORTH)
-    response /= _second_order(f, HIGHEST, BUTTERWORTH)
+    response: NDArray[np.complex128] = (1j * f / f1) ** 2 / _second_order(f, f1, butterworth)
+    response /= _second_order(f, f2, butterworth)
     response *= (1 + 1j * f / f3) / _second_order(f, f4, Q4)
     response *= _second_order(f, f5, Q5) / _second_order(f, f6, Q6) * (f5 / f6) ** 2
     return response

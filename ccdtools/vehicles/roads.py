@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
+from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.disturbances.disturbance import check_draw
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY, road_roughness
 
-Array: TypeAlias = NDArray[np.float64]
 Driver: TypeAlias = Literal["mild", "aggressive"]
 
 
@@ -130,9 +130,6 @@ OBSTACLES: dict[str, tuple[Range, Range, tuple[int, ...], Profile]] = {  # lengt
     "dent": ((0.8, 2.5), (0.03, 0.08), (-1,), _sinusoid),
     "ramp": ((20.0, 60.0), (0.1, 0.5), (-1, 1), lambda x, length: _plateau(x, length, length / 3)),
 }
-GAP = (5.0, 45.0)  # The plain road between two obstacles is this long [m].
-
-CUTOFF_FREQUENCY = 0.01  # [1/m]; flat below, so that the elevation stays bounded
 
 
 def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0.05) -> tuple[Array, Array]:
@@ -169,7 +166,7 @@ def generate_road(length: float, *, rng: np.random.Generator, spacing: float = 0
 
 def _rough(samples: int, spacing: float, rng: np.random.Generator) -> Array:
     """First-order noise dz = −α z ds + σ dW, with spectrum 2σ² / (α² + (2πn)²)."""
-    alpha = 2 * np.pi * CUTOFF_FREQUENCY
+    alpha = 2 * np.pi * 0.01  # flat below 0.01 1/m, so that the elevation stays bounded
     sigma = 2 * np.pi * REFERENCE_FREQUENCY * math.sqrt(road_roughness("C") / 2)
     decay = math.exp(-alpha * spacing)
     gain = sigma * math.sqrt((1 - decay**2) / (2 * alpha))
@@ -182,14 +179,15 @@ def generate_obstacles(distance: Array, rng: np.random.Generator) -> Array:
     """Elevation (S,) [m] of random obstacles with plain road between."""
     elevation = np.zeros_like(distance)
     kinds = tuple(OBSTACLES.values())
-    begin = rng.uniform(*GAP)
-    while begin < distance[-1]:  # GAP[0] > 0 bounds the number of turns
+    gap = (5.0, 45.0)  # lengths of the plain road between two obstacles [m], above 0, which bounds the number of turns
+    begin = rng.uniform(*gap)
+    while begin < distance[-1]:
         lengths, heights, signs, profile = kinds[rng.integers(len(kinds))]
         length = rng.uniform(*lengths)
         height = rng.choice(signs) * rng.uniform(*heights)
         here = slice(*np.searchsorted(distance, (begin, begin + length)))
         elevation[here] += height * profile(distance[here] - begin, length)
-        begin += length + rng.uniform(*GAP)
+        begin += length + rng.uniform(*gap)
     return elevation
 
 

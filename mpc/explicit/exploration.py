@@ -8,7 +8,7 @@ import daqp
 import numpy as np
 
 from mpc.checks import Array, Ints
-from mpc.explicit.holes import Holes
+from mpc.explicit.holes import Search
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
@@ -40,46 +40,9 @@ def explore_compiled(qp: ScaledQP, most: int, deadline: float, feasible: Array |
             status = MPQPStatus.REGION_LIMIT
         elif time.perf_counter() > deadline:
             status = MPQPStatus.TIME_LIMIT
-        elif search.done == search.queued and not search.lead_on(deadline):
+        elif search.done == search.queued and not (search.look_across(deadline) or search.look_around(deadline)):
             status = MPQPStatus.INACCURATE if search.uncovered else MPQPStatus.COMPLETE
     return search.found(status)
-
-
-class Search(Holes):
-    """Exploration of one problem as far as it has come."""
-
-    def __init__(self, qp: ScaledQP) -> None:
-        super().__init__(qp)
-        self.portion = 64
-
-    def begin(self, known: Array | None = None, deadline: float = np.inf) -> None:
-        """Queue regions at random parameters, more where none is found; `known` ones are feasible.
-
-        Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
-        """
-        feasible = [np.empty((0, self.parameters)) if known is None else known]
-        for _ in range(10):  # new ones are drawn while none leads to a region
-            targets = self.rng.uniform(-1, 1, size=(8, self.parameters))
-            seeded = [np.empty((0, self.parameters))]
-            for few in self.portions(targets, 2_000):
-                seeded.append(self.seed(few))
-                if time.perf_counter() > deadline:
-                    break
-            found = np.vstack(seeded)
-            if len(found) == 0 or self.queued or time.perf_counter() > deadline:
-                break
-            feasible.append(found)
-        if not self.queued:
-            self.ask_at(np.vstack(feasible), deadline)
-
-    def advance(self, most: int) -> None:
-        """Find facets and neighbours of some more regions."""
-        before = self.done
-        start = time.perf_counter()
-        self.explore(min(self.portion, most - before))
-        taken = max(time.perf_counter() - start, 1e-6)
-        if self.done > before:  # else there was no room, and it grew
-            self.portion = max(1, int(0.05 * (self.done - before) / taken))  # 0.05 s between two looks
 
 
 def irredundant_rows(qp: ScaledQP, deadline: float = np.inf) -> Ints:

@@ -1,4 +1,4 @@
-"""Search for holes between regions, and the QP solved there."""
+"""Search for regions and for holes between them."""
 
 from __future__ import annotations
 
@@ -7,22 +7,18 @@ from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import nnls
 
 from mpc.checks import Array, Ints
-from mpc.dense_qp import DenseQP
-from mpc.explicit.kernels import places
-from mpc.explicit.kernels.data import ASKED, CROSSED, OPEN, ROWS
+from mpc.explicit.kernels import active_sets, places
+from mpc.explicit.kernels.data import FLAT, FULL, INFEASIBLE, ROWS
 from mpc.explicit.kernels.halfspace import interior_point
-from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, solve_exactly
+from mpc.explicit.linear_programs import OnlineQP
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.region_graph import Found, RegionGraph
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import (
     CROSSING,
     FARTHEST_BEHIND,
-    KKT,
-    OPTIMAL_SET,
     POINTS_ANYWHERE,
     POINTS_BEHIND,
     POINTS_BETWEEN,
@@ -30,7 +26,6 @@ from mpc.tolerances import (
     REGIONS_PER_POINT,
     ROUNDED_SUM,
     THIN,
-    TIE,
 )
 
 
@@ -59,53 +54,8 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
     return points[(points @ qp.TA.T <= qp.Tb).all(axis=1)]
 
 
-class OnlineQP:
-    """Scaled QP at one parameter, by the checked online solver."""
-
-    def __init__(self, qp: ScaledQP) -> None:
-        self.qp = qp
-        self.free = np.zeros(qp.M.shape[1])
-        self.solver = DenseQP(np.eye(len(self.free)), qp.M)
-
-    def at(self, t: Array, deadline: float = np.inf) -> tuple[list[tuple[int, ...]], bool]:
-        """Independent active sets at t, and whether t has room; past the deadline that may be missed."""
-        bounds = self.qp.D @ np.append(t, 1.0)
-        result = self.solver.solve(self.free, bounds, confirm_infeasible=True)
-        y = result.multipliers
-        if result.infeasible and proves_infeasible(y, self.qp.M, bounds, self.qp.reach):
-            return [], False
-        if result.infeasible or not result.residuals.primal <= KKT:
-            return [], self._has_room(bounds, deadline)
-        taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
-        return [taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline)
-
-    def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
-        """Fewest rows active at v that carry it, linearly independent."""
-        near = np.flatnonzero(bounds - self.qp.M @ v <= KKT * (1.0 + np.abs(bounds)))
-        if not len(near):
-            return ()
-        share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]
-        return tuple(int(i) for i in near[share > 0])
-
-    def _has_room(self, bounds: Array, deadline: float) -> bool:
-        """Whether a point holds every row without a tolerance."""
-        room = TIE * (1.0 + np.abs(bounds))
-        found = self.solver.solve(self.free, bounds - room, confirm_infeasible=True).z
-        return bool((self.qp.M @ found <= bounds).all()) or self._linear_program_finds_room(bounds, room, deadline)
-
-    def _linear_program_finds_room(self, bounds: Array, room: Array, deadline: float) -> bool:
-        """Whether a linear program finds room, for v within reach, or does not end: then nobody can tell."""
-        cost = np.append(self.free, -1.0)
-        rows = np.hstack([self.qp.M, room[:, None] / TIE])
-        limits = [(-self.qp.reach, self.qp.reach)] * len(self.free) + [(None, 1.0)]
-        program = solve_exactly(cost, rows, bounds, limits, deadline)
-        if program.status != SOLVED:
-            return bool(program.status != INFEASIBLE)
-        return bool((bounds - self.qp.M @ program.x[:-1] >= room).all())
-
-
-class Holes(RegionGraph):
-    """Graph of regions, searched for feasible parameters in no region.
+class Search(RegionGraph):
+    """Exploration of one problem as far as it has come, and the search for feasible parameters in no region.
 
     feasible : (k, nt) parameters that were feasible, with room, and in no region when they were met;
     pending : (k, nt) parameters in no region when they were met, about which the QP was not asked yet.
@@ -114,6 +64,7 @@ class Holes(RegionGraph):
     def __init__(self, qp: ScaledQP) -> None:
         super().__init__(qp)
         self.rng = np.random.default_rng(0)
+        self.portion = 64
         self.feasible = np.empty((0, self.parameters))
         self.pending = self.feasible
 
@@ -127,22 +78,47 @@ class Holes(RegionGraph):
         """Number of feasible parameters found in no region."""
         return int((~self.covered(self.feasible, THIN)).sum()) if len(self.feasible) else 0
 
-    def lead_on(self, deadline: float) -> bool:
-        """Look beyond explored regions; True for new ones or past deadline."""
-        return self.look_across(deadline) or self.look_around(deadline)
+    def begin(self, known: Array | None = None, deadline: float = np.inf) -> None:
+        """Queue regions at random parameters, more where none is found; `known` ones are feasible.
+
+        Where the compiled solver finds none at parameters that are feasible, the checked online solver is asked.
+        """
+        feasible = [np.empty((0, self.parameters)) if known is None else known]
+        for _ in range(10):  # new ones are drawn while none leads to a region
+            targets = self.rng.uniform(-1, 1, size=(8, self.parameters))
+            seeded = [np.empty((0, self.parameters))]
+            for few in self.portions(targets, 2_000):
+                seeded.append(self.seed(few))
+                if time.perf_counter() > deadline:
+                    break
+            found = np.vstack(seeded)
+            if len(found) == 0 or self.queued or time.perf_counter() > deadline:
+                break
+            feasible.append(found)
+        if not self.queued:
+            self.ask_at(np.vstack(feasible), deadline)
+
+    def advance(self, most: int) -> None:
+        """Find facets and neighbours of some more regions."""
+        before = self.done
+        start = time.perf_counter()
+        self.explore(min(self.portion, most - before))
+        taken = max(time.perf_counter() - start, 1e-6)
+        if self.done > before:  # else there was no room, and it grew
+            self.portion = max(1, int(0.05 * (self.done - before) / taken))  # 0.05 s between two looks
 
     def look_across(self, deadline: float) -> bool:
-        """Solve the QP beyond open facets; True as for `lead_on`.
+        """Solve the QP beyond open facets; True when that leads to regions, or the deadline is past.
 
         Of very many facets some are drawn: a hole of any size has many.
         """
         count = min(64 + self.done // REGIONS_PER_POINT, 500)
-        still = self._some(np.flatnonzero(self.facets.state[: self.graph.counts[ROWS]] == OPEN), count)
+        still = self._some(np.flatnonzero(self.facets.behind[: self.graph.counts[ROWS]] == FLAT), count)
         offsets = self.facets.offsets
         for facet, r in zip(still, self._owners(still)):
             if self.queued > self.done or time.perf_counter() > deadline:
                 return True
-            self.facets.state[facet] = ASKED
+            self.facets.behind[facet] = INFEASIBLE
             own = slice(offsets[r], offsets[r + 1])
             self.ask_at(points_beyond(self.facets.rows[own], int(facet - own.start), self.qp), deadline)
         return self.queued > self.done
@@ -171,13 +147,13 @@ class Holes(RegionGraph):
 
     def between_facets(self, count: int) -> Array:
         """Random points between two facets, `count` of them."""
-        points = np.empty((count, self.parameters))
-        places.between_facets(self.facets, self.graph.counts[ROWS], self.rng.random((count, 3)), points)
-        return points
+        draws = self.rng.random((count, 3))
+        first, last = self.facets.hits[(self.graph.counts[ROWS] * draws[:, :2]).astype(np.int64).T]
+        return np.asarray(draws[:, 2:] * first + (1.0 - draws[:, 2:]) * last)
 
     def behind_facets(self, most: int) -> Array:
         """Random points behind crossed facets, `most` of them; half just behind."""
-        chosen = self._some(np.flatnonzero(self.facets.state[: self.graph.counts[ROWS]] == CROSSED), most)
+        chosen = self._some(np.flatnonzero(self.facets.behind[: self.graph.counts[ROWS]] == FULL), most)
         owners = self._owners(chosen)
         points = np.empty((most if len(chosen) else 0, self.parameters))
         draws = self.rng.random((len(points), self.parameters + 2))
@@ -215,7 +191,7 @@ class Holes(RegionGraph):
         return (points[first : first + size] for first in range(0, len(points), size))
 
     def _ask(self, deadline: float) -> bool:
-        """Solve the QP at pending points; True as for `lead_on`.
+        """Solve the QP at pending points; True when that leads to regions, or the deadline is past.
 
         Some are enough once one of them has shown that there is a hole.
         """
@@ -241,10 +217,9 @@ class Holes(RegionGraph):
 
     def found(self, status: MPQPStatus) -> Found:
         """Regions done."""
-        bits = self.active_bits(self.done)
-        members = np.nonzero(bits)[1].tolist()
-        ends = np.cumsum(bits.sum(axis=1, dtype=np.int64)).tolist()
-        sets = [tuple(members[first:last]) for first, last in zip([0, *ends], ends)]
+        act = np.empty(len(self.qp.M) + 1, dtype=np.int64)
+        masks = self.graph.masks[self.graph.queue[: self.done]]
+        sets = [tuple(act[: active_sets.from_mask(mask, act)].tolist()) for mask in masks]
         rows = self.facets.rows[: self.graph.counts[ROWS]].copy()
         offsets = self.facets.offsets[: self.done + 1].copy()
         return Found(status, self.qp, sets, rows, offsets, self.facets.centres[: self.done].copy(), self.uncovered)

@@ -8,13 +8,10 @@ import numpy as np
 
 from mpc.checks import Array, Flags, Ints
 from mpc.explicit.kernels import active_sets, exploration, places
-from mpc.explicit.kernels.data import DONE, GROW, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
+from mpc.explicit.kernels.data import DONE, KNOWN, QUEUED, ROWS, Facets, Graph, QPData
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import INSIDE
-
-Masks = np.ndarray[Any, np.dtype[np.uint64]]
-Bits = np.ndarray[Any, np.dtype[np.uint8]]
 
 
 class Found(NamedTuple):
@@ -54,12 +51,12 @@ class RegionGraph:
 
     def explore(self, regions: int) -> None:
         """Find facets and neighbours of at most so many more regions."""
-        if exploration.explore(self.data, self.graph, self.facets, regions) != GROW:
+        if not exploration.explore(self.data, self.graph, self.facets, regions):
             return
         # the scarcer room is doubled: that for facets or for active sets
         facets = self.facets
         if self.graph.counts[ROWS] + len(self.qp.M) + len(self.qp.Tb) > len(facets.rows):
-            longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "state")}
+            longer = {name: _longer(getattr(facets, name)) for name in ("rows", "hits", "behind")}
             self.facets = facets._replace(**longer)
         else:
             self._grow_sets()
@@ -67,9 +64,9 @@ class RegionGraph:
     def consider(self, act: tuple[int, ...]) -> None:
         """Queue an active set that has a region and is new."""
         self.make_room(1)
-        members = np.zeros((1, len(self.qp.M)), dtype=np.uint8)
-        members[0, list(act)] = 1
-        active_sets.consider(self.data, self.graph, _masks(members, self.graph.masks.shape[1])[0])
+        mask = np.zeros(self.graph.masks.shape[1], dtype=np.uint64)
+        active_sets.to_mask(np.array(act, dtype=np.int64), len(act), mask)
+        active_sets.consider(self.data, self.graph, mask)
 
     def seed(self, targets: Array) -> Array:
         """Queue active sets near `targets`; return their feasible parameters."""
@@ -86,11 +83,6 @@ class RegionGraph:
         """Whether points lie in a done region, or near one."""
         return np.asarray(places.covered(self.facets, self.graph.counts, points, distance))
 
-    def active_bits(self, regions: int) -> Bits:
-        """Members (regions, m) of the active sets of the first regions."""
-        masks = np.ascontiguousarray(self.graph.masks[self.graph.queue[:regions]]).view(np.uint8)
-        return np.unpackbits(masks, axis=1, bitorder="little")[:, : len(self.qp.M)]
-
     def make_room(self, sets: int) -> None:
         """Make room for so many more active sets."""
         while self.graph.counts[KNOWN] + sets >= len(self.graph.masks):
@@ -103,10 +95,6 @@ class RegionGraph:
         self.facets = facets._replace(offsets=_longer(facets.offsets), centres=_longer(facets.centres))
         longer = {name: _longer(getattr(graph, name)) for name in ("masks", "kinds", "queue")}
         self.graph = graph._replace(**longer, table=np.full(8 * len(graph.masks), -1, dtype=np.int64))
-        self.rehash()
-
-    def rehash(self) -> None:
-        """Fill the hash table."""
         active_sets.rehash(self.graph.masks, self.graph.table, self.graph.counts[KNOWN])
 
 
@@ -118,9 +106,9 @@ def _room(m: int, n: int, capacity: int = 1024) -> tuple[Graph, Facets]:
         counts=np.zeros(4, dtype=np.int64),
     )  # fmt: skip
     rows = np.empty((16 * capacity, n + 1))
-    state = np.zeros(len(rows), dtype=np.int8)
+    behind = np.zeros(len(rows), dtype=np.int8)
     hits = np.empty((len(rows), n))
-    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), hits, state)
+    return graph, Facets(np.zeros(capacity + 1, dtype=np.int64), rows, np.empty((capacity, n)), hits, behind)
 
 
 def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
@@ -128,10 +116,3 @@ def _longer(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     longer = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
     longer[: len(array)] = array
     return longer
-
-
-def _masks(bits: Bits, words: int) -> Masks:
-    """Bit masks of so many words from members."""
-    padded = np.zeros((len(bits), 64 * words), dtype=np.uint8)
-    padded[:, : bits.shape[1]] = bits
-    return np.packbits(padded, axis=1, bitorder="little").view(np.uint64)

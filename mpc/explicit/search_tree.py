@@ -126,7 +126,7 @@ def search(
         laws = np.zeros((len(partition), 0, n + 1)), np.arange(len(partition)), np.zeros((2, 0))
     regions = (partition.scaled_rows, partition.offsets)
     scaling = (tree.border, tree.centre, partition.centre, partition.half)
-    where = compiled.Locator(*map(_view, (*parts, *regions, *scaling)))
+    where = tuple(map(_view, (*parts, *regions, *scaling)))
     found = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool), np.empty((count, laws[0].shape[1]))
     compiled.search(where, _view(theta), tuple(map(_view, laws)), found)
     return found
@@ -171,7 +171,6 @@ def _grow(
     partition: Partition, laws: Ints, points: RegionPoints, deadline: float
 ) -> tuple[Array, Ints, Ints, TreeStatus]:
     """Planes, nodes, leaf regions and status of a grown tree."""
-    from mpc.explicit.kernels.data import FINISHED, GROW
     from mpc.explicit.kernels.growth import LEAF, NEXT, NODES, POOL, Growth, Regions, grow
 
     count = len(partition)
@@ -187,9 +186,13 @@ def _grow(
     growth.inside[:count] = [(1 << int(size)) - 1 for size in np.diff(points.starts)]
     bucket = 1 if count <= 2000 else 8
     status = TreeStatus.COMPLETE
-    while (code := grow(regions, growth, bucket, TESTS_AT_ONCE)) != FINISHED:
-        if code == GROW:
-            growth = _roomier(growth)
+    while True:
+        full = grow(regions, growth, bucket, TESTS_AT_ONCE)
+        if growth.counts[NEXT] == growth.counts[NODES]:
+            break
+        if full:
+            longer = {name: np.concatenate([part, part]) for name, part in growth._asdict().items() if name != "counts"}
+            growth = growth._replace(**longer)
         if time.perf_counter() > deadline:
             status = TreeStatus.TIME_LIMIT
             break
@@ -222,12 +225,6 @@ def _largest_first(nodes: Ints, leaf: Ints, points: RegionPoints) -> Ints:
     leaves = leaves[np.argsort(leaves[:, 1], kind="stable")]
     of_leaf = np.repeat(np.arange(len(leaves)), leaves[:, 2] - leaves[:, 1])
     return np.asarray(leaf[np.lexsort((-radius[leaf], of_leaf))])
-
-
-def _roomier(growth: Any) -> Any:
-    """Growth with twice the room."""
-    longer = {name: np.concatenate([part, part]) for name, part in growth._asdict().items() if name != "counts"}
-    return growth._replace(**longer)
 
 
 def _border(partition: Partition, tree: SearchTree, points: RegionPoints) -> Array:

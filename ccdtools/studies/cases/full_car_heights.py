@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ccdtools.plants.library import full_car
-from ccdtools.studies.cases._cars import BODY, CAR, GOOD, PLACE, SPREAD, WHEEL, WHEELBASE, by_kind, study_on_roads
+from ccdtools.studies.cases._cars import CAR, WHEELBASE, by_kind, stop, study_on_roads
 from ccdtools.trajectory import Trajectory
 from ccdtools.vehicles.car import WHEELS, heights_of_corners
 from ccdtools.vehicles.ride import Ride
@@ -21,10 +21,10 @@ places = np.eye(plant.nx)[:7]
 speeds = np.eye(plant.nx)[7:]
 travels = heights_of_corners(CAR).full() @ places[4:] - places[:4]
 judged = np.vstack([places, travels, speeds])
-names = [*["place"] * 7, *["travel"] * 4, *["wheel speed"] * 4, *BODY]
-limits, good = (by_kind(names, values) for values in (WHEEL | BODY | PLACE, GOOD))
+names = [*["place"] * 7, *["travel"] * 4, *["wheel speed"] * 4, "heave rate", "pitch rate", "roll rate"]
+limits, good = by_kind(names)
 front, rear = CAR.loads
-ride = Ride(8, range(4, 8), range(4), CAR.tyre, [front, front, rear, rear], WHEEL["travel"])
+ride = Ride(8, range(4, 8), range(4), CAR.tyre, [front, front, rear, rear], stop())
 
 
 def metrics(run: Trajectory) -> Mapping[str, float]:
@@ -38,5 +38,5 @@ def metrics(run: Trajectory) -> Mapping[str, float]:
 study = study_on_roads(
     "full_car_heights", "Full car on heights", plant, full_car(road="height", real=True),
     Polytope(np.vstack([judged, -judged]), np.tile(limits, 2)), judged.T @ np.diag(good**-2) @ judged, metrics,
-    p0=SPREAD, wheelbase=WHEELBASE, track=2 * CAR.half_track, heights=True,
+    wheelbase=WHEELBASE, track=2 * CAR.half_track, heights=True,
 )  # fmt: skip

@@ -12,23 +12,23 @@ from ccdtools.plants.plant import Plant
 from ccdtools.studies.cases._cars import quarter_car_ride
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.study import Study
-from ccdtools.vehicles.quarter_car import PAPER_DT
 from ccdtools.vehicles.roads import GeneratedRoad
 from invariant_sets import Polytope
 
-HARDENING = 0.01  # Part of k_s [1/m²] and of c_s [s/m] in the real spring and damper.
 
+def quarter_car(*, nonlinear: bool = False, hardening: float = 0.01) -> Plant:
+    """Quarter car at the paper's sampling time, nominal or nonlinear.
 
-def quarter_car(*, nonlinear: bool = False) -> Plant:
-    """Quarter car at the paper's sampling time, nominal or nonlinear."""
+    `hardening` is a part of k_s [1/m²] and of c_s [s/m].
+    """
     car = library.QuarterCar()
-    plant = library.quarter_car(car=car, dt=PAPER_DT)
+    plant = library.quarter_car(car=car, dt=0.05)
     if not nonlinear:
         return plant
     _, wheel, travel, body = ca.vertsplit(plant.x)
     spring, damper = ca.vertsplit(plant.p)
     rate = body - wheel
-    force = HARDENING * (spring * travel**3 + damper * ca.fabs(rate) * rate)
+    force = hardening * (spring * travel**3 + damper * ca.fabs(rate) * rate)
     return replace(plant, dynamics=plant.dynamics + ca.vertcat(0, force / car.unsprung, 0, -force / car.sprung))
 
 

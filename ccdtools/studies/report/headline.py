@@ -123,7 +123,6 @@ def _cost(results: Results, last: int) -> str:
 
 
 def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) -> str:
-    """Shares of the change from the design and the policy."""
     whole = after["mean"] - before["mean"]
     by_design = (lqr["mean"] - before["mean"]) / whole
     if abs(1 - by_design) <= SMALL_PART:
@@ -137,7 +136,6 @@ def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) 
 
 
 def _policy(results: Results, last: int) -> str:
-    """Comparison of policy and LQR in every place."""
     rows = [row for row in results.get("held_out", ()) if row["generation"] == last]
     words: dict[str, list[str]] = {}
     for row in rows:
@@ -154,7 +152,6 @@ def _policy(results: Results, last: int) -> str:
 
 
 def _where_deployed(results: Results, last: int) -> str:
-    """Comparison of policy and LQR where deployed."""
     row = _row(results, last, "learned")
     reference = _row(results, last, "LQR")
     percent = percent_of_reference(row, reference)
@@ -187,7 +184,6 @@ def _limits(results: Results, last: int) -> str:
 
 
 def _without_interval(row: Mapping[str, Any]) -> str:
-    """Sentence on policy and LQR without an interval."""
     percent = -100 * row["paired_to_lqr"]["mean"] / (size_of(row, "lqr_mean") or abs(row["lqr_mean"]))
     if abs(percent) < NOT_WORSE_PERCENT:
         costs = f"as much as LQR within {NOT_WORSE_PERCENT:g} %"
@@ -197,7 +193,6 @@ def _without_interval(row: Mapping[str, Any]) -> str:
 
 
 def _return_beside_lqr(word: str, percent: tuple[float, float, float] | None) -> str:
-    """Sentence on the learned policy's return beside LQR's."""
     if percent is None:
         return "the learned policy equals LQR" if word == "equal" else ""
     exact = max(abs(percent[1]), abs(percent[2])) <= EQUAL_PERCENT

@@ -14,7 +14,7 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import axis_label
-from ccdtools.studies.tolerances import DIVERGED_RUNS, LANDSCAPE
+from ccdtools.studies.tolerances import DIVERGED_RUNS
 from mpc import MPCError
 
 
@@ -23,10 +23,11 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     space = run.problem.design
     lower, upper = space.outermost
     shown = np.flatnonzero(upper > lower).tolist()  # one whole number is no axis
-    if len(shown) not in LANDSCAPE:
+    if len(shown) not in (1, 2):
         return []
+    per_axis = 21 if len(shown) == 1 else 9  # designs
     visited = np.vstack([history.design for history in run.histories] + [run.designs])
-    axes = [_axis(space, i, LANDSCAPE[len(shown)], visited[:, i]) for i in shown]
+    axes = [_axis(space, i, per_axis, visited[:, i]) for i in shown]
     over = np.stack(np.meshgrid(*axes), axis=-1)  # (n, 1), or (y, x, 2)
     held = space.settled(space.allowed.rounded(np.zeros(space.dim)))
     grid = np.broadcast_to(held, (*over.shape[:-1], space.dim)).copy()

@@ -76,7 +76,6 @@ def write_report(study: Study, folder: RunFolder) -> Path:
 
 
 def _kept_figure(figure: ReportFigure, folder: RunFolder) -> dict[str, str]:
-    """Figure for the page, written to its file."""
     image = style.png(figure.figure)
     folder.write_bytes(f"figures/{figure.name}.png", image)
     texts = {"name": figure.name, "title": figure.title, "caption": figure.caption}
@@ -111,7 +110,6 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
 
 
 def _no_sets(run: FinishedRun) -> str:
-    """Reason why there is no figure of X_fea(p)."""
     option = run.results["configuration"]["sets"]
     if option != "auto":
         return f'the run was asked for sets = "{option}"'
@@ -119,7 +117,6 @@ def _no_sets(run: FinishedRun) -> str:
 
 
 def _cards(run: FinishedRun) -> list[dict[str, Any]]:
-    """Cards of the start and every generation."""
     results = run.results
     generations: list[dict[str, Any]] = [{"generation": 0, "design": results["start"]}, *results["generations"]]
     rows = []
@@ -166,12 +163,10 @@ def _gradients(results: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _ratio(value: Any, size: Any) -> float | None:
-    """Ratio `value` / `size`; None if that is not a number."""
     return float(value / size) if size > 0 and np.isfinite(value) else None
 
 
 def _blocks(results: dict[str, Any]) -> list[dict[str, Any]]:
-    """Comparison in blocks, one per generation and plant."""
     blocks: list[dict[str, Any]] = []
     for g, plant in dict.fromkeys((row["generation"], row["plant"]) for row in results["comparison"]):
         rows = [row for row in results["comparison"] if (row["generation"], row["plant"]) == (g, plant)]
@@ -207,7 +202,6 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
 
 
 def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
-    """Rows of cost weights, diagonals by signal name."""
     plant = run.study.plant
     weights = run.study.weights
     described = run.study.objective.describe()
@@ -226,7 +220,6 @@ def _weight_rows(run: FinishedRun) -> list[tuple[str, str]]:
 
 
 def _matrix_text(matrix: Array) -> str:
-    """Entries of a matrix as text, line by line."""
     text = "; ".join(", ".join(with_minus(number(value)) for value in line) for line in matrix)
     return f"[{text}]"
 

@@ -39,7 +39,6 @@ def changes(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _draw_changes(ax: style.Axes, rows: Sequence[Change]) -> None:
-    """Draw changes in per cent with their intervals."""
     ax.axvline(0, color="#444444", lw=1)
     for y, row in enumerate(rows):
         note = row.text
@@ -53,7 +52,6 @@ def _draw_changes(ax: style.Axes, rows: Sequence[Change]) -> None:
 
 
 def _draw_gains(ax: style.Axes, places: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the gain in return by source and place."""
     for i, source in enumerate(SOURCES[1:]):
         parts = [(gain_percent(place, source) or (0.0,))[0] for place in places]
         ax.barh(np.arange(len(places)) + (i - 1.5) * 0.2, parts, 0.19, color=SOURCE_COLOURS[i], label=source)
@@ -94,13 +92,11 @@ def history(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _draw_course(ax: style.Axes, steps: Array, values: Array, chosen: int, colour: Any) -> None:
-    """Draw a quantity over the iterations, with a star at the end."""
     ax.plot(steps, values, "-o", color=colour, ms=2.5, lw=1.5)
     ax.plot(steps[chosen], values[chosen], "*", color=style.CHOSEN, mec="k", mew=0.6, ms=13, zorder=5)
 
 
 def _draw_bounds(ax: style.Axes, lower: float, upper: float) -> None:
-    """Draw the bounds of a design parameter, hatched beyond."""
     room = 0.08 * (upper - lower)
     ax.set_ylim(lower - room, upper + room)
     for edge, beyond in ((lower, lower - room), (upper, upper + room)):
@@ -160,7 +156,6 @@ def _draw_differences(ax: style.Axes, names: Sequence[str], chosen: Mapping[str,
 
 
 def _interval(ax: style.Axes, percent: tuple[float, float, float], y: int, colour: str, *, size: int) -> None:
-    """Draw a mean with its interval in a row."""
     mean, low, high = percent
     ax.errorbar(mean, y, xerr=[[mean - low], [high - mean]], fmt="o", color=colour, ms=size, capsize=4, lw=2)
 

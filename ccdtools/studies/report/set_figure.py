@@ -100,12 +100,10 @@ def _results(run: FinishedRun) -> dict[str, tuple[SetResult, _Line]]:
 
 
 def _title(run: FinishedRun, label: str, design: Array) -> str:
-    """Label of a design with its values."""
     return f"{label}: {run.describe(design)}"
 
 
 def _nearest(space: DesignSpace, design: Array) -> Array | None:
-    """Nearest design that can be built; None if none is found."""
     try:
         return space.project(design)
     except InputError:
@@ -132,11 +130,9 @@ def _draw_sets(
 
 
 def _most_different_pairs(sets: dict[str, Polytope], nx: int) -> list[tuple[int, int]]:
-    """Two pairs of states on which the areas of the sets differ most."""
     pairs = list(combinations(range(nx), 2)) if nx <= 4 else [(i, i + 1) for i in range(0, nx - 1, 2)]
 
     def spread(pair: tuple[int, int]) -> float:
-        """Relative difference of the areas of projected and sliced sets."""
         total = 0.0
         for cut, _ in _cuts(nx):
             areas = [cut(S, pair).volume for S in sets.values()]

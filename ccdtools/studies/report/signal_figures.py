@@ -13,7 +13,6 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.evidence.percent import share
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.studies.tolerances import SHOWN_STEPS, SURFACE_GRID
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.tolerances import BLOCKS, HELD_OUT
@@ -29,9 +28,10 @@ def policy_surface(run: FinishedRun) -> list[ReportFigure]:
         return []
     policy = load_policy(run.folder.path / "policy.safetensors")
     lower, upper = run.problem.state_limits(policy.design).bounding_box()
-    x = np.linspace(lower, upper, SURFACE_GRID).T
+    n = 121  # values of each of the two states
+    x = np.linspace(lower, upper, n).T
     states = np.stack(np.meshgrid(*x), axis=-1).reshape(-1, 2)
-    learned, lqr = (controller(states).reshape(SURFACE_GRID, SURFACE_GRID, -1)
+    learned, lqr = (controller(states).reshape(n, n, -1)
                     for controller in (policy, saturated_lqr(run.problem, policy.design)))  # fmt: skip
     outline = run.sets.at(policy.design)
     figure = style.blank(11, 0.6 + 2.8 * plant.nu, quick=run.quick)
@@ -65,7 +65,6 @@ def trajectories(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _trajectories_on(run: FinishedRun, kind: str) -> ReportFigure:
-    """Figure of mean and band of every signal, at the start and the final design."""
     plant = run.study.plant
     stages = {g: run.folder.read_stage(f"comparison-{g}").arrays for g in (0, run.last)}
     single = kind == "real" and run.study.real.runs == 1
@@ -117,15 +116,15 @@ def _signals(arrays: Mapping[str, Array], name: str, window: slice) -> Array:
     return np.concatenate([states[:, : inputs.shape[1]], inputs], axis=2)[:, window]
 
 
-def _active_part(states: Array, scale: Array) -> slice:
+def _active_part(states: Array, scale: Array, shown: int = 200) -> slice:
     """Liveliest part of a long run, by scaled states."""
     steps = len(states) - 1
-    if steps <= SHOWN_STEPS:
+    if steps <= shown:
         return slice(0, None)
     energy = np.r_[0.0, np.cumsum(((states / scale) ** 2).sum(axis=1))]
-    starts = np.arange(0, steps - SHOWN_STEPS + 1, 10)
-    start = int(starts[np.argmax(energy[starts + SHOWN_STEPS] - energy[starts])])
-    return slice(start, start + SHOWN_STEPS)
+    starts = np.arange(0, steps - shown + 1, 10)
+    start = int(starts[np.argmax(energy[starts + shown] - energy[starts])])
+    return slice(start, start + shown)
 
 
 def quantiles(run: FinishedRun) -> list[ReportFigure]:
@@ -135,7 +134,6 @@ def quantiles(run: FinishedRun) -> list[ReportFigure]:
 
 
 def _quantiles_of(run: FinishedRun, generation: int) -> ReportFigure:
-    """Figure of one generation's learned quantiles and logged one-step errors."""
     plant = run.study.plant
     logged: dict[str, Any] = run.folder.read_stage(f"deployment-{generation}").arrays
     log = residuals(run.study.model, Trajectory(**logged, dt=plant.dt))

@@ -9,6 +9,7 @@ from typing import Any
 
 from ccdtools.evidence.percent import number, percent_interval, with_minus, word_of_change
 from ccdtools.studies.report.gains import gain_percent
+from ccdtools.studies.report.verdicts import in_percent
 from ccdtools.studies.tolerances import NOT_WORSE_PERCENT
 
 Values = Mapping[str, Any]
@@ -128,7 +129,6 @@ def deployed_codesign(results: Values) -> Values | None:
 
 
 def _cost(place: Values) -> Iterator[Change]:
-    """Change of the cost in one place."""
     gain = gain_percent(place, "total")
     if gain is None:
         return
@@ -142,9 +142,7 @@ def _cost(place: Values) -> Iterator[Change]:
 
 
 def _metrics(place: Values) -> Iterator[Change]:
-    """Change of every metric in one place."""
     for metric in place.get("metrics", ()):
         before = metric["before"]
-        ends = (metric["change"]["mean"], *metric["change"]["ci95"])
-        percent = None if not before or None in ends else tuple(100 * end / abs(before) for end in ends)
+        percent = in_percent(metric["change"], abs(before or 0.0))
         yield Change(metric["name"], place["place"], before, metric["after"], percent, metric["word"])

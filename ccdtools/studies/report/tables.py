@@ -107,7 +107,6 @@ def generation_rows(results: Mapping[str, Any]) -> list[Row]:
 
 
 def _free_running_columns(bands: Mapping[str, Any] | None) -> Row:
-    """Coverage and spread of free-running bands, if measured."""
     return {
         f"free_running_{name}_{step}_{i + 1}": value
         for name in ("coverage", "spread") if bands is not None
@@ -194,7 +193,6 @@ def held_out_metrics(results: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _block_title(results: Mapping[str, Any], row: Mapping[str, Any]) -> str:
-    """Title of a block of rows: its design."""
     bounds = holding_text(row)
     return f"{generation_name(row['generation'])}: {design_text(results, row['design'])}; active bounds: {bounds}"
 
@@ -214,19 +212,16 @@ def _cells(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> tuple[s
 
 
 def _run_columns(results: Mapping[str, Any]) -> Row:
-    """Columns that identify the run of a row."""
     return {"study": results["study"], "seed": results["seed"], "mode": "QUICK" if results["quick"] else "full"}
 
 
 def _design_columns(results: Mapping[str, Any], row: Mapping[str, Any]) -> Row:
-    """Columns of the design of a row, one per parameter."""
     return {name: row["design"][name] for name in results["design_space"]["names"]} | {
         "active_bounds": active_bounds_text(row["active_bounds"])
     }
 
 
 def _summary_columns(prefix: str, summary: Mapping[str, Any]) -> Row:
-    """Mean, standard deviation, number and interval of a summary."""
     low, high = summary["ci95"]
     values = {name: summary[name] for name in ("mean", "std", "n")}
     return {f"{prefix}{name}": value for name, value in (values | {"low95": low, "high95": high}).items()}

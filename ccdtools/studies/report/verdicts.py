@@ -42,13 +42,18 @@ def percent_of_reference(row: Row, reference: Row | None) -> tuple[float, float,
 
     The cost of the design, which both pay, is no part of it.
     """
-    gain = row["paired_to_lqr"]
-    if reference is None or gain["mean"] is None or None in gain["ci95"] or not row["lqr_mean"]:
+    if reference is None or not row["lqr_mean"]:
         return None
-    size = size_of(row, "lqr_mean")
-    if size == 0:
+    return in_percent(row["paired_to_lqr"], size_of(row, "lqr_mean"))
+
+
+def in_percent(change: Mapping[str, Any], size: float) -> tuple[float, float, float] | None:
+    """Change and its interval in per cent of a size; None without one of them."""
+    ends = [change["mean"], *change["ci95"]]
+    if None in ends or not size:
         return None
-    return (100 * gain["mean"] / size, 100 * gain["ci95"][0] / size, 100 * gain["ci95"][1] / size)
+    mean, low, high = (100 * end / size for end in ends)
+    return mean, low, high
 
 
 def size_of(row: Row, name: str = "mean") -> float:
@@ -71,7 +76,6 @@ def verdict(row: Row, reference: Row | None) -> str:
 
 
 def _verdict_on_return(row: Row, reference: Row | None) -> str:
-    """Verdict on the return alone."""
     percent = percent_of_reference(row, reference)
     if percent is None:
         return _verdict_on_nothing(row, reference)
@@ -124,7 +128,6 @@ def limit_notes(rows: Sequence[Row], limits: str = "X") -> list[str]:
 
 
 def _verdict_on_nothing(row: Row, reference: Row | None) -> str:
-    """Verdict without a comparison."""
     if reference is None or row["paired_to_lqr"]["mean"] is None:
         return "no pairs"
     if row["lqr_mean"] != 0:

@@ -10,11 +10,9 @@ from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.studies import RealPlant, Study
 from invariant_sets import Polytope
 
-MASS = 1.0  # kg
 
-
-def cart(*, friction: float = 0.0) -> Plant:
-    """The cart: x = [position, velocity], u, w = forces, p = [k, c]; `friction` in [N]."""
+def cart(*, mass: float = 1.0, friction: float = 0.0) -> Plant:
+    """The cart: x = [position, velocity], u, w = forces, p = [k, c]; `mass` in [kg], `friction` in [N]."""
     x = ca.SX.sym("x", 2)
     u = ca.SX.sym("u")
     w = ca.SX.sym("w")
@@ -29,7 +27,7 @@ def cart(*, friction: float = 0.0) -> Plant:
         u,
         w,
         p,
-        dynamics=ca.vertcat(velocity, force / MASS),  # dx/dt; the nominal model is linear in x, u and w
+        dynamics=ca.vertcat(velocity, force / mass),  # dx/dt; the nominal model is linear in x, u and w
         # What may be designed, between which bounds.
         design=DesignSpace(["k", "c"], lower=[0.5, 0.1], upper=[5.0, 2.0], units=["N/m", "N·s/m"]),
         dt=0.1,  # sampling time [s]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -94,14 +94,13 @@ def write_c(
     if not scan and not complete:
         got = f"'tree' for a partition that is incomplete ({law.status.name})"
         raise InputError("method", got, "a complete partition", "Use method='sequential'.")
-    law_text, numbers = _law_tables(law, scalar)
     count = int(law.law_number.max()) + 1
-    search = _scan(law, scalar) if scan else _tree(law, scalar)
+    regions, body, planes, rows = _scan(law, scalar) if scan else _tree(law, scalar)
     low, high, nearest = _inputs(law)
     fields = {
         "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu,
-        "border": _border(law, scalar), "regions": search.regions, "body": search.body,
-        "law": law_text, "summary": f"{len(law)} regions, {count} laws, {method} search",
+        "border": _border(law, scalar), "regions": regions, "body": body,
+        "law": _law_tables(law, scalar), "summary": f"{len(law)} regions, {count} laws, {method} search",
         "low": table(low, scalar), "high": table(high, scalar), "nearest": table(nearest, scalar),
         "large": real(NO_BOUND, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
         "far": real(FAR_AWAY, scalar),
@@ -109,22 +108,29 @@ def write_c(
         else "the law of the nearest region, saturated",
     }  # fmt: skip
     files = (folder / f"{name}.h", folder / f"{name}.c")
+    texts = (_fill(c.HEADER, fields), _fill(c.SOURCE, fields))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for file, template in zip(files, (c.HEADER, c.SOURCE)):
-            file.write_text(_fill(template, fields))
+        for file, text in zip(files, texts):
+            file.write_text(text)
     except OSError as error:
         raise InputError("folder", f"{str(folder)!r} ({error.strerror})", "a folder that can be written to") from error
     border = len(law.tree.border)
-    numbers += 3 * law.nu + search.numbers + (border * (law.nt + 2) + 2 * law.nt if border else 0)
-    rows = 2 * border + search.rows
+    rows += 2 * border
     operations = law.nt * rows + law.nu * law.nt * (1 if scalar == "double" else 13)  # 13 in twice the precision
-    flash = (8 if scalar == "double" else 4) * numbers + search.index_bytes
-    return CodeReport(files, method, scalar, len(law), count, border + search.planes, flash, operations, rows)
+    flash = _table_bytes(texts[1], scalar)
+    return CodeReport(files, method, scalar, len(law), count, border + planes, flash, operations, rows)
 
 
-def _law_tables(law: PiecewiseLaw, scalar: str) -> tuple[str, int]:
-    """C text of the distinct laws, and its count of numbers.
+def _table_bytes(source: str, scalar: str) -> int:
+    """Bytes of the constant tables in C source."""
+    size = {"real": 8 if scalar == "double" else 4, "int16_t": 2, "int32_t": 4}
+    tables = re.findall(r"^static const (\w+) [^=]*= ([^;]*);", source, re.MULTILINE)
+    return sum(size[kind] * (values.count(",") + 1) for kind, values in tables)
+
+
+def _law_tables(law: PiecewiseLaw, scalar: str) -> str:
+    """C text of the distinct laws.
 
     In double a law is a gain and its value at a point amid its regions; in float, gain and offset in two parts.
     """
@@ -132,39 +138,14 @@ def _law_tables(law: PiecewiseLaw, scalar: str) -> tuple[str, int]:
     if scalar == "float":
         rests = laws - laws.astype(np.float32)
         fields = {"nlaws": len(laws), "laws": table(laws, scalar), "rests": table(rests, scalar)}
-        return _fill(c.LAW_FLOAT, fields), 2 * laws.size
+        return _fill(c.LAW_FLOAT, fields)
     p = law.partition
     found = region_points(p)
     centres = p.centre + p.half * found.points[found.starts[:-1]]
     points = np.array([centres[law.law_number == n].mean(axis=0) for n in range(len(laws))])
     laws[:, :, -1] += np.einsum("rij,rj->ri", laws[:, :, :-1], points)
     fields = {"nlaws": len(laws), "laws": table(laws, scalar), "points": table(points, scalar)}
-    return _fill(c.LAW_DOUBLE, fields), laws.size + points.size
-
-
-class Search(NamedTuple):
-    """C text of the point location, with counts and sizes."""
-
-    regions: str
-    body: str
-    planes: int
-    rows: int
-    numbers: int
-    index_bytes: int
-
-
-class Leaves(NamedTuple):
-    """Inner nodes of a tree, and regions of leaves with several laws.
-
-    plane, below, above : a child is a node, or -1 - leaf; leaf k < laws is law k, leaf laws + l the list l.
-    """
-
-    plane: Ints
-    below: Ints
-    above: Ints
-    root: int
-    depth: int
-    lists: list[Ints]
+    return _fill(c.LAW_DOUBLE, fields)
 
 
 def _border(law: PiecewiseLaw, scalar: str) -> str:
@@ -180,46 +161,45 @@ def _border(law: PiecewiseLaw, scalar: str) -> str:
     })  # fmt: skip
 
 
-def _tree(law: PiecewiseLaw, scalar: str) -> Search:
-    """Tables of the search tree and of leaves with several laws."""
+def _tree(law: PiecewiseLaw, scalar: str) -> tuple[str, str, int, int]:
+    """C text of the regions and of the search tree; its hyperplanes, and most that are looked at."""
     laws = int(law.law_number.max()) + 1
-    found = _compact(law, laws)
-    members = np.concatenate([np.zeros(0, dtype=np.int64), *found.lists])
+    nodes, root, depth, lists = _compact(law, laws)
+    none = np.zeros(0, dtype=np.int64)
+    members = np.concatenate([none, *lists])
     listed, renumbered = np.unique(members, return_inverse=True)
     offsets = law.partition.offsets
-    wanted = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(offsets[r], offsets[r + 1]) for r in listed)])
+    wanted = np.concatenate([none, *(np.arange(offsets[r], offsets[r + 1]) for r in listed)])
     inner = law.tree.planes
     planes, number, flipped = distinct_planes(np.vstack([inner, law.partition.scaled_rows[wanted]]))
-    refs = np.where(flipped, -1 - number, number)
-    starts = np.concatenate([[0], np.cumsum(np.diff(offsets)[listed])])
-    list_start = np.concatenate([[0], np.cumsum([len(part) for part in found.lists])]).astype(np.int64)
+    refs = np.where(flipped, -1 - number, number)[len(inner) :]
+    list_start = np.concatenate([[0], np.cumsum([len(part) for part in lists])]).astype(np.int64)
     # the planes of nodes keep their sign: below is where they are negative
-    below = np.where(flipped[found.plane], found.above, found.below)
-    above = np.where(flipped[found.plane], found.below, found.above)
-    largest = max(len(found.plane), laws + len(found.lists), len(planes), len(wanted), len(members))
-    kind, size = _index_type(largest)
+    plane, below, above = nodes.T
+    turned = flipped[plane]
+    kind = _index_type(max(len(nodes), laws + len(lists), len(planes), len(wanted), len(members)))
     fields: dict[str, Any] = {
         "int": kind, "nplanes": max(len(planes), 1), "planes": table(_unscaled(law, planes), scalar),
-        "nnodes": max(len(found.plane), 1), "plane": table(number[found.plane], kind), "below": table(below, kind),
-        "above": table(above, kind), "root": found.root, "nlaws": laws, "nlists": len(found.lists),
-        "list_start": table(list_start, kind), "nmembers": max(len(members), 1), "members": table(renumbered, kind),
-        "nregions": len(listed), "start": table(starts, kind), "nrows": len(wanted),
-        "rows": table(refs[len(inner) :], kind), "law": table(law.law_number[listed], kind),
-        "which": "members[e]", "largest": _LARGEST[scalar],
+        "nnodes": max(len(nodes), 1), "plane": table(number[plane], kind),
+        "below": table(np.where(turned, above, below), kind), "above": table(np.where(turned, below, above), kind),
+        "root": root, "nlaws": laws, "nlists": len(lists), "list_start": table(list_start, kind),
+        "nmembers": len(members), "members": table(renumbered, kind),
     }  # fmt: skip
     regions = _fill(c.REGIONS, fields)
-    index = 3 * len(found.plane)
     worst = 0
-    if found.lists:
-        regions += _fill(c.LISTS, fields) + "\n" + _fill(c.SCAN, fields)
-        index += len(list_start) + len(members) + len(starts) + len(wanted) + len(listed)
-        worst = max(int(np.diff(offsets)[part].sum()) for part in found.lists)
-    fields |= {"lists": "", "leaf": _fill(c.LEAF_LIST if found.lists else c.LEAF_LAW, fields)}
-    return Search(regions, _fill(c.TREE, fields), len(planes), found.depth + worst, planes.size, size * index)
+    if lists:
+        regions += _fill(c.LISTS, fields) + "\n" + _scan_text(law, listed, refs, kind, "members[e]", scalar)
+        worst = max(int(np.diff(offsets)[part].sum()) for part in lists)
+    fields |= {"lists": "", "leaf": _fill(c.LEAF_LIST if lists else c.LEAF_LAW, fields)}
+    return regions, _fill(c.TREE, fields), len(planes), depth + worst
 
 
-def _compact(law: PiecewiseLaw, laws: int) -> Leaves:
-    """Inner nodes alone; children without regions are skipped."""
+def _compact(law: PiecewiseLaw, laws: int) -> tuple[Ints, int, int, list[Ints]]:
+    """Inner nodes alone (n, 3), root, depth, and regions of leaves with several laws.
+
+    A node is its plane, the child below and the child above; children without regions are skipped. A child is a node,
+    or -1 - leaf; leaf k < laws is law k, leaf laws + l the list l.
+    """
     tree = law.tree
     target = np.zeros(len(tree.nodes), dtype=np.int64)  # what a reference to this node becomes
     depth = np.zeros(len(tree.nodes), dtype=np.int64)
@@ -245,24 +225,28 @@ def _compact(law: PiecewiseLaw, laws: int) -> Leaves:
             target[i] = len(inner)
             depth[i] = 1 + max(depth[a], depth[b])
             inner.append((plane, int(target[a]), int(target[b])))
-    columns = np.array(inner, dtype=np.int64).reshape(-1, 3).T
-    return Leaves(columns[0], columns[1], columns[2], int(target[0]), int(depth[0]), lists)
+    return np.array(inner, dtype=np.int64).reshape(-1, 3), int(target[0]), int(depth[0]), lists
 
 
-def _scan(law: PiecewiseLaw, scalar: str) -> Search:
-    """Tables of the scan; -1 - i is minus plane i."""
+def _scan(law: PiecewiseLaw, scalar: str) -> tuple[str, str, int, int]:
+    """C text of the regions and of the scan of all; its hyperplanes, and most that are looked at."""
     rows = law.partition.scaled_rows
-    offsets = law.partition.offsets
     planes, number, flipped = distinct_planes(rows)
-    kind, size = _index_type(max(len(planes), len(rows), len(law)))
-    fields = {
-        "planes": table(_unscaled(law, planes), scalar), "nplanes": len(planes), "int": kind, "nregions": len(law),
-        "start": table(offsets, kind), "nrows": len(rows), "rows": table(np.where(flipped, -1 - number, number), kind),
-        "law": table(law.law_number, kind), "which": "e", "largest": _LARGEST[scalar],
-    }  # fmt: skip
-    regions = _fill(c.REGIONS, fields) + "\n" + _fill(c.SCAN, fields)
-    index_bytes = size * (len(offsets) + len(rows) + len(law))
-    return Search(regions, _fill(c.SEQUENTIAL, fields), len(planes), len(rows), planes.size, index_bytes)
+    kind = _index_type(max(len(planes), len(rows), len(law)))
+    fields = {"planes": table(_unscaled(law, planes), scalar), "nplanes": len(planes), "nregions": len(law)}
+    every = np.arange(len(law))
+    text = _scan_text(law, every, np.where(flipped, -1 - number, number), kind, "e", scalar)
+    return _fill(c.REGIONS, fields) + "\n" + text, _fill(c.SEQUENTIAL, fields), len(planes), len(rows)
+
+
+def _scan_text(law: PiecewiseLaw, regions: Ints, refs: Ints, kind: str, which: str, scalar: str) -> str:
+    """C text that scans some regions; refs: planes of their rows, -1 - i is minus plane i."""
+    start = np.concatenate([[0], np.cumsum(np.diff(law.partition.offsets)[regions])])
+    return _fill(c.SCAN, {
+        "int": kind, "nregions": len(regions), "start": table(start, kind), "nrows": len(refs),
+        "rows": table(refs, kind), "law": table(law.law_number[regions], kind), "which": which,
+        "largest": _LARGEST[scalar],
+    })  # fmt: skip
 
 
 def _unscaled(law: PiecewiseLaw, planes: Array) -> Array:
@@ -282,9 +266,9 @@ def _inputs(law: PiecewiseLaw) -> tuple[Array, Array, Array]:
     return np.maximum(low, -1e37), np.minimum(high, 1e37), nearest
 
 
-def _index_type(largest: int) -> tuple[str, int]:
-    """C type for indices up to `largest`, and its bytes."""
-    return ("int16_t", 2) if largest < 2**15 - 1 else ("int32_t", 4)
+def _index_type(largest: int) -> str:
+    """C type for indices up to `largest`."""
+    return "int16_t" if largest < 2**15 - 1 else "int32_t"
 
 
 def _fill(template: str, fields: dict[str, Any]) -> str:

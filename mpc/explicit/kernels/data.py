@@ -12,14 +12,9 @@ Ints = np.ndarray[Any, np.dtype[np.int64]]
 Bits = np.ndarray[Any, np.dtype[np.uint64]]
 Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
-KNOWN, QUEUED, DONE, ROWS = 0, 1, 2, 3  # positions in `Graph.counts`
-FULL, FLAT, DEPENDENT = 1, 2, 3  # what is known about an active set; FLAT: its region is empty or of lower dimension
-FINISHED, GROW, PAUSED = 0, 1, 2  # why a kernel returned: done, memory has to grow, budget spent
-INFEASIBLE = 4  # a parameter without any active set
-BORDER = 0  # a facet on the border of the parameter set, or beyond which infeasibility is proven
-OPEN = 1  # one that led nowhere
-CROSSED = 2  # one that led to a region
-ASKED = 3  # one that led nowhere, and the QP was solved beyond it
+KNOWN, QUEUED, DONE, ROWS = range(4)  # positions in `Graph.counts`
+# what is known about an active set, FLAT: its region is empty or of lower dimension; INFEASIBLE: there is none
+FULL, FLAT, DEPENDENT, INFEASIBLE = range(4)
 
 
 class QPData(NamedTuple):
@@ -55,15 +50,16 @@ class Graph(NamedTuple):
 class Facets(NamedTuple):
     """Facets of the regions done: region r owns rows[offsets[r] : offsets[r + 1]], each [a, b] for a't <= b.
 
-    centres : a point inside each region; hits : a point on each facet, inside the region where none was met; state :
-    BORDER, OPEN, CROSSED or ASKED.
+    centres : a point inside each region; hits : a point on each facet, inside the region where none was met; behind :
+    what is known of the active set behind it. FULL: it led to a region; FLAT: it led nowhere; INFEASIBLE: nothing is to
+    be found there, it is the border of the parameter set, infeasibility is proven or the QP was solved beyond it.
     """
 
     offsets: Ints
     rows: Array
     centres: Array
     hits: Array
-    state: np.ndarray[Any, np.dtype[np.int8]]
+    behind: np.ndarray[Any, np.dtype[np.int8]]
 
 
 class RegionData(NamedTuple):

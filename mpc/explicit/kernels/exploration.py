@@ -12,18 +12,12 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider, consider_parameter, flip, from_mask
 from mpc.explicit.kernels.data import (
-    BORDER,
-    CROSSED,
     DEPENDENT,
     DONE,
-    FINISHED,
     FLAT,
     FULL,
-    GROW,
     INFEASIBLE,
     KNOWN,
-    OPEN,
-    PAUSED,
     QUEUED,
     ROWS,
     Bits,
@@ -39,10 +33,10 @@ from mpc.tolerances import CLEARANCE, EXCHANGE, EXCLUDED, INSIDE
 
 
 @njit(cache=True)
-def explore(qp: QPData, graph: Graph, facets: Facets, budget: int) -> int:
+def explore(qp: QPData, graph: Graph, facets: Facets, budget: int) -> bool:
     """Process so many queued regions: store the facets of each, and queue the regions behind them.
 
-    Returns FINISHED when none is left, PAUSED when the budget is spent, GROW when memory is.
+    Returns whether memory has to grow first.
     """
     m = len(qp.D)
     n = qp.D.shape[1] - 1
@@ -54,9 +48,7 @@ def explore(qp: QPData, graph: Graph, facets: Facets, budget: int) -> int:
     hits = np.empty((m + len(qp.Tb), n))
     act = np.empty(m + 1, np.int64)
     mask = np.empty(graph.masks.shape[1], np.uint64)
-    while counts[DONE] < counts[QUEUED]:
-        if budget <= 0:
-            return PAUSED
+    while counts[DONE] < counts[QUEUED] and budget > 0:
         budget -= 1
         mask[:] = graph.masks[graph.queue[counts[DONE]]]
         k = from_mask(mask, act)
@@ -66,13 +58,13 @@ def explore(qp: QPData, graph: Graph, facets: Facets, budget: int) -> int:
         room = min(len(graph.masks), len(graph.table) // 2)
         # one facet may add 20 active sets beside exchanges
         if counts[ROWS] + m + len(qp.Tb) > len(facets.rows) or counts[KNOWN] + count * (k + 20) > room:
-            return GROW
+            return True
         region = RegionData(mask, act[:k], A, b, kept[:count], hits, centre, radius)
         store(facets, counts, region)
         for number in range(count):
             if kept[number] < m:  # not the border of the parameter set
-                facets.state[facets.offsets[counts[DONE] - 1] + number] = cross(qp, graph, region, number)
-    return FINISHED
+                facets.behind[facets.offsets[counts[DONE] - 1] + number] = cross(qp, graph, region, number)
+    return False
 
 
 @njit(cache=True)
@@ -80,21 +72,19 @@ def store(facets: Facets, counts: Ints, region: RegionData) -> None:
     """Append the facets and the centre of the next region done. There is room for them."""
     n = region.A.shape[1]
     for number, facet in enumerate(region.facets):
-        for j in range(n):
-            facets.rows[counts[ROWS], j] = region.A[facet, j]
-            facets.hits[counts[ROWS], j] = region.hits[number, j]
+        facets.rows[counts[ROWS], :n] = region.A[facet]
         facets.rows[counts[ROWS], n] = region.b[facet]
-        facets.state[counts[ROWS]] = BORDER
+        facets.hits[counts[ROWS]] = region.hits[number]
+        facets.behind[counts[ROWS]] = INFEASIBLE
         counts[ROWS] += 1
     facets.offsets[counts[DONE] + 1] = counts[ROWS]
-    for j in range(n):
-        facets.centres[counts[DONE], j] = region.centre[j]
+    facets.centres[counts[DONE]] = region.centre
     counts[DONE] += 1
 
 
 @njit(cache=True)
 def cross(qp: QPData, graph: Graph, region: RegionData, number: int) -> int:
-    """Queue what lies behind one facet of a region; OPEN when that is not known afterwards.
+    """Queue what lies behind one facet of a region. Returns what is known of it; FLAT when it led nowhere.
 
     A neighbour that differs in the row of the facet alone is found by algebra. Otherwise a point just behind the facet
     is asked: which of the sets with one row exchanged is optimal there, or else which set the QP finds there. Where the
@@ -106,17 +96,17 @@ def cross(qp: QPData, graph: Graph, region: RegionData, number: int) -> int:
     work = np.empty(len(mask), np.uint64)
     kind = behind(qp, graph, A, b, mask, facet, work)
     if kind == FULL:
-        return CROSSED
+        return FULL
     reached = just_behind(A, b, facets, len(facets), number, hits[number], behind_it)
     if not reached:
         reached = across(A, b, facets, len(facets), facet, hits[number], min(CLEARANCE, radius), behind_it)
     if kind == DEPENDENT:
         kind = exchange(qp, graph, act, len(act), facet, mask, behind_it if reached else centre)
     if not reached:
-        return OPEN
-    if kind == INFEASIBLE:
-        return BORDER
-    return CROSSED if kind == FULL or consider_parameter(qp, graph, behind_it, work) == FULL else OPEN
+        return FLAT
+    if kind in (FULL, INFEASIBLE):
+        return kind
+    return FULL if consider_parameter(qp, graph, behind_it, work) == FULL else FLAT
 
 
 @njit(cache=True)

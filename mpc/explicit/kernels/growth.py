@@ -12,12 +12,11 @@ import numpy as np
 from numba import njit
 
 from mpc.checks import Array
-from mpc.explicit.kernels.data import FINISHED, GROW, PAUSED, Bits, Ints
-from mpc.explicit.kernels.halfspace import interior_point, project
+from mpc.explicit.kernels.data import Bits, Ints
+from mpc.explicit.kernels.halfspace import interior_point, project, side
 from mpc.tolerances import POINTS_OF_REGION, PRIMAL, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS, TRIES
 
-NODES, NEXT, POOL, LEAF = 0, 1, 2, 3  # positions in `Growth.counts`
-SAME_HYPERPLANE = 0.1**SAME_HYPERPLANE_DIGITS
+NODES, NEXT, POOL, LEAF = range(4)  # positions in `Growth.counts`
 
 
 class Regions(NamedTuple):
@@ -80,16 +79,6 @@ def points_of(rows: Array, offsets: Ints, points: Array, starts: Ints) -> None:
 
 
 @njit(cache=True)
-def side_of(rows: Array, i: int, points: Array, q: int) -> float:
-    """Distance of point q above the hyperplane [a, b] of row i."""
-    n = points.shape[1]
-    s: float = -rows[i, n]
-    for j in range(n):
-        s += rows[i, j] * points[q, j]
-    return s
-
-
-@njit(cache=True)
 def score(regions: Regions, members: Ints, inside: Bits, row: int) -> float:
     """Score of a hyperplane that divides a node's members by their points: the fewer on the fuller side the better."""
     low = 0
@@ -101,7 +90,7 @@ def score(regions: Regions, members: Ints, inside: Bits, row: int) -> float:
         above = False
         for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
             if inside[e] >> np.uint64(q) & np.uint64(1):
-                s = side_of(regions.rows, row, regions.points, regions.starts[r] + q)
+                s = side(regions.rows, row, regions.points[regions.starts[r] + q])
                 below = below or s < -PRIMAL
                 above = above or s > PRIMAL
                 if below and above:
@@ -115,7 +104,7 @@ def score(regions: Regions, members: Ints, inside: Bits, row: int) -> float:
 def same_plane(rows: Array, i: int, j: int) -> bool:
     """Whether two rows are one hyperplane, up to sign."""
     gap: float = min(np.abs(rows[i] - rows[j]).max(), np.abs(rows[i] + rows[j]).max())
-    return gap < SAME_HYPERPLANE
+    return gap < 0.1**SAME_HYPERPLANE_DIGITS
 
 
 @njit(cache=True)
@@ -171,7 +160,7 @@ def reaches(regions: Regions, r: int, inside: np.uint64, row: int, sign: float, 
     start = regions.starts[r]
     for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
         if inside >> np.uint64(q) & np.uint64(1):
-            s = sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q)
+            s = sign * side(regions.rows, row, regions.points[regions.starts[r] + q])
             if s < -PRIMAL:
                 return True
             if s < nearest:
@@ -194,9 +183,16 @@ def reaches(regions: Regions, r: int, inside: np.uint64, row: int, sign: float, 
 
 
 @njit(cache=True)
-def cell_of(regions: Regions, growth: Growth, node: int, A: Array, b: Array) -> int:
-    """Write the half-spaces on the path to a node into A, b, drawn in by PRIMAL. Returns their number."""
-    n = A.shape[1]
+def cell_of(regions: Regions, growth: Growth, node: int, more: int) -> tuple[int, Array, Array]:
+    """Half-spaces Aθ <= b on the path to a node, drawn in by PRIMAL, with room for some more: their number, A, b."""
+    n = regions.points.shape[1]
+    depth = 0
+    child = node
+    while growth.parents[child] >= 0:
+        child = growth.parents[child]
+        depth += 1
+    A = np.empty((depth + more, n))
+    b = np.empty(depth + more)
     depth = 0
     child = node
     while growth.parents[child] >= 0:
@@ -207,17 +203,7 @@ def cell_of(regions: Regions, growth: Growth, node: int, A: Array, b: Array) -> 
         b[depth] = sign * regions.rows[growth.nodes[up, 0], n] - PRIMAL
         depth += 1
         child = up
-    return depth
-
-
-@njit(cache=True)
-def depth_of(growth: Growth, node: int) -> int:
-    """Number of hyperplanes above a node."""
-    depth = 0
-    while growth.parents[node] >= 0:
-        node = growth.parents[node]
-        depth += 1
-    return depth
+    return depth, A, b
 
 
 @njit(cache=True)
@@ -234,7 +220,7 @@ def divide(regions: Regions, growth: Growth, members: Ints, inside: Bits, row: i
             kept = np.uint64(0)
             for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
                 here = inside[e] >> np.uint64(q) & np.uint64(1)
-                if here and sign * side_of(regions.rows, row, regions.points, regions.starts[r] + q) <= PRIMAL:
+                if here and sign * side(regions.rows, row, regions.points[regions.starts[r] + q]) <= PRIMAL:
                     kept |= np.uint64(1) << np.uint64(q)
             growth.pool[filled] = r
             growth.inside[filled] = kept
@@ -245,25 +231,23 @@ def divide(regions: Regions, growth: Growth, members: Ints, inside: Bits, row: i
 
 
 @njit(cache=True)
-def grow(regions: Regions, growth: Growth, bucket: int, budget: int) -> int:
-    """Look at nodes in turn, until none is left, the budget of region tests is spent, or memory has to grow.
+def grow(regions: Regions, growth: Growth, bucket: int, budget: int) -> bool:
+    """Look at nodes in turn, until none is left or the budget of region tests is spent.
 
-    A node becomes a leaf when its regions share one law, are not more than `bucket`, or no hyperplane divides them.
+    Returns whether memory has to grow first. A node becomes a leaf when its regions share one law, are not more than
+    `bucket`, or no hyperplane divides them.
     """
     counts = growth.counts
-    n = regions.points.shape[1]
     largest = 0
     for r in range(len(regions.offsets) - 1):
         largest = max(largest, regions.offsets[r + 1] - regions.offsets[r])
     best = np.empty(TRIES if len(regions.laws) <= 500 else 4, np.int64)  # more tries take longer then
-    while counts[NEXT] < counts[NODES]:
-        if budget <= 0:
-            return PAUSED
+    while counts[NEXT] < counts[NODES] and budget > 0:
         node = counts[NEXT]
         size = growth.last[node] - growth.first[node]
         if (counts[NODES] + 2 > len(growth.nodes) or counts[POOL] + 2 * size > len(growth.pool)
                 or counts[LEAF] + size > len(growth.leaf)):  # fmt: skip
-            return GROW
+            return True
         budget -= size
         members = growth.pool[growth.first[node] : growth.last[node]]
         inside = growth.inside[growth.first[node] : growth.last[node]]
@@ -274,10 +258,7 @@ def grow(regions: Regions, growth: Growth, bucket: int, budget: int) -> int:
         low = 0
         high = 0
         if not single and size > bucket:
-            depth = depth_of(growth, node)
-            A = np.empty((depth + 1 + largest, n))
-            b = np.empty(depth + 1 + largest)
-            cell_of(regions, growth, node, A, b)
+            depth, A, b = cell_of(regions, growth, node, 1 + largest)
             for attempt in range(best_rows(regions, members, inside, node, best)):
                 low, high = divide(regions, growth, members, inside, best[attempt], A, b, depth, counts[POOL])
                 if low < size and high < size:
@@ -302,4 +283,4 @@ def grow(regions: Regions, growth: Growth, bucket: int, budget: int) -> int:
         growth.last[child + 1] = counts[POOL] + low + high
         counts[POOL] += low + high
         counts[NODES] += 2
-    return FINISHED
+    return False

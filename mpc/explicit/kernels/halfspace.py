@@ -111,6 +111,26 @@ def _factor(A: Array, work: Ints, k: int, start: int, L: Array) -> None:
 
 
 @njit(cache=True)
+def side(rows: Array, i: int, t: Array) -> float:
+    """Distance of the point t above the hyperplane [a, b] of row i."""
+    s: float = -rows[i, len(t)]
+    for j in range(len(t)):
+        s += rows[i, j] * t[j]
+    return s
+
+
+@njit(cache=True)
+def violation(rows: Array, first: int, end: int, t: Array, most: float) -> float:
+    """Largest distance of t above the facets of a region. Not searched further once it exceeds `most`."""
+    worst = -np.inf
+    for i in range(first, end):
+        worst = max(worst, side(rows, i, t))
+        if worst > most:
+            break
+    return worst
+
+
+@njit(cache=True)
 def margin_at(A: Array, b: Array, theta: Array) -> float:
     """Least distance of a point from the rows of {Aθ <= b}, negative outside."""
     least = np.inf

@@ -8,7 +8,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider_parameter
 from mpc.explicit.kernels.data import DONE, INFEASIBLE, Facets, Flags, Graph, Ints, QPData
-from mpc.explicit.kernels.halfspace import margin_at, project
+from mpc.explicit.kernels.halfspace import margin_at, project, violation
 from mpc.tolerances import INSETS, ROUNDED_SUM
 
 
@@ -51,16 +51,6 @@ def look_at(qp: QPData, graph: Graph, targets: Array) -> Flags:
         if margin_at(qp.TA, qp.Tb, targets[t]) >= 0.0:
             feasible[t] = consider_parameter(qp, graph, targets[t], mask) != INFEASIBLE
     return feasible
-
-
-@njit(cache=True)
-def between_facets(facets: Facets, rows: int, draws: Array, points: Array) -> None:
-    """Points between two facets. Each draw in [0, 1) holds the two and a share of the way."""
-    for p in range(len(points)):
-        first = int(rows * draws[p, 0])
-        last = int(rows * draws[p, 1])
-        for j in range(points.shape[1]):
-            points[p, j] = draws[p, 2] * facets.hits[first, j] + (1.0 - draws[p, 2]) * facets.hits[last, j]
 
 
 @njit(cache=True)
@@ -109,19 +99,10 @@ def behind_facets(facets: Facets, chosen: Ints, owners: Ints, draws: Array, near
 @njit(cache=True)
 def covered(facets: Facets, counts: Ints, points: Array, distance: float) -> Flags:
     """Points that lie in a region that is done, or not farther outside one than a distance (bool)."""
-    n = points.shape[1]
     inside = np.zeros(len(points), np.bool_)
     for p in range(len(points)):
         for r in range(counts[DONE]):
-            within = True
-            for i in range(facets.offsets[r], facets.offsets[r + 1]):
-                s = -facets.rows[i, n]
-                for j in range(n):
-                    s += facets.rows[i, j] * points[p, j]
-                if s > distance:
-                    within = False
-                    break
-            if within:
+            if violation(facets.rows, facets.offsets[r], facets.offsets[r + 1], points[p], distance) <= distance:
                 inside[p] = True
                 break
     return inside

@@ -62,25 +62,11 @@ def gram_solve(L: Array, k: int, x: Array) -> None:
 
 
 @njit(cache=True)
-def multipliers(qp: QPData, act: Ints, k: int, L: Array) -> Array:
-    """Multiplier law (k, n + 2): λ(t) = law [t; 1; δ]."""
-    n = qp.D.shape[1] - 1
-    law = np.empty((k, n + 2))
-    x = np.empty(k)
-    for c in range(n + 2):
-        for a in range(k):
-            x[a] = -qp.D[act[a], c] if c <= n else -qp.tie[act[a]]
-        gram_solve(L, k, x)
-        for a in range(k):
-            law[a, c] = x[a]
-    return law
-
-
-@njit(cache=True)
 def refine(qp: QPData, act: Ints, k: int, L: Array, law: Array) -> None:
-    """Take the rounding of a nearly singular Gram matrix out of a multiplier law. What v = M_a' λ misses is solved for.
+    """Solve for what v = M_a' λ misses of a multiplier law (k, n + 2), λ(t) = law [t; 1; δ]: for all of it from zero.
 
-    The error of v falls from that of the Gram matrix magnified by its condition to that magnified by the root of it.
+    A second time takes the rounding of a nearly singular Gram matrix out: the error of v falls from that of the Gram
+    matrix magnified by its condition to that magnified by the root of it.
     """
     nz = qp.M.shape[1]
     n = qp.D.shape[1] - 1
@@ -146,7 +132,8 @@ def region_rows(qp: QPData, act: Ints, k: int, A: Array, b: Array) -> int:
         longest = max(longest, lever[a])
     if longest * longest * DEPENDENT_ROW > 1.0:
         return DEPENDENT
-    law = multipliers(qp, act, k, L)
+    law = np.zeros((k, n + 2))
+    refine(qp, act, k, L, law)
     if longest * longest * REFINED_ROW > 1.0:
         refine(qp, act, k, L, law)
     reach = variable_size(qp, act, k, law)

@@ -2,41 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from mpc.checks import Array
 from mpc.explicit.kernels.data import Flags, Ints
-from mpc.explicit.kernels.growth import side_of
+from mpc.explicit.kernels.halfspace import side, violation
 from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE, NO_BOUND
-
-
-class Locator(NamedTuple):
-    """Tree, regions and border in scaled parameters t = (θ - centre) / half. See `SearchTree` and `Partition`.
-
-    inner : point within the border towards which points beyond it are pulled.
-    """
-
-    planes: Array
-    nodes: Ints
-    leaf: Ints
-    rows: Array
-    offsets: Ints
-    border: Array
-    inner: Array
-    centre: Array
-    half: Array
-
-
-@njit(cache=True)
-def side(rows: Array, i: int, t: Array) -> float:
-    """Distance of the point t above the hyperplane [a, b] of row i."""
-    s: float = -rows[i, len(t)]
-    for j in range(len(t)):
-        s += rows[i, j] * t[j]
-    return s
 
 
 @njit(cache=True)
@@ -49,23 +23,11 @@ def leaf_of(planes: Array, nodes: Ints, t: Array) -> int:
 
 
 @njit(cache=True)
-def violation(facets: tuple[Array, int, int], t: Array, most: float) -> float:
-    """Largest distance of t above the facets of a region. Not searched further once it exceeds `most`."""
-    rows, first, end = facets
-    worst = -np.inf
-    for i in range(first, end):
-        worst = max(worst, side(rows, i, t))
-        if worst > most:
-            break
-    return worst
-
-
-@njit(cache=True)
 def holder(rows: Array, offsets: Ints, members: Ints, t: Array) -> int:
     """First of the member regions that holds t, to the tolerance INSIDE; -1 where none does."""
     r: int
     for r in members:
-        if violation((rows, offsets[r], offsets[r + 1]), t, INSIDE) <= INSIDE:
+        if violation(rows, offsets[r], offsets[r + 1], t, INSIDE) <= INSIDE:
             return r
     return -1
 
@@ -84,7 +46,7 @@ def nearest(rows: Array, offsets: Ints, t: Array) -> tuple[int, float]:
     """First of all regions that holds t, and 0. Where none does, the one it lies least far outside of, and how far."""
     region, distance = -1, np.inf
     for r in range(len(offsets) - 1):
-        worst = violation((rows, offsets[r], offsets[r + 1]), t, distance)
+        worst = violation(rows, offsets[r], offsets[r + 1], t, distance)
         if worst <= INSIDE:
             return r, 0.0
         if worst < distance:
@@ -131,10 +93,12 @@ def pull_back(columns: Array, room: Array, inner: Array, t: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def search(where: Locator, points: Array, laws: tuple[Array, Ints, Array],
+def search(where: tuple[Any, ...], points: Array, laws: tuple[Array, Ints, Array],
            found: tuple[Ints, Flags, Array]) -> None:  # fmt: skip
     """Fill in region, outside and input of every point: law[region] [point; 1], outside at the border and limited.
 
+    where : tree, regions, border, the point within it towards which points beyond are pulled, and scaling, all in
+    scaled parameters t = (θ - centre) / half. See `SearchTree` and `Partition`.
     The arrays are taken out of their tuples first: inside the loop that would cost more than the search.
     """
     planes, nodes, leaf, rows, offsets, border, inner, centre, half = where
@@ -183,6 +147,6 @@ def supporting(rows: Array, points: Array, kept: Flags) -> None:
     for i in range(len(rows)):
         kept[i] = True
         for q in range(len(points)):
-            if side_of(rows, i, points, q) > CROSSING:
+            if side(rows, i, points[q]) > CROSSING:
                 kept[i] = False
                 break

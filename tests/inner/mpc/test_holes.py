@@ -13,9 +13,10 @@ from invariant_sets import Polytope
 from mpc import LinearMPC, MPQPStatus, solve_mpqp
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.explicit import holes
-from mpc.explicit.exploration import Search
-from mpc.explicit.holes import OnlineQP, points_beyond
-from mpc.explicit.kernels.data import CROSSED, DONE, FULL, KNOWN, OPEN, QUEUED, ROWS
+from mpc.explicit.holes import Search, points_beyond
+from mpc.explicit.kernels.active_sets import rehash
+from mpc.explicit.kernels.data import DONE, FLAT, FULL, KNOWN, QUEUED, ROWS
+from mpc.explicit.linear_programs import OnlineQP
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 from mpc.plan import Residuals
 from mpc.tolerances import CROSSING, THIN
@@ -43,8 +44,8 @@ def forget_all_but_the_first(search):
     graph.kinds[0], graph.queue[0], graph.table[:] = FULL, 0, -1
     counts[[KNOWN, QUEUED, DONE]] = 1
     counts[ROWS] = search.facets.offsets[1]
-    search.facets.state[: counts[ROWS]] = OPEN
-    search.rehash()
+    search.facets.behind[: counts[ROWS]] = FLAT
+    rehash(graph.masks, graph.table, 1)
 
 
 def test_points_beyond_a_facet_lie_above_it_and_behind_no_other_side(search):
@@ -81,7 +82,7 @@ def test_looking_across_stops_at_the_deadline(search):
     forget_all_but_the_first(search)
     assert search.look_across(-np.inf)
     assert search.done == search.queued
-    assert (search.facets.state[: search.graph.counts[ROWS]] == OPEN).all()
+    assert (search.facets.behind[: search.graph.counts[ROWS]] == FLAT).all()
 
 
 def test_points_behind_facets_that_led_somewhere_lie_above_one_of_them(search):
@@ -159,7 +160,7 @@ def test_a_solver_that_fails_does_not_make_a_parameter_infeasible(search, monkey
 def test_a_region_is_found_though_every_facet_claims_to_have_led_somewhere(search):
     regions = set(search.found(MPQPStatus.COMPLETE).active_sets)
     forget_all_but_the_first(search)
-    search.facets.state[: search.graph.counts[ROWS]] = CROSSED
+    search.facets.behind[: search.graph.counts[ROWS]] = FULL
     while search.look_around(np.inf):
         explore(search)
     assert set(search.found(MPQPStatus.COMPLETE).active_sets) == regions

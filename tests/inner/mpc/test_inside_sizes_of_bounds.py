@@ -9,7 +9,7 @@ from random_problems import problem_of
 from invariant_sets import Polytope
 from mpc import MPQPStatus, solve_mpqp
 from mpc.explicit import mpqp
-from mpc.explicit.holes import OnlineQP
+from mpc.explicit.linear_programs import OnlineQP
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 
 ONE = Polytope.from_bounds([-1.0], [1.0])

@@ -10,7 +10,8 @@ from scipy.optimize import linprog
 
 from invariant_sets import Polytope
 from mpc import Constraint, ExplicitMPC, LinearMPC, MPQPStatus, ParametricQP, solve_mpqp
-from mpc.explicit.exploration import Search, explore_compiled
+from mpc.explicit.exploration import explore_compiled
+from mpc.explicit.holes import Search
 from mpc.explicit.kernels.data import DEPENDENT, FULL, QPData
 from mpc.explicit.mpqp import _is_thin, _without_wrong_laws, checked_laws, in_units
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp

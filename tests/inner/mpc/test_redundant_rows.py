@@ -14,7 +14,8 @@ from slow_exploration import solve_slowly
 
 from mpc import ExplicitMPC, InfeasibleError, LinearMPC, MPQPStatus, solve_mpqp
 from mpc.explicit import exploration
-from mpc.explicit.exploration import Search, explore_compiled, irredundant_rows, is_implied
+from mpc.explicit.exploration import explore_compiled, irredundant_rows, is_implied
+from mpc.explicit.holes import Search
 from mpc.explicit.kernels.data import KNOWN
 from mpc.explicit.scaled_qp import scale_parameters, scale_qp
 

@@ -10,7 +10,7 @@ from ccdtools import InputError, LearnedPolicy, deploy, simulate
 from ccdtools.evidence.evidence import Asked
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.deployment import deploy_and_update
-from ccdtools.twin.distributions import REPLAY, ServedDistributions, logged, on_updated
+from ccdtools.twin.distributions import REPLAY, ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.transport import ErrorSplit
@@ -129,7 +129,7 @@ def test_on_the_updated_model_runs_of_what_was_deployed_are_those_of_the_log(
 ):
     """Under the policy of the log what follows the state and what is replayed add up to the errors as they were."""
     plant = UpdatedPlant.from_logs(split, [former], rng=np.random.default_rng(0), config=quick())
-    again = on_updated(plant, [former], series=False, most=400, rng=np.random.default_rng(0))
+    again = logged(plant, [former], series=False, most=400, rng=np.random.default_rng(0))
     assert again.asked is Asked.GAIN
     run = judge.run(Deployable(clone(illustrative), DESIGN), again)
     np.testing.assert_allclose(run.states[:, :-1], former.x, atol=1e-4)
@@ -147,8 +147,8 @@ def test_where_the_input_is_weaker_in_truth_the_updated_model_says_what_a_candid
     logs = [residuals(study.model, log)]
     updated = UpdatedPlant.from_logs(split, logs, rng=np.random.default_rng(0), config=QuantileConfig(steps=600))
     judge = Judge(study.problem(), plant, lambda _: None, 40)
-    found = judge.evidence(higher, usual, on_updated(updated, logs, series=False, most=100,
-                                                     rng=np.random.default_rng(0)))  # fmt: skip
+    found = judge.evidence(higher, usual, logged(updated, logs, series=False, most=100,
+                                                 rng=np.random.default_rng(0)))  # fmt: skip
     runs = [simulate(weaker, one.controller(), x0=start(100), steps=40, disturbance=w, design=DESIGN)
             for one in (higher, usual)]  # fmt: skip
     truth = (runs[0].returns(study.objective) - runs[1].returns(study.objective)).mean()

@@ -67,7 +67,7 @@ def test_every_kind_of_obstacle_reaches_its_height_between_level_ends():
 
 
 def test_noise_has_the_spectrum_of_iso_8608_class_c(monkeypatch):
-    monkeypatch.setattr("ccdtools.vehicles.roads.GAP", (1e9, 2e9))  # no obstacles
+    monkeypatch.setattr("ccdtools.vehicles.roads.generate_obstacles", lambda distance, rng: 0.0)
     periods, spacing = 200, 0.05
     _, elevation = generate_road(periods * 100.0, rng=np.random.default_rng(0), spacing=spacing)
     blocks = elevation[: periods * 2000].reshape(periods, 2000)
