@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccdtools_ground import door
 from ccdtools_ground.door import as_floats as as_floats, check_finite, frozen, shown
 from mpc.exceptions import InputError, NotConvexError
-from mpc.tolerances import ASYMMETRY, NEGATIVE_WEIGHT
+from mpc.tolerances import WEIGHT_ROUNDING
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -64,7 +64,7 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
     weight = as_array(name, full, (n, n))
     size = max(float(np.abs(weight).max(initial=0.0)), np.finfo(float).tiny)
     gap = float(np.abs(weight - weight.T).max(initial=0.0))
-    if gap > ASYMMETRY * size:
+    if gap > WEIGHT_ROUNDING * size:
         raise NotConvexError(
             f"{name}: got max |{name} - {name}'| = {gap:.3g}, expected a symmetric matrix. Pass ({name} + {name}')/2.",
             name,
@@ -73,7 +73,7 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
     d = np.sqrt(np.abs(np.diag(weight)))
     d[d == 0] = np.sqrt(size)
     smallest = float(np.linalg.eigvalsh((weight + weight.T) / 2 / d / d[:, None]).min(initial=0.0))
-    if smallest < -NEGATIVE_WEIGHT:
+    if smallest < -WEIGHT_ROUNDING:
         raise NotConvexError(
             f"{name}: got a negative direction (scaled eigenvalue {smallest:.3g}), expected {name} ⪰ 0.", name, smallest
         )
@@ -99,7 +99,7 @@ def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None
         )
     d[d == 0] = np.inf
     smallest = float(np.linalg.eigvalsh(np.block([[Q, S], [S.T, R]]) / d / d[:, None])[0])
-    if smallest < -NEGATIVE_WEIGHT:
+    if smallest < -WEIGHT_ROUNDING:
         raise NotConvexError(
             f"S: got a stage cost [Q S; S' R] with a negative direction (scaled eigenvalue {smallest:.3g}), expected "
             f"[Q S; S' R] ⪰ 0. {_OUTPUTS}", "S", smallest,

@@ -12,7 +12,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.plan import Residuals
-from mpc.tolerances import DAQP_ITERATIONS, FAR_BOUND, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
+from mpc.tolerances import DAQP_ITERATIONS, EPS, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,12 +98,13 @@ class DenseQP:
     def _size_of(self, q: Array, bs: Array) -> float:
         """Unit of the variables, from bounds, cost and violated rows.
 
-        It is larger where the origin violates some rows by far more: their size is that of the answer.
+        It is larger where the origin violates some rows by far more: their size is that of the answer, and `PRIMAL`
+        would lie below their rounding.
         """
         size = _typical(bs) if self._units is None else self._size
         violated = float(np.max(-bs, initial=0.0))
         asked = max(float(np.abs(q).max(initial=0.0)), violated)
-        return max(min(size, asked) if asked > 0 else size, FAR_BOUND * violated)
+        return max(min(size, asked) if asked > 0 else size, EPS / PRIMAL * violated)
 
     def _daqp(self, q: Array, b: Array) -> tuple[Array, Array, int]:
         """Minimiser, multipliers and exit flag of DAQP, warm-started in this thread."""

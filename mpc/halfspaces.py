@@ -8,7 +8,7 @@ import numpy as np
 
 from mpc.checks import Array, Flags
 from mpc.dense_qp import DenseQP
-from mpc.tolerances import EMPTY, FAR, NEGLIGIBLE, ROUNDED_SUM
+from mpc.tolerances import EPS, NEGLIGIBLE, PRIMAL, ROUNDED_SUM
 
 
 def box_of(H: Array, h: Array) -> tuple[Array, Array] | None:
@@ -48,7 +48,7 @@ def is_empty(H: Array, h: Array) -> bool:
     if box is not None:
         low, high = box
         size = np.maximum(np.abs(low), np.abs(high))
-        return bool((low - high > EMPTY * np.where(np.isfinite(size), size, 0.0)).any())
+        return bool((low - high > PRIMAL * np.where(np.isfinite(size), size, 0.0)).any())
     extent = along_axes(H, h)
     metric = np.diag(1 / np.where(extent > 0, extent, 1.0) ** 2)
     return DenseQP(metric, H).solve(np.zeros(H.shape[1]), h, confirm_infeasible=True).infeasible
@@ -64,7 +64,7 @@ def nearest_points(V: Array, H: Array, h: Array) -> Array:
     near = np.empty(V.shape)
     for k, v in enumerate(V):
         distance = float(np.abs(v * metric).max())
-        shrunk = v * metric * min(1.0, FAR / max(distance, np.finfo(float).tiny))
+        shrunk = v * metric / max(1.0, distance * np.sqrt(EPS))  # so far away only the direction counts
         near[k] = DenseQP(np.eye(len(v)), H / metric).solve(-shrunk, h).z / metric
     return near
 

@@ -12,7 +12,7 @@ from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
-from mpc.tolerances import CERTIFICATE, FARTHEST, FEASIBLE, KKT_REPORTED, LP_OPTIONS, LP_SUPPORT, OVERFLOW
+from mpc.tolerances import EPS, FARTHEST, FEASIBLE, KKT_REPORTED, LP, LP_OPTIONS, OVERFLOW
 
 Rows = list[int]
 
@@ -135,7 +135,7 @@ def _least_by_qp(G: Array, b: Array, rows: Rows) -> float:
         return 0.0
     n = G.shape[1]
     matrix = np.vstack([np.hstack([G[rows], -np.ones((len(rows), 1))]), -np.eye(n + 1)[n]])
-    H = np.diag(np.concatenate([np.full(n, CERTIFICATE), [1.0]]))
+    H = np.diag(np.concatenate([np.full(n, EPS), [1.0]]))
     result = DenseQP(H, matrix, np.ones(len(matrix))).solve(np.zeros(n + 1), np.append(b[rows], 0.0))
     return float(result.z[n]) if result.residuals.worst <= KKT_REPORTED else np.inf
 
@@ -188,14 +188,14 @@ def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
     for method in ("highs", "highs-ds", "highs-ipm"):  # unstable plants over long horizons defeat one or the other
         result = linprog(cost, A_ub=np.hstack([G, relax]), b_ub=b, bounds=bounds, method=method, options=LP_OPTIONS)
         if result.status == 0:
-            return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > LP_SUPPORT}
+            return {i: float(s) for i, s in zip(givable, result.x[n:]) if s > FEASIBLE}
     return {i: np.inf for i in givable}
 
 
 def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
     """Minimal infeasible subset of the rows."""
     _, proof = _least_maximum(G, b, rows)
-    support = [i for i, y in zip(rows, proof) if y > CERTIFICATE]
+    support = [i for i, y in zip(rows, proof) if y > LP]
     current = support if _least_maximum(G, b, support)[0] > FEASIBLE else list(rows)
     for i in list(current):
         without = [j for j in current if j != i]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from mpc.checks import Array
-from mpc.tolerances import UNSEEN
+from mpc.tolerances import REACH
 
 
 class Mode(NamedTuple):
@@ -22,7 +22,7 @@ class Mode(NamedTuple):
     @property
     def value(self) -> str:
         """Eigenvalue in four digits."""
-        real = abs(self.eigenvalue.imag) < UNSEEN
+        real = abs(self.eigenvalue.imag) < REACH
         return f"{self.eigenvalue.real:.4g}" if real else f"{self.eigenvalue:.4g}"
 
 

@@ -15,16 +15,15 @@ from mpc.checks import Array, as_cross_weight, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
 from mpc.tolerances import (
-    DOUBLED,
+    EPS,
     GAINED,
     NEAR_CIRCLE,
-    NEGATIVE_WEIGHT,
     REACH,
     RICCATI,
     ROUNDED_SUM,
     SETTLED_MARGIN,
     UNIT_CIRCLE,
-    UNSEEN,
+    WEIGHT_ROUNDING,
 )
 
 
@@ -232,7 +231,7 @@ def _lyapunov_root(A: Array, root: Array) -> Array:
     for _ in range(60):  # 2^60 samples
         more = root @ A
         root = np.asarray(np.linalg.qr(np.vstack([root, more]), mode="r"))
-        if (np.linalg.norm(more, axis=0) <= DOUBLED * np.linalg.norm(root, axis=0)).all():
+        if (np.linalg.norm(more, axis=0) <= EPS * np.linalg.norm(root, axis=0)).all():
             return root
         A = A @ A
     return np.full_like(A, np.inf)
@@ -246,13 +245,13 @@ def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
     lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - UNIT_CIRCLE], none, user_unit)
     what = "Q: got no weight on the mode"
     if S.any():  # of the plant and the cost that u = v - R⁻¹S'x leaves
-        free = np.linalg.pinv(R, rcond=NEGATIVE_WEIGHT, hermitian=True) @ S.T
+        free = np.linalg.pinv(R, rcond=WEIGHT_ROUNDING, hermitian=True) @ S.T
         A = A - B @ free
         Q = Q - S @ free
         eigenvalues = np.linalg.eigvals(A)
         what = "S: got a stage cost without weight on the mode of A - BR⁻¹S'"
     unseen = least_reached(A.T, Q, eigenvalues[np.abs(np.abs(eigenvalues) - 1) <= NEAR_CIRCLE], none)
-    if unseen.strength < min(UNSEEN, lost.strength):
+    if unseen.strength < min(REACH, lost.strength):
         return NotStabilisableError(
             f"{what} at eigenvalue {unseen.value}, on the unit circle, so the Riccati "
             "equation has no stabilising solution; expected Q to see it. Give the mode a weight, however small.",

@@ -27,7 +27,7 @@ from mpc.solving import (
     timed,
 )
 from mpc.stages import StagewiseQP
-from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, REMEMBERED
+from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, RUNAWAY
 
 
 class SparseSolver:
@@ -61,7 +61,8 @@ class SparseSolver:
         self._driven_sizes = abs(self._driven)
         self._weight = float(np.abs(self._whole_H.diagonal()[self._inputs]).max(initial=0.0))
         radius = float(np.abs(np.linalg.eigvals(problem.A)).max())
-        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(REMEMBERED)
+        # costates keep the digits that `_doubt` needs
+        self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(RUNAWAY)
         self._parameters = parameters
         self._workspace = threading.local()
 

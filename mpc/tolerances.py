@@ -6,65 +6,63 @@ scaled coordinates has no unit and means the same whatever units the user measur
 
 from __future__ import annotations
 
+import sys
+
+EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
+
 # ---- the online QP ----
-# Relative optimality residual above which the second solver is asked, at which OSQP stops before it polishes, and at
-# which a sequence of quadratic programs has come to an optimum [-]
+# Relative optimality residual above which the second solver is asked, at which OSQP stops before it polishes, at which
+# a sequence of quadratic programs has come to an optimum, and up to which a piece of an explicit law is accepted [-]
 KKT = 1e-7
+# Size of terms, in units of their difference, beyond which it has fewer digits than `KKT` asks for [-]: of a feedback
+# Kx beside the limits of u = v - Kx, and of what an unstable plant makes of costates
+RUNAWAY = KKT / EPS
 # Relative optimality residual, or Newton step in units of the limits, above which a plan is INACCURATE; so a row that
 # is nearer to its bound, and would be passed by less if it did not act, neither acts nor leaves the plan alone [-]
 KKT_REPORTED = 1e-6
-# Violation of a scaled row that DAQP accepts, and of a row that no input reaches that is put down to rounding [-]
+# Violation of a scaled row that counts as none [-]: DAQP accepts it, a row that cuts no deeper into the set of the
+# others is redundant, and a box or a region that reaches no further across a side does not cross it
 PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
-# Violation, relative to the unit of its row, up to which a problem counts as feasible [-]. Well above what the LP and
-# QP solvers themselves accept on scaled rows (1e-7 and `PRIMAL`), so that their rounding never decides.
-FEASIBLE = 1e-6
+# Violation, relative to the unit of its row, up to which a problem counts as feasible [-]: that which a plan may have,
+# well above what the LP and QP solvers themselves accept on scaled rows
+FEASIBLE = KKT_REPORTED
 NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
 DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
 MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
-# Scaled violations of the origin are at most the inverse of this: with larger ones `PRIMAL` would lie below rounding
-# [-]
-FAR_BOUND = 1e-7
-# Part of the bounds below which forces and steps count as zero in the residuals, and part of the extent of a set below
-# which a bound says nothing of sizes [-]
+# Part of the bounds below which forces and steps count as zero in the residuals, part of an extent, of a size or of the
+# largest change below which a bound, an unknown or a change says nothing of sizes, and weight of an aim that only
+# settles what the others leave open [-]
 NEGLIGIBLE = 1e-6
-# Part of the terms of a difference, of the bounds along an axis, the costs of a mode, the coefficients of two laws or a
-# closed loop's distance from the unit circle, that is rounding [-]
+# Part of the terms of a sum that is rounding [-]: of bounds along an axis, costs of a mode, coefficients of laws and
+# rows, rates along a unit row, a row at a projected point, a closed loop's distance from the unit circle
 ROUNDED_SUM = 1e-13
 
 # ---- weights and definiteness ----
-ASYMMETRY = 1e-9  # Largest |W - W'| of a weight, relative to its largest entry [-]
-NEGATIVE_WEIGHT = 1e-10  # Negative eigenvalue that a weight with unit diagonal may have by rounding [-]
+# Part of a weight that its user's rounding may be [-]: of its asymmetry beside its largest entry, of a negative
+# eigenvalue or a vanishing one beside a unit diagonal
+WEIGHT_ROUNDING = 1e-9
 # Least eigenvalue of a Hessian with unit diagonal, and inverse of the largest condition of a KKT system [-]
 DEFINITE = 1e-13
 
 # ---- sets ----
-# By how much the lower side of a box may lie above the upper one through rounding, and width below which a set of
-# parameters is flat, relative to their size [-]
-EMPTY = 1e-9
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
 SMALL_STATE = 1e-3
-FAR = 1e4  # Distance in units of a set beyond which only the direction of a point counts for its projection [-]
-# Growth of an unstable plant over the horizon up to which costates keep the digits that a check needs [-]
-REMEMBERED = 1e6
 # Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator
 OVERFLOW = 1e100
 
 # ---- unstable plants ----
 # Growth of A^k over the horizon from which on the free variable is the deviation from a stabilising feedback [-]
 GROWTH = 1e3
-RUNAWAY = 1e7  # Feedback Kx, in units of the limits of u, beyond which too few digits of u = v - Kx are left [-]
 
 # ---- relaxation ----
 # Weights of the control cost beside the squared violation [-], tried in turn until the QP solves accurately
 RELAXATION_SHARES = (1e-6, 1e-3, 1.0)
 RELAXATION_MARGIN = 1e-8  # Room that relaxed bounds leave, relative to the bound or to the slack [-]
-# Further room tried in turn where the QP with the least relaxation is called infeasible, in units of the rows [-]
-RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 
 # ---- regulator ----
-# Relative distance to an unstabilisable pair below which a mode counts as not reached, and inverse of how many times
-# further than the plant a feedback may move the states [-]
+# Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
+# inverse of how many times further than the plant a feedback may move the states [-]
 REACH = 1e-7
 UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts as not decaying [-]
 # Distance from the unit circle up to which a mode neither grows nor decays within what is computed [-]
@@ -74,16 +72,12 @@ RICCATI = 1e-4
 GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken where it may be rounding [-]
 # Last relative change of the distance of the closed loop from the unit circle that is accepted [-]
 SETTLED_MARGIN = 0.1
-DOUBLED = 1e-9  # Root of the last term of a sum of doubled terms, relative to that of the sum, that is left out [-]
-# Relative distance of (Q, A) from not seeing a mode on the unit circle below which it counts as unseen [-]
-UNSEEN = 1e-8
 
 # ---- explained infeasibility ----
-LP_SUPPORT = 1e-8  # Violation, in the unit of the row, above which a row is among those that give [-]
-# Multiplier of a proof of infeasibility above which its row takes part, and weight of z beside a violation [-]
-CERTIFICATE = 1e-12
-# Violation of a row, in its unit, that HiGHS accepts [-]; the least that it allows
-LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+# Violation of a row, in its unit, that HiGHS accepts, and multiplier of a proof of infeasibility above which its row
+# takes part [-]: the least that HiGHS allows
+LP = 1e-10
+LP_OPTIONS = {"primal_feasibility_tolerance": LP, "dual_feasibility_tolerance": LP}
 FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or sizes, that counts as none [-]
 
@@ -96,7 +90,6 @@ ROUNDING = 1e-15  # Residual of a row, relative to its terms, that is rounding [
 
 # ---- targets ----
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]
-TARGET_DRIFT = 1e-6  # Weight of the output error beside the squared drift where no state is steady [-]
 
 # ---- sensitivities ----
 # Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
@@ -107,17 +100,16 @@ NEAR_OPTIMUM = 1e-2
 # Newton step, in sizes of inputs and states, at which a stagewise plan is found and from which on derivatives are taken
 # [-]; their error is of this size
 NEWTON = 1e-9
-UNIT_STEP = 1e-5  # Step of differences of units, relative to what the units are made of [-]
 INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below which it depends on them [-]
 TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its parts, that is rounding [-]
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
-REGION_RADIUS = 1e-7  # Radius of a ball below which a critical region counts as flat, scaled parameters [-]
-SAME_PLANE = 1e-7  # Difference of unit normals and offsets below which two facets lie on the same hyperplane [-]
 # Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-].
 # A tenfold multiple holds for its constant.
 ZERO_ROW = 1e-10
-DEPENDENT_ROW = 1e-12  # Squared distance of a unit row from the span of others below which it depends on them [-]
+# Squared distance of a unit row from the span of others below which it depends on them, and no projection moves along
+# it [-]
+DEPENDENT_ROW = 1e-12
 # Squared distance of a unit row from the span of others below which multipliers are refined by their residual, and laws
 # computed by orthogonal directions [-]
 REFINED_ROW = 1e-5
@@ -131,28 +123,9 @@ FAR_OPTIMUM = 1e8
 EQUALITY = 1e-11  # Distance of two opposite unit rows, in units of the bounds, below which they make an equality [-]
 # Largest slack of a row over a set without interior below which the row holds with equality [-]
 IMPLIED_EQUALITY = 1e-8
-# How far a unit row may cut into the set of the others, or differ from a tighter one, and still count as redundant [-]
-REDUNDANT = 1e-9
-# Error of a law, in its active rows, in any row or multiplier at the centre of its region, relative to the bounds, the
-# variables or the multipliers, up to which the law is accepted [-]
-LAW_ERROR = 1e-7
-# Change of a bound by the parameters, relative to the largest such change, that says nothing of sizes [-]
-UNCHANGED = 1e-9
 # Size of a bound, in units of the distance to the unconstrained optimum, from which on it is never met [-]
 NOT_NEAR = 10.0
-# Size of a bound, relative to the largest change of a bound by the parameters, that is zero but for rounding [-]
-ROUNDED = 1e-12
-# Effect of the inputs on a row, relative to that of the parameters, below which the row restricts parameters only
-VANISHING_ROW = 1e-14
 OPTIMAL_SET = 1e-10  # Violation of a unit row accepted, and relative multiplier dropped, in the QP at one parameter [-]
-# The least part of the distance to the bounds that LAW_ERROR of the bounds is taken as [-]: nothing is more exact
-LAW_ROUNDING_FAR = 1e-14
-PROJECTION = 1e-13  # Violation of a unit row accepted when a point is projected onto a region, scaled parameters [-]
-NO_STEP = 1e-12  # Coefficient of a unit row on the active ones below which it is rounding [-]
-# Squared distance of a unit row from the span of the active ones below which a projection cannot move along it [-]
-SPANNED = 1e-13
-TINY_PIVOT = 1e-30  # Least square of a pivot in a projection: keeps its root away from zero [-]
-PARALLEL = 1e-14  # Rate at which a ray nears a unit row below which it runs along it, scaled parameters [-]
 # Distances from all constraints tried in turn when a feasible parameter is sought, scaled [-]
 INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 CROSSING = 1e-5  # Distance behind a facet at which the QP is solved to find the neighbour, scaled parameters [-]
@@ -164,10 +137,11 @@ THIN = 1e-6
 TIE = 1e-8
 
 # ---- explicit laws: point location ----
-INSIDE = 1e-7  # Distance outside a region, scaled parameters, at which a parameter still counts as inside [-]
+# Distance outside a region, scaled parameters, at which a parameter still counts as inside [-]; so a region of a lesser
+# radius is flat, and two facets that are nearer lie on one hyperplane
+INSIDE = 1e-7
 INSIDE_FLOAT = 1e-5  # Distance `INSIDE` in generated code of single precision [-]
-SIDE = 1e-9  # How far a region must reach across a hyperplane to lie on that side of it too, scaled parameters [-]
-SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets agree that are stored once
+SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets of rows agree that are one
 # Difference of two laws of one input, relative to the values that input takes, below which they are one [-]
 EQUAL_LAW = 1e-9
 FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
@@ -187,13 +161,12 @@ REGIONS_PER_POINT = 8  # Regions of a large law for which each way of looking fo
 QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are checked against the new regions
 
 # ---- optimal control: solving ----
-DIVERGED = 1e13  # Scaled unknown beyond which Ipopt calls its iterates diverging [-]
 OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipliers or terms, of an optimum [-]
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
-BOTTOMLESS = 1e12  # Negative cost, in sizes of the cost at the guess, from which on the cost has no lower bound [-]
+# Negative cost, in sizes of the cost at the guess, and scaled unknown from which on they have no bound [-]
+BOTTOMLESS = 1e12
 USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says otherwise
 LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
-VANISHING = 1e-6  # Size of an unknown, beside the one that it would have, that a solver leaves of zero [-]
 SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
 IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
 # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
@@ -228,7 +201,6 @@ JUMPED_LIMIT = 1e-2  # Relative violation that a finer mesh does not lower where
 # ---- optimal control: sensitivities of a solution ----
 BARRIER_BLUR = 10.0  # Multiple of an interior point's residue within which a bound and its multiplier may be 0 [-]
 LEAST_CURVATURE = 1e-3  # Least curvature of an unknown, beside the largest [-]
-SAME_DIRECTION_DIGITS = 9  # Decimal digits in which the directions of two constraints agree that are one
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]

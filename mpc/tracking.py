@@ -15,7 +15,7 @@ from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.tolerances import NEGLIGIBLE, STEADY, TARGET_COST, TARGET_DRIFT
+from mpc.tolerances import NEGLIGIBLE, STEADY, TARGET_COST
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -247,7 +247,7 @@ def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Arra
     if result is None or result.infeasible or not steady:
         basis = np.eye(len(size))
         steady = False
-        result = _nearest(problem, C, r, particular, basis, M.T @ M / TARGET_DRIFT)
+        result = _nearest(problem, C, r, particular, basis, M.T @ M / NEGLIGIBLE)
     point = particular + basis @ (np.zeros(basis.shape[1]) if result is None else result.z)
     drift = (M @ point + scaled) * problem.state_extent
     state, action = np.split(point * size, [problem.nx])

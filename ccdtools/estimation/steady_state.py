@@ -13,7 +13,7 @@ from ccdtools_ground.outcome import Outcome
 from mpc import NotStabilisableError, lqr
 from mpc.modes import Mode, least_reached
 from mpc.riccati import cost_units
-from mpc.tolerances import NEAR_CIRCLE, REACH, UNIT_CIRCLE, UNSEEN
+from mpc.tolerances import NEAR_CIRCLE, REACH
 
 Slopes = Callable[[Array], tuple[Array, Array]]  # x (n, nx) → F (n, nx, nx) and H (n, ny, nx)
 
@@ -58,7 +58,7 @@ def _named(A: Array, C: Array, W: Array, V: Array, error: NotStabilisableError) 
 
 def lasting(A: Array) -> list[complex]:
     """Eigenvalues of modes that do not decay."""
-    return [complex(value) for value in np.linalg.eigvals(A) if abs(value) >= 1 - max(UNIT_CIRCLE, UNSEEN)]
+    return [complex(value) for value in np.linalg.eigvals(A) if abs(value) >= 1 - NEAR_CIRCLE]
 
 
 def mode_text(mode: Mode) -> str:

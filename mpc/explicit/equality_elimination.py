@@ -15,7 +15,7 @@ from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, 
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, widths, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import FAR_OPTIMUM, IMPLIED_EQUALITY, LAW_ERROR, ZERO_ROW
+from mpc.tolerances import FAR_OPTIMUM, IMPLIED_EQUALITY, KKT, ZERO_ROW
 
 Limits = list[tuple[float | None, float | None]]
 _NO_ROWS = np.broadcast_to(np.int64(0), 0)
@@ -80,10 +80,10 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
     # the slack must not let v move by more than rounding
     sizes_of_rows = np.linalg.svd(qp.M[rows], compute_uv=False) if len(rows) else np.ones(1)
     least = float(sizes_of_rows[sizes_of_rows > ZERO_ROW * sizes_of_rows[0]].min())
-    exact = float(slack[tight].max(initial=0.0)) * max(1.0, qp.far) <= LAW_ERROR * least
+    exact = float(slack[tight].max(initial=0.0)) * max(1.0, qp.far) <= KKT * least
     wide = widths(qp.gram, np.abs(qp.own).sum(axis=1) * qp.own_unit)[rows]
     # no slab that is only thin beside others
-    exact &= bool((slack[rows] <= np.maximum(LAW_ERROR * wide, ZERO_ROW)).all())
+    exact &= bool((slack[rows] <= np.maximum(KKT * wide, ZERO_ROW)).all())
     points += _deepest(J, h, tight, sizes, deadline)
     parameters = np.array([point[:nt] for point in points])
     return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters, exact)

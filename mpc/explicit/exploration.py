@@ -12,7 +12,7 @@ from mpc.explicit.holes import Search
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import NO_BOUND, REDUNDANT
+from mpc.tolerances import NO_BOUND, PRIMAL
 
 
 def explore_compiled(qp: ScaledQP, most: int, deadline: float, feasible: Array | None = None) -> Found:
@@ -69,11 +69,11 @@ def is_implied(row: Array, bound: float, J: Array, h: Array) -> bool:
     point, _, flag, info = daqp.solve(
         None, np.ascontiguousarray(-row), normals, bounds, np.full(len(bounds), -NO_BOUND), iter_limit=most
     )
-    if flag != 1 or not row @ point <= bound + REDUNDANT:
+    if flag != 1 or not row @ point <= bound + PRIMAL:
         return False
     y = np.maximum(info["lam"][:-1], 0.0)
     active = np.flatnonzero(y)
     refined = np.zeros(len(y))  # combines the same rows to `row` best
     refined[active] = np.maximum(np.linalg.lstsq(J[active].T, row, rcond=None)[0], 0.0)
     size = 1.0 + np.abs(point)
-    return any(proof @ h + np.abs(row - proof @ J) @ size <= bound + REDUNDANT for proof in (y, refined))
+    return any(proof @ h + np.abs(row - proof @ J) @ size <= bound + PRIMAL for proof in (y, refined))

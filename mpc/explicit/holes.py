@@ -19,12 +19,12 @@ from mpc.explicit.scaled_qp import ScaledQP
 from mpc.tolerances import (
     CROSSING,
     FARTHEST_BEHIND,
-    PARALLEL,
     POINTS_ANYWHERE,
     POINTS_BEHIND,
     POINTS_BETWEEN,
     QPS_AT_ONCE,
     REGIONS_PER_POINT,
+    ROUNDED_SUM,
     THIN,
 )
 
@@ -41,7 +41,7 @@ def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:
     slack = others[:, -1] - others[:, :-1] @ foot
     along = others[:, :-1] @ plane
     length = np.linalg.norm(along, axis=1)
-    sides = length > PARALLEL
+    sides = length > ROUNDED_SUM
     centre = np.zeros(plane.shape[1])
     radius = 1.0
     if len(centre):

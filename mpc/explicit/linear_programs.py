@@ -11,7 +11,7 @@ from scipy.optimize import linprog, nnls
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import CERTIFICATE, KKT, LAW_ERROR, LP_OPTIONS, OPTIMAL_SET, TIE
+from mpc.tolerances import KKT, LP, LP_OPTIONS, OPTIMAL_SET, TIE
 
 SOLVED, INFEASIBLE = 0, 2  # what `status` says
 
@@ -42,7 +42,7 @@ def proves_infeasible(y: Array, rows: Array, right: Array, reach: float) -> bool
         return False
     if y @ right < -reach * np.abs(y @ rows).sum():
         return True
-    taken = np.flatnonzero(y > CERTIFICATE * y.max(initial=0.0))
+    taken = np.flatnonzero(y > LP * y.max(initial=0.0))
     if not len(taken) or not y @ right < 0:
         return False
     own = y[taken] - np.linalg.lstsq(rows[taken].T, rows[taken].T @ y[taken], rcond=None)[0]
@@ -71,7 +71,7 @@ class OnlineQP:
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:
         """Fewest rows active at v that carry it, linearly independent."""
-        near = np.flatnonzero(bounds - self.qp.M @ v <= LAW_ERROR * (1.0 + np.abs(bounds)))
+        near = np.flatnonzero(bounds - self.qp.M @ v <= KKT * (1.0 + np.abs(bounds)))
         if not len(near):
             return ()
         share = nnls(np.ascontiguousarray(self.qp.M[near].T), -v)[0]

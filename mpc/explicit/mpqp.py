@@ -19,17 +19,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, twins, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
-from mpc.tolerances import (
-    EQUALITY,
-    FAR_OPTIMUM,
-    LAW_ERROR,
-    LAW_ROUNDING_FAR,
-    LAWS_AT_ONCE,
-    REDUNDANT,
-    REFINED_ROW,
-    REGION_RADIUS,
-    THIN,
-)
+from mpc.tolerances import EQUALITY, FAR_OPTIMUM, INSIDE, KKT, LAWS_AT_ONCE, PRIMAL, REFINED_ROW, ROUNDED_SUM, THIN
 
 ActiveSets = list[tuple[int, ...]]
 
@@ -116,7 +106,7 @@ def partitioned(
         elif implied.status is not MPQPStatus.COMPLETE:
             found = found._replace(status=implied.status)
     found, law = _without_wrong_laws(qp, found)
-    hidden = qp.far > FAR_OPTIMUM or _thinnest(qp) < 2 * REGION_RADIUS
+    hidden = qp.far > FAR_OPTIMUM or _thinnest(qp) < 2 * INSIDE
     if hidden and found.status is MPQPStatus.COMPLETE:
         found = found._replace(status=MPQPStatus.INACCURATE)
     H, h = qp.unscale_rows(found.rows)
@@ -139,7 +129,7 @@ def _satisfies(answer: Partition, problem: ParametricQP) -> bool:
 
 def _thinnest(qp: ScaledQP) -> float:
     """Least parameter distance between opposite bounds; inf without any."""
-    first, second = np.nonzero(qp.gram < REDUNDANT - 1)
+    first, second = np.nonzero(qp.gram < PRIMAL - 1)
     slope = np.linalg.norm(qp.D[first, :-1], axis=1)
     apart = qp.D[first] + qp.D[second]
     room = apart[:, -1] + np.abs(apart[:, :-1]).sum(axis=1)
@@ -189,11 +179,11 @@ def _without(implied: ImpliedEqualities, qp: ScaledQP, problem: ParametricQP) ->
 def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> tuple[Array, Flags]:
     """Law v = law[r] [t; 1] of each active set, and whether it holds at the region's centre.
 
-    A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `LAW_ERROR`
+    A law holds where its active rows hold with equality, no row is violated and no multiplier negative, to `KKT`
     in units of the bounds and of the variables.
     """
     law = np.zeros((len(active_sets), qp.M.shape[1], qp.D.shape[1]))
-    accepted = max(LAW_ERROR / max(1.0, qp.far), LAW_ROUNDING_FAR)  # in units of how far the optimum is
+    accepted = max(KKT / max(1.0, qp.far), ROUNDED_SUM)  # in units of how far the optimum is
     holds = np.ones(len(active_sets), dtype=bool)
     where = np.hstack([centres, np.ones((len(centres), 1))])
     sizes = -(-np.array([len(act) for act in active_sets]) // 4)  # in fours: those of similar size together
@@ -203,7 +193,7 @@ def checked_laws(qp: ScaledQP, active_sets: ActiveSets, centres: Array) -> tuple
         law[which], missed, pull = _law(rows, right, gram)
         force = (pull @ where[which, :, None])[:, :, 0]  # minus the multipliers
         holds[which] = missed <= accepted
-        holds[which] &= force.max(axis=1) <= LAW_ERROR * np.maximum(1.0, np.abs(force).max(axis=1))
+        holds[which] &= force.max(axis=1) <= KKT * np.maximum(1.0, np.abs(force).max(axis=1))
     return law, holds & (_violation(qp, law, where) <= accepted)
 
 

@@ -13,18 +13,7 @@ from mpc.checks import Array, Flags, Ints, as_halfspaces
 from mpc.exceptions import InputError, NotConvexError
 from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import (
-    DEFINITE,
-    EMPTY,
-    EXCLUDED,
-    FAR_OPTIMUM,
-    NOT_NEAR,
-    REDUNDANT,
-    ROUNDED,
-    ROUNDING,
-    UNCHANGED,
-    VANISHING_ROW,
-)
+from mpc.tolerances import DEFINITE, EXCLUDED, FAR_OPTIMUM, NEGLIGIBLE, NOT_NEAR, PRIMAL, ROUNDED_SUM
 
 
 class ParameterSet(NamedTuple):
@@ -135,7 +124,7 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     D = right - M @ shift
     length = np.linalg.norm(M, axis=1)
     vanishing = _vanishing(length, right, shift)
-    nothing = VANISHING_ROW * _typical(right)
+    nothing = ROUNDED_SUM * _typical(right)
     TA, Tb = with_parameter_rows(domain.normals, domain.bounds, right[vanishing], nothing)
     origin = np.flatnonzero(~vanishing)
     M = M[origin] / length[origin, None]
@@ -146,7 +135,7 @@ def scale_qp(problem: ParametricQP, domain: ParameterSet) -> ScaledQP:
     unit = _unit_of(D)
     gram = M @ M.T
     wide = widths(gram, np.abs(own).sum(axis=1) * own_unit)
-    far = unit / float(wide[(wide <= NOT_NEAR * unit) & (wide > ROUNDED * unit)].max(initial=0.0) or own_unit)
+    far = unit / float(wide[(wide <= NOT_NEAR * unit) & (wide > ROUNDED_SUM * unit)].max(initial=0.0) or own_unit)
     D = D / unit
     kept = _without_duplicates(M, own, gram)
     tie = 1.0 + 0.5 * np.sin(M @ _waves(M.shape[1]) + D @ _waves(D.shape[1]))
@@ -192,7 +181,7 @@ def _bounded_rows(problem: ParametricQP) -> Ints:
 def widths(gram: Array, sizes: Array) -> Array:
     """Size of each bound, or of a larger opposite one."""
     wide = sizes.copy()
-    first, second = np.nonzero(gram < REDUNDANT - 1)
+    first, second = np.nonzero(gram < PRIMAL - 1)
     np.maximum.at(wide, first, sizes[second])
     return wide
 
@@ -222,7 +211,7 @@ def _vanishing(length: Array, right: Array, shift: Array) -> Flags:
     reach = _typical(right[moved] / length[moved, None])  # what the bounds ask of v, where its optimum is zero
     typical = max(float(np.abs(shift).sum(axis=1).max(initial=0.0)), reach)
     theta = np.abs(right[:, :-1]).max(axis=1, initial=0.0)
-    return np.asarray((length == 0) | (length * typical < VANISHING_ROW * theta))
+    return np.asarray((length == 0) | (length * typical < ROUNDED_SUM * theta))
 
 
 def with_parameter_rows(TA: Array, Tb: Array, right: Array, nothing: float = 0.0) -> tuple[Array, Array]:
@@ -233,7 +222,7 @@ def with_parameter_rows(TA: Array, Tb: Array, right: Array, nothing: float = 0.0
     if not len(right):
         return TA, Tb
     length = np.linalg.norm(right[:, :-1], axis=1)
-    constant = length <= VANISHING_ROW * np.abs(right).max(axis=1, initial=0.0)
+    constant = length <= ROUNDED_SUM * np.abs(right).max(axis=1, initial=0.0)
     if (right[constant, -1] < -nothing).any():
         raise InputError("theta_set", "a set that one constraint without inputs excludes", "some feasible parameter")
     rows = right[~constant] / length[~constant, None]
@@ -250,7 +239,7 @@ def _unit_of(D: Array) -> float:
         return 1.0
     changes = np.sort(np.abs(D[:, :-1]).sum(axis=1))
     change = float(changes[len(D) // 2])
-    if change > max(UNCHANGED * float(changes[-1]), ROUNDING * _typical(D)):
+    if change > max(NEGLIGIBLE * float(changes[-1]), ROUNDED_SUM * _typical(D)):
         return max(change, float(np.abs(D).sum(axis=1).min()))
     sizes = np.sort(_beyond_rounding(D))
     return float(sizes[len(sizes) // 4]) if len(sizes) else 1.0
@@ -265,7 +254,7 @@ def _typical(D: Array) -> float:
 def _beyond_rounding(D: Array) -> Array:
     """Sizes of the bounds beyond zero and rounding."""
     sizes = np.abs(D).sum(axis=1)
-    return np.asarray(sizes[sizes > ROUNDED * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)])
+    return np.asarray(sizes[sizes > ROUNDED_SUM * np.abs(D[:, :-1]).sum(axis=1).max(initial=0.0)])
 
 
 def twins(M: Array, D: Array, gram: Array, sign: float, tolerance: float) -> tuple[Ints, Ints]:
@@ -282,7 +271,7 @@ def twins(M: Array, D: Array, gram: Array, sign: float, tolerance: float) -> tup
 def _without_duplicates(M: Array, D: Array, gram: Array) -> Ints:
     """Rows without duplicates, each kept with its tightest bound."""
     dropped = np.zeros(len(M), dtype=bool)
-    for i, j in zip(*twins(M, D[:, :-1], gram, 1.0, REDUNDANT)):
+    for i, j in zip(*twins(M, D[:, :-1], gram, 1.0, PRIMAL)):
         if not dropped[i] and not dropped[j]:
             dropped[j if D[i, -1] <= D[j, -1] else i] = True
     return np.flatnonzero(~dropped)
@@ -295,7 +284,7 @@ def _bounding_box(H: Array, h: Array) -> tuple[Array, Array]:
     if box is None or not np.isfinite(box).all() or (h[~H.any(axis=1)] < 0).any():
         box = _box_of_polytope(H, h)
     low, high = box
-    flat = np.flatnonzero(high - low <= EMPTY * np.maximum(np.abs(low), np.abs(high)))
+    flat = np.flatnonzero(high - low <= PRIMAL * np.maximum(np.abs(low), np.abs(high)))
     if len(flat):
         j = int(flat[0])
         got = f"a set with parameter {j} in [{low[j]:.6g}, {high[j]:.6g}]"

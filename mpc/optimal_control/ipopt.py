@@ -13,7 +13,7 @@ from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.plan import Residuals
-from mpc.tolerances import DIVERGED, FEASIBLE, USUAL_ITERATIONS
+from mpc.tolerances import BOTTOMLESS, FEASIBLE, USUAL_ITERATIONS
 
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
@@ -87,7 +87,7 @@ def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIte
     if np.isfinite(settings.seconds):
         limits["max_wall_time"] = settings.seconds
     # QAMD, number 6, is for rows that are nearly full: parameters and durations reach every interval of every scenario
-    given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": DIVERGED, "mumps_pivot_order": 6}
+    given = {"print_level": 0, "sb": "yes", "diverging_iterates_tol": BOTTOMLESS, "mumps_pivot_order": 6}
     ipopt = given | limits | settings.options
     made = program.derivatives.solvers
     key = repr((sorted(ipopt.items()), settings.may_stop))

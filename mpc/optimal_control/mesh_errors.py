@@ -14,7 +14,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import CLOSER_LOOKS, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, OBSTACLE_DOUBLINGS, VANISHING
+from mpc.tolerances import CLOSER_LOOKS, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, NEGLIGIBLE, OBSTACLE_DOUBLINGS
 
 
 class Missed(NamedTuple):
@@ -42,7 +42,7 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
         return Missed(np.zeros(N), np.zeros(N))
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
-    size = np.maximum(largest, VANISHING * moved)
+    size = np.maximum(largest, NEGLIGIBLE * moved)
     found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)

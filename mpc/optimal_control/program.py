@@ -16,7 +16,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, SHAKEN, VANISHING
+from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, SHAKEN
 
 
 @dataclass(frozen=True)
@@ -153,14 +153,14 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
         coordinate, _ = part.coordinates
         for i in range(layout.nx + layout.nu):
             largest = np.abs(own[coordinate == i]).max()
-            if largest > VANISHING * sizes[coordinate == i].max():
+            if largest > NEGLIGIBLE * sizes[coordinate == i].max():
                 sizes[coordinate == i] = largest
         rows = part.defects.stop - part.defects.start
         row_scale[part.defects] = np.tile(sizes[: layout.nx], rows // layout.nx)
     loose = np.setdiff1d(np.arange(len(v)), np.concatenate([np.arange(p.first, p.last) for p in program.parts]))
     loose = loose[~(np.isfinite(program.lower) & np.isfinite(program.upper))[loose]]
     large = np.abs(v[loose])
-    scale[loose] = np.where(large > VANISHING * scale[loose], large, scale[loose])
+    scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     size = float(np.abs(slope * scale).max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0

@@ -14,7 +14,7 @@ from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
-from mpc.tolerances import AT_BOUND, BARRIER_BLUR, DEFINITE, LEAST_CURVATURE, SAME_DIRECTION_DIGITS
+from mpc.tolerances import AT_BOUND, BARRIER_BLUR, DEFINITE, LEAST_CURVATURE, SAME_HYPERPLANE_DIGITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +148,7 @@ def _once_each(rows: Any) -> NDArray[np.int64]:
     along = rows @ np.random.default_rng(0).normal(size=(rows.shape[1], 2))
     length = np.sqrt(np.asarray(rows.multiply(rows).sum(axis=1)).ravel())
     along = along / (np.where(along[:, 0] < 0, -1, 1) * length)[:, None]
-    return np.sort(np.unique(np.round(along, SAME_DIRECTION_DIGITS), axis=0, return_index=True)[1])
+    return np.sort(np.unique(np.round(along, SAME_HYPERPLANE_DIGITS), axis=0, return_index=True)[1])
 
 
 def _solved(K: Any, right: Array) -> Array | None:

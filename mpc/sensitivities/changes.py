@@ -16,7 +16,7 @@ from mpc.halfspaces import Limits
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, disturbance, pushes
 from mpc.sensitivities.regulator import as_derivatives, lqr_sensitivity
-from mpc.tolerances import UNIT_STEP
+from mpc.tolerances import EPS
 
 SOFTENED = ("state", "terminal")  # kinds of constraints that a slack may relax
 
@@ -94,7 +94,7 @@ def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[s
         largest = max(float(np.abs(move / size).max(initial=0.0)) for move, size in sizes)
         if largest == 0:
             continue
-        step = UNIT_STEP / largest
+        step = np.cbrt(EPS) / largest
         up, down = (_moved(limits, moves, dB[:, :, j], part).reaches() for part in (step, -step))
         for kind in SOFTENED:
             change[kind][:, j] += np.where(own[kind], 0.0, (up[kind] - down[kind]) / (2 * step))

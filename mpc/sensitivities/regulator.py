@@ -13,7 +13,7 @@ from scipy.linalg import schur, solve_triangular
 from mpc.checks import Array, ReadOnly, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from mpc.exceptions import InputError
 from mpc.riccati import cost_units, lqr
-from mpc.tolerances import ASYMMETRY
+from mpc.tolerances import WEIGHT_ROUNDING
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,7 +180,7 @@ def as_derivatives(
         count = array.shape[-1]
         if name in symmetric:
             gap = float(np.abs(array - array.swapaxes(0, 1)).max(initial=0.0))
-            if gap > ASYMMETRY * float(np.abs(array).max(initial=0.0)):
+            if gap > WEIGHT_ROUNDING * float(np.abs(array).max(initial=0.0)):
                 got = f"max |{name} - {name}'| = {gap:.3g}"
                 raise InputError(name, got, "a symmetric matrix for every parameter")
         checked[name] = array

@@ -19,7 +19,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, PRIMAL, REDUNDANT, REGION_RADIUS, TIE, ZERO_ROW
+from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, INSIDE, PRIMAL, TIE, ZERO_ROW
 
 _SEEDS = 8
 _BOX = 4.0  # linear programs look for parameters in [-4, 4], which holds the set
@@ -64,9 +64,9 @@ def _explore(qp: ScaledQP, most: int, deadline: float, feasible: Array | None = 
         active = stack.pop()
         rows, zero, canonical = _region(qp, active)
         centre, radius = (np.zeros(0), -1.0) if rows is None else _ball(*rows)
-        if rows is None or radius < -REGION_RADIUS:
+        if rows is None or radius < -INSIDE:
             continue
-        if radius >= REGION_RADIUS:
+        if radius >= INSIDE:
             tied = tied or zero
             if canonical:
                 regions[active] = _facets(*rows)
@@ -176,7 +176,7 @@ def _facets(A: Array, b: Array) -> Array:
         upper = np.ascontiguousarray(np.concatenate([np.full(A.shape[1], _BOX), b[others]]))
         lower = np.concatenate([np.full(A.shape[1], -_BOX), np.repeat(_NONE, len(others))])
         point, _, flag, _ = daqp.solve(None, np.ascontiguousarray(-A[i]), np.ascontiguousarray(A[others]), upper, lower)
-        if flag != 1 or A[i] @ point > b[i] + REDUNDANT:
+        if flag != 1 or A[i] @ point > b[i] + PRIMAL:
             kept.append(i)
     return np.hstack([A[kept], b[kept, None]])
 

@@ -10,6 +10,9 @@ from toys import agent
 
 from learning import LearningError, load, save
 from learning.exceptions import CheckpointError
+from learning.quantile import QuantileNetwork
+
+ANOTHER_LAYOUT = "got the layout of another version, expected that of this one: train the network and save it anew"
 
 
 @pytest.mark.parametrize("std_network", [False, True])
@@ -84,8 +87,16 @@ def test_another_version_or_kind_is_refused(tmp_path):
 
 
 def test_a_header_that_does_not_fit_its_tensors_is_refused(tmp_path):
-    bigger = agent(hidden=(9,)).shape()
-    refused(rewritten(tmp_path, shape=bigger), "tensors that do not fit the header, expected an intact file")
+    refused(rewritten(tmp_path, shape=agent(hidden=(9,)).shape()), ANOTHER_LAYOUT)
+
+
+def test_a_quantile_network_of_an_earlier_version_is_to_be_trained_anew(tmp_path):
+    net = QuantileNetwork(2, 1, (0.1, 0.5, 0.9), (3,))
+    tensors = {name: value for name, value in net.state_dict().items() if name != "positions"}
+    shape = {name: value for name, value in net.shape().items() if name != "samples"}
+    header = {"format": "ccdtools-1", "kind": "QuantileNetwork", "shape": shape, "extra": {}}
+    save_file(tensors, str(tmp_path / "earlier"), metadata={"ccdtools": json.dumps(header)})
+    refused(tmp_path / "earlier", ANOTHER_LAYOUT)
 
 
 @pytest.mark.parametrize("changes", [{"shape": None}, {"extra": None}, {"shape": {"bounds": []}}, {"shape": "?"}])

@@ -29,7 +29,7 @@ from mpc.explicit.kernels.data import (
 )
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, region_rows
-from mpc.tolerances import CLEARANCE, EXCHANGE, EXCLUDED, SAME_PLANE
+from mpc.tolerances import CLEARANCE, EXCHANGE, EXCLUDED, INSIDE
 
 
 @njit(cache=True)
@@ -121,11 +121,11 @@ def behind(qp: QPData, graph: Graph, A: Array, b: Array, mask: Bits, facet: int,
     twins = np.empty(4, np.int64)  # rows on one hyperplane whose combinations are all tried
     shared = 0
     for i in range(m):
-        close = abs(b[i] - b[facet]) < SAME_PLANE
+        close = abs(b[i] - b[facet]) < INSIDE
         for j in range(n):
             if not close:
                 break
-            close = abs(A[i, j] - A[facet, j]) < SAME_PLANE
+            close = abs(A[i, j] - A[facet, j]) < INSIDE
         if close and shared < len(twins):
             twins[shared] = i
             shared += 1

@@ -14,7 +14,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.data import Bits, Ints
 from mpc.explicit.kernels.halfspace import interior_point, project, side
-from mpc.tolerances import POINTS_OF_REGION, PROJECTION, SAME_HYPERPLANE_DIGITS, SIDE, TRIES
+from mpc.tolerances import POINTS_OF_REGION, PRIMAL, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS, TRIES
 
 NODES, NEXT, POOL, LEAF = range(4)  # positions in `Growth.counts`
 
@@ -70,7 +70,7 @@ def points_of(rows: Array, offsets: Ints, points: Array, starts: Ints) -> None:
             for j in range(n):
                 A[f, j] = -A[f, j]
             b[f] = -b[f]
-            if project(A, b, k, centre, PROJECTION, point, work, lam) < 0:
+            if project(A, b, k, centre, ROUNDED_SUM, point, work, lam) < 0:
                 point[:] = centre
             for j in range(n):
                 A[f, j] = -A[f, j]
@@ -91,8 +91,8 @@ def score(regions: Regions, members: Ints, inside: Bits, row: int) -> float:
         for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
             if inside[e] >> np.uint64(q) & np.uint64(1):
                 s = side(regions.rows, row, regions.points[regions.starts[r] + q])
-                below = below or s < -SIDE
-                above = above or s > SIDE
+                below = below or s < -PRIMAL
+                above = above or s > PRIMAL
                 if below and above:
                     break
         low += below
@@ -161,7 +161,7 @@ def reaches(regions: Regions, r: int, inside: np.uint64, row: int, sign: float, 
     for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
         if inside >> np.uint64(q) & np.uint64(1):
             s = sign * side(regions.rows, row, regions.points[regions.starts[r] + q])
-            if s < -SIDE:
+            if s < -PRIMAL:
                 return True
             if s < nearest:
                 nearest = s
@@ -171,7 +171,7 @@ def reaches(regions: Regions, r: int, inside: np.uint64, row: int, sign: float, 
     k = regions.offsets[r + 1] - regions.offsets[r]
     for j in range(n):
         A[depth, j] = sign * regions.rows[row, j]
-    b[depth] = sign * regions.rows[row, n] - SIDE
+    b[depth] = sign * regions.rows[row, n] - PRIMAL
     for i in range(k):
         for j in range(n):
             A[depth + 1 + i, j] = regions.rows[regions.offsets[r] + i, j]
@@ -179,12 +179,12 @@ def reaches(regions: Regions, r: int, inside: np.uint64, row: int, sign: float, 
     theta = np.empty(n)
     work = np.empty(n + 1, np.int64)
     lam = np.empty(n + 1)
-    return project(A, b, depth + 1 + k, regions.points[start], PROJECTION, theta, work, lam) >= 0
+    return project(A, b, depth + 1 + k, regions.points[start], ROUNDED_SUM, theta, work, lam) >= 0
 
 
 @njit(cache=True)
 def cell_of(regions: Regions, growth: Growth, node: int, more: int) -> tuple[int, Array, Array]:
-    """Half-spaces Aθ <= b on the path to a node, drawn in by SIDE, with room for some more: their number, A, b."""
+    """Half-spaces Aθ <= b on the path to a node, drawn in by PRIMAL, with room for some more: their number, A, b."""
     n = regions.points.shape[1]
     depth = 0
     child = node
@@ -200,7 +200,7 @@ def cell_of(regions: Regions, growth: Growth, node: int, more: int) -> tuple[int
         sign = 1.0 if growth.nodes[up, 1] == child else -1.0
         for j in range(n):
             A[depth, j] = sign * regions.rows[growth.nodes[up, 0], j]
-        b[depth] = sign * regions.rows[growth.nodes[up, 0], n] - SIDE
+        b[depth] = sign * regions.rows[growth.nodes[up, 0], n] - PRIMAL
         depth += 1
         child = up
     return depth, A, b
@@ -220,7 +220,7 @@ def divide(regions: Regions, growth: Growth, members: Ints, inside: Bits, row: i
             kept = np.uint64(0)
             for q in range(min(POINTS_OF_REGION, regions.starts[r + 1] - regions.starts[r])):
                 here = inside[e] >> np.uint64(q) & np.uint64(1)
-                if here and sign * side(regions.rows, row, regions.points[regions.starts[r] + q]) <= SIDE:
+                if here and sign * side(regions.rows, row, regions.points[regions.starts[r] + q]) <= PRIMAL:
                     kept |= np.uint64(1) << np.uint64(q)
             growth.pool[filled] = r
             growth.inside[filled] = kept

@@ -8,7 +8,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels import forget_stale
 from mpc.explicit.kernels.data import Ints
-from mpc.tolerances import CROSSING, NO_STEP, PARALLEL, PROJECTION, REDUNDANT, REGION_RADIUS, SPANNED, TINY_PIVOT
+from mpc.tolerances import CROSSING, DEPENDENT_ROW, EPS, INSIDE, PRIMAL, ROUNDED_SUM
 
 
 @njit(cache=True)
@@ -62,10 +62,10 @@ def project(A: Array, b: Array, m: int, c: Array, tol: float, theta: Array, work
             t = np.inf
             drop = -1
             for a in range(k):
-                if r[a] > NO_STEP and lam[a] < t * r[a]:
+                if r[a] > ROUNDED_SUM and lam[a] < t * r[a]:
                     t = lam[a] / r[a]
                     drop = a
-            full = k < n and zz > SPANNED
+            full = k < n and zz > DEPENDENT_ROW
             if full:
                 s = -b[p]
                 for j in range(n):
@@ -107,7 +107,7 @@ def _factor(A: Array, work: Ints, k: int, start: int, L: Array) -> None:
                 s += A[work[a], j] * A[work[e], j]
             for q in range(e):
                 s -= L[a, q] * L[e, q]
-            L[a, e] = np.sqrt(max(s, TINY_PIVOT)) if a == e else s / L[e, e]
+            L[a, e] = np.sqrt(max(s, EPS * EPS)) if a == e else s / L[e, e]
 
 
 @njit(cache=True)
@@ -144,7 +144,7 @@ def margin_at(A: Array, b: Array, theta: Array) -> float:
 
 @njit(cache=True)
 def interior_point(A: Array, b: Array, wanted: float, centre: Array) -> float:
-    """Write a point inside {Aθ <= b} into `centre`. Returns a radius around it, 0 when there is none >= REGION_RADIUS.
+    """Write a point inside {Aθ <= b} into `centre`. Returns a radius around it, 0 when there is none >= INSIDE.
 
     Larger radii are tried until one above `wanted` is found or none is left.
     """
@@ -154,12 +154,12 @@ def interior_point(A: Array, b: Array, wanted: float, centre: Array) -> float:
     work = np.empty(n + 1, np.int64)
     lam = np.empty(n + 1)
     radius = 0.0
-    trial = REGION_RADIUS
+    trial = INSIDE
     start = np.zeros(n)
     while trial < 1.0 and radius <= wanted:
         for i in range(m):
             shrunk[i] = b[i] - trial
-        accepted = 0.01 * REGION_RADIUS if trial > REGION_RADIUS else PROJECTION
+        accepted = 0.01 * INSIDE if trial > INSIDE else ROUNDED_SUM
         if project(A, shrunk, m, start, accepted, theta, work, lam) < 0:
             break
         margin = margin_at(A, b, theta)  # the radius is recomputed from the point
@@ -205,8 +205,8 @@ def irredundant(A: Array, b: Array, centre: Array, facets: Ints, hits: Array) ->
                 break
             for j in range(n):
                 AI[count, j] = -A[i, j]
-            bI[count] = -b[i] - REDUNDANT
-            if project(AI, bI, count + 1, centre, 10.0 * PROJECTION, theta, work, lam) < 0:
+            bI[count] = -b[i] - PRIMAL
+            if project(AI, bI, count + 1, centre, 10.0 * ROUNDED_SUM, theta, work, lam) < 0:
                 break  # redundant beside the facets known so far
             hit = i
             nearest = np.inf
@@ -214,7 +214,7 @@ def irredundant(A: Array, b: Array, centre: Array, facets: Ints, hits: Array) ->
                 rate = 0.0
                 for j in range(n):
                     rate += A[e, j] * (theta[j] - centre[j])
-                if rate > PARALLEL and slack[e] < nearest * rate:
+                if rate > ROUNDED_SUM and slack[e] < nearest * rate:
                     nearest = slack[e] / rate
                     hit = e
             if known[hit]:
@@ -258,7 +258,7 @@ def across(A: Array, b: Array, facets: Ints, count: int, facet: int, start: Arra
     bI = np.empty(count + 1)
     work = np.empty(n + 1, np.int64)
     lam = np.empty(n + 1)
-    while margin > 0.1 * REGION_RADIUS:
+    while margin > 0.1 * INSIDE:
         step = min(CROSSING, margin)
         for a in range(count):
             sign = -1.0 if facets[a] == facet else 1.0
@@ -268,7 +268,7 @@ def across(A: Array, b: Array, facets: Ints, count: int, facet: int, start: Arra
         for j in range(n):  # not farther than twice the step: the region behind may be thin
             AI[count, j] = A[facet, j]
         bI[count] = b[facet] + 2.0 * step
-        if project(AI, bI, count + 1, start, PROJECTION, theta, work, lam) >= 0:
+        if project(AI, bI, count + 1, start, ROUNDED_SUM, theta, work, lam) >= 0:
             return True
         margin *= 0.1
     return False

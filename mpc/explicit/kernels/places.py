@@ -9,7 +9,7 @@ from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider_parameter
 from mpc.explicit.kernels.data import DONE, INFEASIBLE, Facets, Flags, Graph, Ints, QPData
 from mpc.explicit.kernels.halfspace import margin_at, project, violation
-from mpc.tolerances import INSETS, PARALLEL, PROJECTION
+from mpc.tolerances import INSETS, ROUNDED_SUM
 
 
 @njit(cache=True)
@@ -32,7 +32,7 @@ def seed(qp: QPData, graph: Graph, J: Array, h: Array, targets: Array, found: Ar
         for inset in INSETS:
             for i in range(mj):
                 shrunk[i] = h[i] - inset
-            if project(J, shrunk, mj, c, 10.0 * PROJECTION, joint, work, lam) >= 0:
+            if project(J, shrunk, mj, c, 10.0 * ROUNDED_SUM, joint, work, lam) >= 0:
                 found[hits] = joint[:n]
                 consider_parameter(qp, graph, found[hits], mask)
                 hits += 1
@@ -75,7 +75,7 @@ def behind_facets(facets: Facets, chosen: Ints, owners: Ints, draws: Array, near
         for j in range(n):
             direction[j] -= along * facets.rows[facet, j]
             length += direction[j] * direction[j]
-        across = 2.0 * np.sqrt(n / max(length, PARALLEL))  # of the parameter set
+        across = 2.0 * np.sqrt(n / max(length, ROUNDED_SUM))  # of the parameter set
         first = -across
         last = across
         for i in range(facets.offsets[owner], facets.offsets[owner + 1]):
@@ -84,9 +84,9 @@ def behind_facets(facets: Facets, chosen: Ints, owners: Ints, draws: Array, near
             for j in range(n):
                 slack -= facets.rows[i, j] * facets.hits[facet, j]
                 rate += facets.rows[i, j] * direction[j]
-            if i != facet and rate > PARALLEL:
+            if i != facet and rate > ROUNDED_SUM:
                 last = min(last, max(slack, 0.0) / rate)
-            elif i != facet and rate < -PARALLEL:
+            elif i != facet and rate < -ROUNDED_SUM:
                 first = max(first, max(slack, 0.0) / rate)
         way = first + draws[p, n] * (last - first)
         step = nearest

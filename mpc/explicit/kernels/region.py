@@ -22,7 +22,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL, Ints, QPData
 from mpc.explicit.kernels.halfspace import project
-from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, REFINED_ROW, ROUNDING, ZERO_ROW
+from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, REFINED_ROW, ROUNDED_SUM, ZERO_ROW
 
 
 @njit(cache=True)
@@ -163,7 +163,7 @@ def region_rows(qp: QPData, act: Ints, k: int, A: Array, b: Array) -> int:
                     terms += abs(g) * size[e]
                     for c in range(n + 2):
                         row[c] += g * law[e, c]
-            zero = max(ZERO_ROW * scale, ROUNDING * terms)
+            zero = max(ZERO_ROW * scale, ROUNDED_SUM * terms)
         norm = 0.0
         for c in range(n):
             norm += row[c] * row[c]

@@ -1,0 +1,58 @@
+"""What counts as rounding and what as data: each threshold lies between two problems."""
+
+import numpy as np
+import pytest
+
+from invariant_sets import Polytope
+from mpc import InputError, LinearMPC, NotConvexError, NotStabilisableError, OffsetFreeMPC, Status, lqr
+
+A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
+
+
+def uncontrolled(**more):
+    """Controller of two states of which no input reaches the second, which stays where it is."""
+    weights = {"Q": np.diag([1.0, 0.0]), "R": 1.0, "P": np.eye(2)}
+    return LinearMPC(np.diag([0.5, 1.0]), [[1.0], [0.0]], **weights, horizon=3, U=(-1, 1), **more)
+
+
+@pytest.mark.parametrize("miss", [2e-10, 5e-10])
+def test_a_weight_may_be_asymmetric_or_negative_by_rounding(miss):
+    lqr(A, B, Q=[[1, miss], [0, 1]], R=1.0)
+    lqr(A, B, Q=[[1, 1 + miss], [1 + miss, 1]], R=1.0)
+
+
+def test_a_weight_that_misses_by_more_than_rounding_is_refused():
+    for Q in ([[1, 5e-9], [0, 1]], [[1, 1 + 5e-9], [1 + 5e-9, 1]]):
+        with pytest.raises(NotConvexError):
+            lqr(A, B, Q=Q, R=1.0)
+
+
+@pytest.mark.parametrize(("over", "status"), [(5e-7, Status.SOLVED), (5e-6, Status.SOFTENED)])
+def test_a_limit_counts_as_kept_up_to_a_millionth(over, status):
+    controller = uncontrolled(X=([-5, -1], [5, 1]))
+    assert controller.solve([0.1, 1 + over]).status is status
+    assert controller.explain([0.1, 1 + over]).feasible == (status is Status.SOLVED)
+
+
+def test_sides_that_cross_by_rounding_leave_a_point():
+    crossed = [Polytope([[1.0], [-1.0]], [1.0, -1.0 - by]) for by in (5e-10, 5e-9)]
+    LinearMPC([[0.5]], [[1.0]], Q=1, R=1, horizon=2, U=crossed[0])
+    with pytest.raises(InputError, match="empty set"):
+        LinearMPC([[0.5]], [[1.0]], Q=1, R=1, horizon=2, U=crossed[1])
+
+
+@pytest.mark.parametrize(("drift", "steady"), [(5e-10, True), (5e-9, False)])
+def test_a_target_that_drifts_by_rounding_is_steady(drift, steady):
+    controller = OffsetFreeMPC(uncontrolled(), [[1, 0]], disturbance=[0.0, drift])
+    assert controller.nearest_target([0.2]).steady == steady
+
+
+@pytest.mark.parametrize(("bound", "size"), [(5e-14, 1.0), (5e-13, 5e-13)])
+def test_a_bound_that_misses_the_origin_by_rounding_has_no_size(bound, size):
+    U = Polytope([[1.0], [-1.0]], [1.0, bound])
+    assert LinearMPC([[0.5]], [[1.0]], Q=1, R=1, horizon=2, U=U).input_extent == pytest.approx(size)
+
+
+def test_a_mode_is_reached_or_the_message_says_how_far_not():
+    with pytest.raises(NotStabilisableError, match=r"relative strength .*expected >= 1e-07"):
+        lqr(np.diag([1.1, 0.5]), [[1e-9], [1.0]], Q=np.eye(2), R=1.0)
