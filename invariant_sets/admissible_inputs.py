@@ -17,7 +17,7 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import LinearSystem, Set, checked_system
-from invariant_sets.tolerances import FAR_PROPOSAL, INPUT_SLACK, LARGEST_ROOM, LP_SOLVER, MEMBERSHIP
+from invariant_sets.tolerances import FAR_PROPOSAL, LARGEST_ROOM, LP_SOLVER, MEMBERSHIP
 from invariant_sets.validation import as_batch, as_vector, frozen
 
 Array = np.ndarray
@@ -274,7 +274,7 @@ def _nearest(rows: _LocalRows, room: Array, wanted: Array) -> Array | None:
     target = wanted if reach < FAR_PROPOSAL else wanted / reach * FAR_PROPOSAL
     program = np.vstack([rows.slope, rows.H])  # a new array: DAQP wants one that it could write to
     v, _, flag, _ = daqp.solve(np.eye(len(target)), -target, program, np.append(room, rows.h), primal_tol=LP_SOLVER)
-    return np.array(v) if flag == 1 and (rows.H @ v - rows.h).max(initial=0.0) <= INPUT_SLACK else None
+    return np.array(v) if flag == 1 and (rows.H @ v - rows.h).max(initial=0.0) <= MEMBERSHIP else None
 
 
 def _least_violation(rows: _LocalRows, room: Array, wanted: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import EPS, FLAT, MOST_SORTING_FACETS, NEGLIGIBLE, REDUNDANT, TINY, TOUCHING
+from invariant_sets.tolerances import FLAT, GIVEN, MOST_SORTING_FACETS, NEGLIGIBLE, REDUNDANT, TOUCHING
 
 Array = np.ndarray
 
@@ -85,7 +85,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
     hull = convex_hull(F / g[:, None])
     cones = F[hull.simplices]
     V = -hull.equations[:, :-1] / hull.equations[:, -1:]
-    solid = np.abs(np.linalg.det(cones)) > EPS
+    solid = np.abs(np.linalg.det(cones)) > GIVEN
     cones = cones[solid]
     V = V[solid]
     sizes = np.abs(np.linalg.det(cones)) * math.factorial(n)
@@ -230,5 +230,5 @@ def counter_clockwise(V: Array) -> Array:
     if V.shape[1] != 2 or len(V) < 3:
         return V
     x = V - V.sum(axis=0) / len(V)
-    x = x / np.maximum(np.abs(x).max(axis=0), TINY)
+    x = x / np.maximum(np.abs(x).max(axis=0), np.finfo(float).tiny)
     return V[np.argsort(np.arctan2(x[:, 1], x[:, 0]))]

@@ -14,7 +14,7 @@ from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.local_box import LocalBox, half_widths, hidden_equalities, rescaled_view
-from invariant_sets.tolerances import CANCELLED, EPS, FLAT, GIVEN, NEGLIGIBLE, ROUNDING, THIN, WIDER
+from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN, NEGLIGIBLE, ROUNDING, THIN, WIDER
 
 Array = np.ndarray
 
@@ -270,7 +270,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
         graph[:, free] = np.eye(len(free))
     F, g, extreme = hull_rows(Z[:, free])
     extreme = extreme[extreme_points(Z[extreme][:, free], F, g)]
-    F = np.where(np.abs(F) > EPS, F, 0.0)  # rounding here, but not always in the units of x
+    F = np.where(np.abs(F) > GIVEN, F, 0.0)  # rounding here, but not always in the units of x
     first = anchor + np.where(moving, Y[0], lower / 2 + upper / 2)
     centre = first + unit * (Z[extreme][:, free].mean(axis=0) @ graph)
     shift = F @ ((centre - first) / unit)[free]

@@ -224,9 +224,6 @@ def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
 
 def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
     """Optimum by DAQP if exact as it is, otherwise None."""
-    columns = np.abs(A).max(axis=0)
-    if 0 < columns.min() < UNEVEN:
-        return None
     x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
     optimum = _measured(c, A, b, x, info["lam"]) if flag == 1 else None
     return optimum if optimum is not None and optimum.exact else None
@@ -234,14 +231,7 @@ def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
 
 def checked_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
     """Checked optimum by DAQP, HiGHS or rational arithmetic, or None."""
-    columns = np.abs(A).max(axis=0)
-    if columns.min() >= UNEVEN or columns.min() == 0:
-        return _best(c, A, b) or _exact(c, A, b)
-    size = np.abs(c / columns).max()  # solved in variables that matter alike
-    optimum = _best(np.ascontiguousarray(c / columns / size), np.ascontiguousarray(A / columns), b)
-    if optimum is None:
-        return _exact(c, A, b)
-    return Optimum(optimum.value * size, optimum.x / columns, optimum.dual * size, optimum.residual)
+    return _best(c, A, b) or _exact(c, A, b)
 
 
 def _exact(c: Array, A: Array, b: Array) -> Optimum | None:

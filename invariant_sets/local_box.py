@@ -23,7 +23,6 @@ from invariant_sets.tolerances import (
     ROUNDING,
     SETTLED,
     THIN,
-    TINY,
     WIDER,
 )
 
@@ -218,7 +217,7 @@ def hidden_equalities(box: LocalBox) -> Array:
     of the least doubt come first: a row that the hull nearly holds says little of where it goes.
     """
     dual = box.multipliers
-    order = np.argsort(abs(box.ball.radius) / np.maximum(dual, TINY) + box.error)
+    order = np.argsort(abs(box.ball.radius) / np.maximum(dual, np.finfo(float).tiny) + box.error)
     kept: list[int] = []
     directions = np.zeros((0, box.F.shape[1]))
     for i in order[dual[order] > 0.05 * dual.max()]:

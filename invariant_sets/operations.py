@@ -18,7 +18,7 @@ from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import body_of, settled, support, tightened
 from invariant_sets.polyhedron import AnySet, Polyhedron, hull_of, nonempty_body, set_of
 from invariant_sets.time_limits import Deadline, LimitReached
-from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PRODUCT_ROUNDING
+from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PLACE
 from invariant_sets.validation import as_coordinates, as_matrix, as_number, as_vector
 
 Array = np.ndarray
@@ -309,7 +309,7 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
 def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[Array, Array, Array]:
     """Rows A (M x + c) <= b on x, with sizes of their terms."""
     rows = A @ M
-    rows = np.where(np.abs(rows) > PRODUCT_ROUNDING * (np.abs(A) @ np.abs(M)), rows, 0.0)
+    rows = np.where(np.abs(rows) > PLACE * (np.abs(A) @ np.abs(M)), rows, 0.0)
     return rows, b - A @ c, terms + np.abs(A) @ np.abs(c)
 
 

@@ -15,7 +15,7 @@ from invariant_sets.maximal_sets import as_limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import Set, as_set_or_numbers, checked_system
-from invariant_sets.tolerances import GAP, MEMBERSHIP, TINY, TOUCHING
+from invariant_sets.tolerances import GAP, MEMBERSHIP, TOUCHING
 from invariant_sets.validation import (
     as_batch,
     as_count,
@@ -237,8 +237,8 @@ class ParametricSet:
 
     def _warm(self, p: Array) -> SetResult | None:
         """Result from an inflated slow neighbour; None without one, or if its rows are felt."""
-        near = [(float(np.abs(p - q).max() / max(np.abs(p).max(), TINY)), k) for k, (q, _) in enumerate(self._slow)
-                if len(q) == len(p)]
+        size = max(float(np.abs(p).max()), np.finfo(float).tiny)
+        near = [(float(np.abs(p - q).max()) / size, k) for k, (q, _) in enumerate(self._slow) if len(q) == len(p)]
         distance, k = min(near, default=(np.inf, 0))
         if distance > 0.02:
             return None

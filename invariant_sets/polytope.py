@@ -10,7 +10,7 @@ from invariant_sets.bodies import Body
 from invariant_sets.linear_programs import minimise
 from invariant_sets.operations import SetOperations, same_space
 from invariant_sets.polyhedron import Polyhedron, nonempty_body
-from invariant_sets.tolerances import JITTER, MEMBERSHIP, PLACE, ROUNDING
+from invariant_sets.tolerances import MEMBERSHIP, PLACE, ROUNDING
 from invariant_sets.validation import as_count, as_generator, check_tolerance
 
 Array = np.ndarray
@@ -139,7 +139,7 @@ def _hit_and_run(body: Body, n: int, rng: np.random.Generator) -> Array:
     shape: Array = np.eye(k)
     for _ in range(2):
         trial = _walk(body, np.zeros((40 * k, k)), shape, 10 * k, rng)
-        shape = np.linalg.cholesky(np.cov(trial, rowvar=False).reshape(k, k) + JITTER * np.eye(k))
+        shape = np.linalg.cholesky(np.cov(trial, rowvar=False).reshape(k, k))
     return _walk(body, np.zeros((n, k)), shape, 20 * k, rng)
 
 

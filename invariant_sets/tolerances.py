@@ -6,8 +6,8 @@
 # --- what a set is ---------------------------------------------------------------------------------------------------
 FLAT = 1e-9  # What is thinner than this part of the extent is flat, what is closer is one, what misses by more is not.
 ROUNDING = 1e-12  # Data and what doubles make of them may be wrong by this part of the sum of their absolute terms.
-PLACE = 4e-15  # Coordinates of a point may be wrong by this part of the sum of absolute terms that it was solved from.
-GIVEN = 1e-15  # A coordinate of a point that the caller states may be wrong by this part of its own size.
+PLACE = 4e-15  # A point or product of matrices may be wrong by this part of the sum of absolute terms behind it.
+GIVEN = 1e-15  # A number that the caller states, and an entry beside a row of norm one, may be wrong by this part.
 CANCELLED = 1e-13  # A sum smaller than this part of the sum of its absolute terms is zero; a series ends there.
 DEPENDENT = 1e-11  # A row or direction of which less than this part of its terms is left depends on the others.
 MEMBERSHIP = 1e-9  # A point in a set may by default violate a row by this part of its range over the bounding box.
@@ -30,9 +30,7 @@ LOST = 1e-3  # A row that keeps less than this part of its slope on a flat hull 
 
 # --- minimal descriptions --------------------------------------------------------------------------------------------
 REDUNDANT = 1e-11  # A row that cuts off less than this part of the extent is redundant, and ends a recursion.
-EPS = 4e-16  # Entries below this part of a unit row are rounding.
 TOUCHING = 1e-7  # Vertices are known to this part of the extent: one closer to a row lies on its face.
-PRODUCT_ROUNDING = 2.0**-47  # A product of matrices may be wrong by this part of the sum of its absolute terms.
 
 # --- the problem in local coordinates --------------------------------------------------------------------------------
 NEGLIGIBLE = 1e-8  # What is below this part of the largest term of an equality, or of a row of order one, is rounding.
@@ -44,29 +42,20 @@ GAP = 1e-7  # `tol`, the largest relative gap between an invariant set and its o
 LOOSE = 1e3  # A step that moves a coordinate by more extents of X than this makes the other bounds loose.
 BOX_ROOM = 0.1  # A box is enlarged by this part of its width; a row is far beyond its inverse times the width.
 LEAST_RIGHT = 1e-3  # A cut is compared with a right-hand side of at least this part of the extent.
-UNRESOLVED = 1e-6  # A set that Qhull cannot resolve is flat if its radius is below this part of the extent.
 SMALL = 0.1  # A set that began with width two is rescaled below this width.
 # These parts in turn are taken off an outer set that has not converged; the last three are tried as contractions per
 # step, too.
 SHRUNK = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1)
-GAP_ROUNDING = 1e-6  # A gap may exceed `tol` by this part of it.
 EIGENVALUE = 1e-6  # Eigenvalues closer to one another or to the unit circle than this part of their modulus are one.
-SERIES_END = 1e-17  # A series over the unstable modes ends, with a bound on its tail, where Λ⁻ʲ has a smaller norm.
-USEFUL_INPUTS = 1e-6  # The box of the useful inputs is enlarged by this part of its width.
 
 # --- certificates ----------------------------------------------------------------------------------------------------
 MISSING = 1e-8  # A backward step may by rounding enlarge a set by this part of the extent.
 WITNESS = 1e-6  # An input that a solver proposes may leave U by this part, and is then moved back into it.
-WITNESS_SOLVER = 1e-11  # The solver that proposes the inputs has this primal tolerance.
-DUAL_RESIDUAL = 1e-11  # Multipliers that miss stationarity, for a unit cost, by less than this bound the optimum.
 
 # --- filters ---------------------------------------------------------------------------------------------------------
-INPUT_SLACK = 1e-8  # A solver's answer may leave U by this part of its half widths.
 FAR_PROPOSAL = 1e6  # A proposal that is more half widths of U away is moved to here along its direction.
-UNMOVED = 1e-14  # An input does not move a row if its half width in U moves it by less than this part of S's extent.
 
 # --- sizes that doubles, memory and time allow -----------------------------------------------------------------------
-TINY = 1e-300  # A divisor that stands for zero has this size, without dividing by zero.
 LARGEST_ROOM = 1e150  # Rooms and inputs are clipped at this size [-], so that a diverged state cannot raise an error.
 CHEAP_HULL_DIM = 4  # Up to so many dimensions vertices and Qhull are quicker than linear programs.
 FEW_ROWS = 40  # Removing redundancy from at most so many rows costs more than it saves.
@@ -77,6 +66,3 @@ MOST_SUM_TERMS = 5000  # A sum of supports has at most so many terms.
 PROGRAMS_PER_CHECK = 50  # So many linear programs are solved between two looks at the clock.
 SECONDS_PER_FACET = 3e-5  # Qhull takes so long for a facet [s] on a slow core, degenerate points included.
 EXACT_SHARE = 0.8  # The exact recursion has this share of the time limit; the rest is for an inner set.
-
-# --- samples ---------------------------------------------------------------------------------------------------------
-JITTER = 1e-18  # This keeps the covariance of a sample, with variances of order one, positive definite.

@@ -19,16 +19,15 @@ from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
 from invariant_sets.tolerances import (
-    DUAL_RESIDUAL,
     FLAT,
     LP_RESIDUAL,
+    LP_SOLVER,
     MEMBERSHIP,
     MISSING,
     PLACE,
     PROGRAMS_PER_CHECK,
     ROUNDING,
     WITNESS,
-    WITNESS_SOLVER,
 )
 
 Array = np.ndarray
@@ -97,7 +96,7 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
     doubtful = np.flatnonzero(~(leaves <= ROUNDING))
     for k in doubtful:
         deadline.check()
-        v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=WITNESS_SOLVER)
+        v, _, flag, _ = daqp.solve(None, cost, rows, np.concatenate([room[k], h]), primal_tol=LP_SOLVER)
         witnesses[k] = v[:nu] if flag == 1 else np.inf
     leaves[doubtful] = np.minimum(leaves[doubtful], _violations(witnesses[doubtful], slope, room[doubtful], (H, h)))
     for k in np.argsort(-leaves):  # DAQP stops early where the inputs are nearly parallel
@@ -233,7 +232,7 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
             solved[i] = True
     dual = np.maximum(dual, 0.0)
     bounds: Array = dual @ right
-    for row in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= DUAL_RESIDUAL))):
+    for row in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= LP_SOLVER))):
         bounds[row] = -minimise(costs[row], rows, right)[0]
     return bounds
 

@@ -38,7 +38,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import FLAT, GAP_ROUNDING, MEMBERSHIP, MISSING
+from invariant_sets.tolerances import FLAT, MEMBERSHIP, MISSING
 
 Array = np.ndarray
 
@@ -259,7 +259,7 @@ def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Can
 
 def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Result with the status that its gap and missing states deserve."""
-    small = inner.check.gap <= task.limits.tol * (1 + GAP_ROUNDING) + MEMBERSHIP
+    small = inner.check.gap <= task.limits.tol + MEMBERSHIP
     absent = inner.check.missing
     if small:
         try:

@@ -23,7 +23,7 @@ from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.system_checks import LinearSystem
-from invariant_sets.tolerances import CANCELLED, NEEDLE, NEGLIGIBLE, ROUNDING, TINY, WELL_INSIDE
+from invariant_sets.tolerances import CANCELLED, NEEDLE, NEGLIGIBLE, ROUNDING, WELL_INSIDE
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -123,9 +123,9 @@ def _stay_on_hull(motion: Array, basis: Array, spread: Array | None,
     P = normal @ motion[:, 1:k + 1]
     Q = normal @ motion[:, k + 1:]
     s = -normal @ motion[:, 0]
-    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), TINY)
+    size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), np.finfo(float).tiny)
     if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
-            size, np.abs(spread).max() + TINY)).any():
+            size, np.abs(spread).max() + np.finfo(float).tiny)).any():
         return None
     P = P / size[:, None]
     Q = Q / size[:, None]

@@ -17,7 +17,7 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.polyhedron import nonempty_body, set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import LinearSystem
-from invariant_sets.tolerances import BOX_ROOM, EIGENVALUE, FLAT, LOOSE, ROUNDING, SERIES_END
+from invariant_sets.tolerances import BOX_ROOM, EIGENVALUE, FLAT, LOOSE, ROUNDING
 
 Array = np.ndarray
 
@@ -216,7 +216,9 @@ def _subspace_bounds(A: Array, inputs: Array,
     inverse = np.linalg.inv(T[:k, :k].T)
     reach = max(np.abs(inputs).max(), 0.0 if disturbances is None else np.abs(disturbances).max())
     powers, next_power = _powers(inverse)
-    tail = _tail(next_power, inverse, reach * np.sqrt(A.shape[0]))
+    dropped = np.linalg.norm(next_power)
+    sum_of_powers = 1.0 + np.linalg.norm(powers, axis=(1, 2)).sum()
+    tail = reach * np.sqrt(A.shape[0]) * (sum_of_powers * dropped / (1.0 - dropped) if dropped < 1.0 else np.inf)
     back = powers @ L  # (terms, k, n)
     moves = back @ inputs.T
     drifts = np.zeros((len(back), k, 1)) if disturbances is None else back @ disturbances.T
@@ -232,7 +234,7 @@ def _powers(inverse: Array) -> tuple[Array, Array]:
     """Powers Λ⁻¹, Λ⁻², … (j, k, k) until negligible, and the next."""
     powers = [inverse]
     power = inverse @ inverse
-    while len(powers) < 20_000 and np.linalg.norm(power) > SERIES_END:
+    while len(powers) < 20_000 and np.linalg.norm(power) > np.finfo(float).eps:
         powers.append(power)
         power = power @ inverse
     return np.array(powers), power
@@ -245,22 +247,3 @@ def _edge_normals(moves: Array) -> Array:
     length = np.linalg.norm(edges, axis=1)
     edges = edges[length > FLAT * length.max(initial=0.0)][:400]  # barely unstable: the recursion finds more
     return np.asarray(np.column_stack([-edges[:, 1], edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None])
-
-
-def _tail(block: Array, inverse: Array, reach: float) -> float:
-    """Upper bound of the dropped terms Σ ‖Λ^{-j}‖ · reach."""
-    step = 1
-    power = inverse
-    while np.linalg.norm(power) > 0.5 and step < 2**40:
-        power = power @ power
-        step = 2 * step
-    partial = block
-    total = 0.0
-    count = 0
-    while count < min(step, 2000):
-        total += float(np.linalg.norm(partial))
-        partial = partial @ inverse
-        count += 1
-    if count < step:
-        total *= step / count
-    return 2.0 * total * reach

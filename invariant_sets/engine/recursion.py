@@ -15,7 +15,7 @@ from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status, status_of
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, FLAT, LEAST_RIGHT, REDUNDANT, ROUNDING, SMALL, UNRESOLVED
+from invariant_sets.tolerances import CHEAP_HULL_DIM, FLAT, LEAST_RIGHT, REDUNDANT, ROUNDING, SMALL, THIN
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -78,7 +78,7 @@ class Region:
         try:
             kept, V = hulls.facets_and_vertices(F, room, merge=False)
         except NumericalError:  # thinner than Qhull can resolve, or too many coplanar facets
-            return Region(F, g, None, Shape.FLAT if radius < UNRESOLVED else Shape.UNRESOLVED)
+            return Region(F, g, None, Shape.FLAT if radius < THIN else Shape.UNRESOLVED)
         return Region(F[kept], g[kept], V + middle, minimal=True)
 
     @property

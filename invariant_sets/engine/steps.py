@@ -23,7 +23,7 @@ from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, HALF_BOX, LOOSE, MEMBERSHIP, ROUNDING, USEFUL_INPUTS
+from invariant_sets.tolerances import BOX_ROOM, FLAT, HALF_BOX, LOOSE, MEMBERSHIP, ROUNDING
 
 Array = np.ndarray
 
@@ -131,7 +131,7 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
     """Set {x : A x in S ⊕ (−B U)} ∩ X by vertices; None if unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
-    slack = USEFUL_INPUTS * np.maximum(upper - lower, 0.0)[n:]
+    slack = BOX_ROOM * np.maximum(upper - lower, 0.0)[n:]
     useful = U.intersection(Polytope.from_bounds(lower[n:] - slack, upper[n:] + slack))  # strong inputs hide S
     if not (S.is_bounded and useful.is_bounded) or useful.is_empty:
         return None

@@ -9,7 +9,6 @@ from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.time_limits import Deadline
-from invariant_sets.tolerances import TINY
 
 Array = np.ndarray
 
@@ -75,7 +74,7 @@ def _extreme_points(M: Array, c: Array, rows: tuple[Array, Array], deadline: Dea
     rng = np.random.default_rng(0)
     directions = np.vstack([np.eye(n), -np.eye(n), rng.standard_normal((200, n))])
     points: list[Array] = []
-    for d in directions / np.maximum(np.abs(M).sum(axis=1), TINY):
+    for d in directions / np.maximum(np.abs(M).sum(axis=1), np.finfo(float).tiny):
         if deadline.passed:
             break
         cost = d @ M
