@@ -60,7 +60,7 @@ class OffsetFreeMPC:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mpc", self._disturbed())
-        problem = self._problem
+        problem = self.problem
         gain = as_array("gain", self.gain, ())
         if not 0 < gain <= 1:
             raise InputError("gain", self.gain, "a number in (0, 1]")
@@ -78,11 +78,11 @@ class OffsetFreeMPC:
         return self.mpc if self.mpc.E is not None else self.mpc.with_model(self.mpc.A, self.mpc.B, np.eye(self.mpc.nx))
 
     @property
-    def _problem(self) -> MPCProblem:
+    def problem(self) -> MPCProblem:
         """Sizes, weights and sets."""
         return self.mpc
 
-    def _alone(self) -> OffsetFreeMPC:
+    def alone(self) -> OffsetFreeMPC:
         """Controller of one run among others."""
         return self
 
@@ -162,7 +162,7 @@ class OffsetFreeMPC:
         if x_ref is None:
             raise InputError("reference", "nothing", "the outputs to reach, or x_ref")
         state = as_floats("x_ref", x_ref)
-        return np.asarray(self.C @ as_array("x_ref", state[0] if state.ndim == 2 else state, (self._problem.nx,)))
+        return np.asarray(self.C @ as_array("x_ref", state[0] if state.ndim == 2 else state, (self.problem.nx,)))
 
 
 def _refuse_own(signals: dict[str, Any]) -> None:
@@ -189,22 +189,22 @@ class OffsetFreeLoop:
 
     def reset(self, n: int = 1) -> None:
         """Forget the last states and estimates."""
-        self._each = [self.controller._alone() for _ in range(as_count("n", n))]
+        self._each = [self.controller.alone() for _ in range(as_count("n", n))]
         self._last: Array | None = None
 
     def __call__(self, x: ArrayLike, **signals: Any) -> Array:
         """Inputs (n, nu) for states (n, nx), or (nu,) for (nx,)."""
         states = as_floats("x", x)
         single = states.ndim == 1
-        states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller._problem.nx))
+        states = as_array("x", np.atleast_2d(states), (len(self._each), self.controller.problem.nx))
         if signals.get("u_prev") is None:
             raise InputError("u_prev", "nothing", "the input that was applied one step ago", "Before the first: zeros.")
         last = np.atleast_2d(as_floats("u_prev", signals.pop("u_prev")))
-        applied = as_array("u_prev", last, (len(self._each), self.controller._problem.nu))
+        applied = as_array("u_prev", last, (len(self._each), self.controller.problem.nu))
         if self._last is not None:
             self._each = [c.observe(*step) for c, *step in zip(self._each, self._last, applied, states)]
         self._last = states
-        limited = self.controller._problem.rate_limit is not None
+        limited = self.controller.problem.rate_limit is not None
         own = [{"u_prev": u} if limited else {} for u in applied]  # references are shared, the last input is not
         u = np.array([c(s, **signals, **mine) for c, s, mine in zip(self._each, states, own)])
         return u[0] if single else u

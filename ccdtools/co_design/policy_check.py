@@ -47,7 +47,7 @@ class Retuned:
         self._stepper = Stepper.at(in_double(problem), p)
         self._latent = latent_law(agent, p)
         self._range = agent.action_range(p)
-        self._scenarios = (scenarios[0].double(), scenarios[1].double())
+        self.scenarios = (scenarios[0].double(), scenarios[1].double())
         self.shape = (problem.model.nu, 2 + problem.model.nx)
         x, latent = self._root_mean_squares()
         self._unit = latent.clamp(LEAST_ACTION, 1.0)[:, None]
@@ -64,7 +64,7 @@ class Retuned:
             latent = gain * self._latent(x) + offset + (law @ x[:, :, None])[:, :, 0]
             return scaled(latent, self._range)
 
-        return simulated(self._stepper, inputs, self._scenarios, depths=depths)
+        return simulated(self._stepper, inputs, self.scenarios, depths=depths)
 
     def values(self, r: Tensor) -> Tensor:
         """Values (n,) of the returns by the risk."""
@@ -74,7 +74,7 @@ class Retuned:
     def on(self, scenarios: ScenarioTensors) -> Retuned:
         """This policy in other scenarios."""
         other = copy.copy(self)
-        other._scenarios = (scenarios[0].double(), scenarios[1].double())
+        other.scenarios = (scenarios[0].double(), scenarios[1].double())
         return other
 
     @torch.no_grad()
@@ -89,7 +89,7 @@ class Retuned:
             squares.append(torch.cat([x.clamp(-limit, limit), latent.clamp(-1.0, 1.0)], dim=1).square().mean(0))
             return scaled(latent, self._range)
 
-        simulated(self._stepper, watched, self._scenarios)
+        simulated(self._stepper, watched, self.scenarios)
         sizes = torch.stack(squares).mean(0).sqrt()
         return sizes[: len(limit)], sizes[len(limit) :]
 

@@ -70,15 +70,8 @@ class Settling:
         loop = self._loop(result.controller, result.design)
         notes = (*result.notes, *self.problem.notes)
         result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
-        if result.status is CoDesignStatus.INFEASIBLE:
-            return result
-        if loop.lost.any():
-            return replace(result, status=CoDesignStatus.DIVERGING)
-        if loop.beyond_inputs > LEAST_TOLERANCE:
-            beyond = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
-            return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, beyond))
-        if result.limits is not None and not result.limits.kept:
-            return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
+        if result.status is not CoDesignStatus.INFEASIBLE:
+            result = _unless_broken(result, loop)
         if not result.status.settled:
             return result
         result = replace(result, baselines=tuple(self._baselines(result, loop)))
@@ -213,6 +206,18 @@ class Settling:
         retuned = self._in_parts("its last layer retuned", result.design, found, loop)
         result = replace(result, baselines=(*result.baselines, retuned))
         return replace(result, status=CoDesignStatus.NOT_STATIONARY) if _better(retuned) else result
+
+
+def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
+    """Result, with another status if its closed loop was lost or left the limits."""
+    if loop.lost.any():
+        return replace(result, status=CoDesignStatus.DIVERGING)
+    if loop.beyond_inputs > LEAST_TOLERANCE:
+        beyond = f"inputs are asked for up to {loop.beyond_inputs:.3g} half-widths beyond U: clip them to U"
+        return replace(result, status=CoDesignStatus.LIMITS_BROKEN, notes=(*result.notes, beyond))
+    if result.limits is not None and not result.limits.kept:
+        return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
+    return result
 
 
 def _better(baseline: Baseline) -> bool:

@@ -93,13 +93,13 @@ class Options:
             right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
             if values is not None and not (right and values):
                 raise InputError(f"--{name}", shown(values), "a list of finite numbers")
+        self._check_source()
+
+    def _check_source(self) -> None:
         for name in (*FILES, "column"):
             value = getattr(self, name)
             if value is not None and not isinstance(value, str):
                 raise InputError(f"--{name}", shown(value), "text")
-        self._check_source()
-
-    def _check_source(self) -> None:
         given = self.sources()
         if len(given) > 1:
             raise InputError(f"--{given[1]}", f"it together with --{given[0]}", "one source of the disturbance")

@@ -121,6 +121,24 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 def jsonable_of(value: Any) -> Any:
     """JSON form of `value`: fields, dynamics of plants, arrays as lists."""
+    stated = _stated(value)
+    if stated is not None:
+        return stated
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: jsonable_of(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {"kind": type(value).__name__, **fields}
+    if isinstance(value, Mapping):
+        return {str(key): jsonable_of(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable_of(item) for item in value]
+    plain = jsonable(value)
+    if plain is None or isinstance(plain, bool | int | float | str | list):
+        return plain
+    return f"a {type(value).__name__}"  # a disturbance of the user's own: its source is part of the fingerprint
+
+
+def _stated(value: Any) -> Any:
+    """JSON form of a plant, a function, a box of designs or a set; None for anything else."""
     if isinstance(value, Plant):
         arguments = [value.x, value.u, value.w, value.p]
         dynamics = ca.Function("dynamics", arguments, [value.dynamics]).serialize()
@@ -137,17 +155,7 @@ def jsonable_of(value: Any) -> Any:
         return {"kind": "DesignSpace", **plain, **{name: what for name, what in held.items() if what}}
     if isinstance(value, Polytope):
         return {name: jsonable_of(getattr(value, name)) for name in ("A", "b", "A_eq", "b_eq")}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {field.name: jsonable_of(getattr(value, field.name)) for field in dataclasses.fields(value)}
-        return {"kind": type(value).__name__, **fields}
-    if isinstance(value, Mapping):
-        return {str(key): jsonable_of(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable_of(item) for item in value]
-    plain = jsonable(value)
-    if plain is None or isinstance(plain, bool | int | float | str | list):
-        return plain
-    return f"a {type(value).__name__}"  # a disturbance of the user's own: its source is part of the fingerprint
+    return None
 
 
 def _flat(value: Any, name: str = "") -> list[tuple[str, Any]]:

@@ -116,7 +116,7 @@ class NonlinearMPC:
         set_(self, "p", as_array("p", self.p, (None,)))
         sizes = {"x": self.states, "u": self.inputs, "w": nw, "p": len(self.p)}
         set_(self, "model", DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
-        _ = self._planner
+        _ = self.planner
 
     @cached_property
     def linear(self) -> LinearMPC:
@@ -150,7 +150,7 @@ class NonlinearMPC:
         return isinstance(self.terminal_set, str) and self.terminal_set == "invariant"
 
     @cached_property
-    def _planner(self) -> Planner:
+    def planner(self) -> Planner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
         return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
@@ -173,10 +173,10 @@ class NonlinearMPC:
         """Controller for other parameters p (np,), with the same model."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
-        for name in ("linear", "_planner", "_steady_solver"):
+        for name in ("linear", "planner", "steady_solver"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "p", value)
-        _ = other._planner
+        _ = other.planner
         return other
 
     def reset(self, n: int | None = None) -> None:
@@ -195,7 +195,7 @@ class NonlinearMPC:
 
     def __getstate__(self) -> dict[str, Any]:
         """State with the model as CasADi stores it."""
-        kept = {name: value for name, value in self.__dict__.items() if name != "_steady_solver"}
+        kept = {name: value for name, value in self.__dict__.items() if name != "steady_solver"}
         return kept | {"step": self.model.step}
 
     def solve(
@@ -212,7 +212,7 @@ class NonlinearMPC:
         x = as_array("x", x, (self.states,))
         self._check_start(start)
         given = spread_signals(self.linear, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
-        return self._planner.plan(x, given, start)
+        return self.planner.plan(x, given, start)
 
     def sensitivity(
         self, x: ArrayLike, *, start: Plan | None = None, dQ: ArrayLike | None = None, dR: ArrayLike | None = None,
@@ -244,7 +244,7 @@ class NonlinearMPC:
         x = as_array("x", x, (self.states,))
         self._check_start(start)
         given = spread_signals(self.linear, dict(signals))
-        to_the_end = replace(self._planner, iterations=None, time_limit=np.inf)
+        to_the_end = replace(self.planner, iterations=None, time_limit=np.inf)
         plan = to_the_end.plan(x, given, start)
         at_rest = self.model.at_rest(self.p)
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
@@ -254,7 +254,7 @@ class NonlinearMPC:
         return sensitivity_of(self.linear, derivatives, changes, plan, given)
 
     @cached_property
-    def _steady_solver(self) -> ca.Function:
+    def steady_solver(self) -> ca.Function:
         """Solver for steady states of the model in X and U."""
         return steady_solver(self.linear, self.model)
 
@@ -274,7 +274,7 @@ class NonlinearMPC:
         rows = as_array("x", np.atleast_2d(value), (None, self.states))
         each = for_each_state(self.linear, dict(signals), len(rows))
         follow = self._last if len(self._last) == len(rows) else [None] * len(rows)
-        planner = self._planner
+        planner = self.planner
         plans = [
             planner.plan(row, given, None if plan is None else planner.shifted(plan, given))
             for row, given, plan in zip(rows, each, follow)

@@ -60,18 +60,18 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         return self.mpc if self.mpc.disturbances else _with_additive(self.mpc)
 
     @property
-    def _problem(self) -> MPCProblem:
+    def problem(self) -> MPCProblem:
         """Sizes, weights and sets."""
         problem: MPCProblem = self.mpc.linear
         return problem
 
-    def _alone(self) -> OffsetFreeNonlinearMPC:
+    def alone(self) -> OffsetFreeNonlinearMPC:
         """Controller of one run among others, with its own memory."""
         return replace(self, mpc=copy.deepcopy(self.mpc))
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeNonlinearMPC:
         """Controller after one observed transition."""
-        problem, model, p = self._problem, self.mpc.model, self.mpc.p
+        problem, model, p = self.problem, self.mpc.model, self.mpc.p
         x = as_array("x", x, (problem.nx,))
         u = as_array("u", u, (problem.nu,))
         error = as_array("x_next", x_next, (problem.nx,)) - model.next(x, u, self.disturbance, p)
@@ -88,7 +88,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         By Newton's method, and by Ipopt where that leads nowhere, as beyond the top of a curve of steady states. Where
         neither finds one, what drifts least under the last linearisation; its drift is that of the model.
         """
-        problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
+        problem, model, p, w = self.problem, self.mpc.model, self.mpc.p, self.disturbance
         r = as_array("reference", reference, (len(self.C),))
         found, settled = self._by_newton(r)
         if not settled:
@@ -99,7 +99,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
     def _by_newton(self, r: Array) -> tuple[Array, bool]:
         """Target (nx + nu,) by Newton's method, and whether it settles."""
-        problem, model, p, w = self._problem, self.mpc.model, self.mpc.p, self.disturbance
+        problem, model, p, w = self.problem, self.mpc.model, self.mpc.p, self.disturbance
         size = sizes_of(problem)
         at = np.zeros(len(size))
         for _ in range(20):  # Newton steps
@@ -117,11 +117,11 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
     def _by_ipopt(self, r: Array, otherwise: Array) -> Array:
         """Target (nx + nu,) by Ipopt, where that finds one."""
-        size, nx = sizes_of(self._problem), self._problem.nx
+        size, nx = sizes_of(self.problem), self.problem.nx
         unit = max(float(np.linalg.norm(self.C * size[:nx])), np.finfo(float).tiny) ** 2
         squares, slope = (self.C.T @ self.C).ravel() / unit, self.C.T @ r / unit
         data = np.concatenate([squares, slope, self.disturbance, self.mpc.p])
-        solver = self.mpc._steady_solver
+        solver = self.mpc.steady_solver
         least = np.where(np.arange(solver.numel_out("g")) < nx, 0.0, -np.inf)
         found = solver(x0=0, p=data, lbg=least, ubg=0)
         return np.asarray(found["x"]).ravel() * size if solver.stats()["success"] else otherwise

@@ -89,24 +89,7 @@ class Linearised:
         self.U, self.X = predict(problem, A, B, driven, at["z"].start, self.feedback)
         self.U[:, :, at["value"]] = point.inputs[:, :, None]
         self.X[:, :, at["value"]] = point.states[:, :, None]
-        self.rows, bounds, self.labels = constraints_of(problem, self.U, self.X, at)
-        last = given.get("u_prev", np.zeros(0))
-        value = self.rows[:, at["value"]].ravel() + self.rows[:, at["u_prev"]] @ last
-        self.values = value + self.rows[:, at["s"]] @ point.slacks - bounds  # g <= 0
-        for i, (kind, _, row) in enumerate(self.labels):
-            if kind in conditions.changes.bounds:
-                self.rows[i, at["p"]] -= conditions.changes.bounds[kind][row]
-        # the price of a violation is counted in units that may change
-        prices = {kind: change for kind, change in conditions.changes.units.items() if change.any()}
-        priced = [(i, step - 1, prices[kind][row]) for i, (kind, step, row) in enumerate(self.labels) if kind in prices]
-        for i, k, change in priced:
-            self.rows[i, at["p"]] -= point.slacks[k] * change
-        self.units = row_units(problem, self.labels)
-        self.on_bound = self.values >= -KKT_REPORTED * self.units  # rows that hold with equality
-        held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
-        own = [label.kind != "input" or not held[label.step] for label in self.labels]
-        self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
-        self.multipliers = np.zeros(len(self.rows)) if point.multipliers is None else point.multipliers
+        priced = self._hold_limits()
         error, effort = deviations(point.states, point.inputs, given)
         steps = np.hstack([error[:-1], effort])
         self.slope = 2 * steps @ problem.stage_weight
@@ -135,6 +118,30 @@ class Linearised:
         self.H = whole[:, conditions.free]
         self.F = whole[:, : conditions.nt]
         self.F_gap = whole[:, at["gap"]].ravel()
+
+    def _hold_limits(self) -> list[tuple[int, int, Array]]:
+        """Set what the limits are here; return row, slack and price of each violation whose unit changes."""
+        conditions, point = self.conditions, self.point
+        problem, at, given = conditions.problem, conditions.columns, conditions.given
+        self.rows, bounds, self.labels = constraints_of(problem, self.U, self.X, at)
+        last = given.get("u_prev", np.zeros(0))
+        value = self.rows[:, at["value"]].ravel() + self.rows[:, at["u_prev"]] @ last
+        self.values = value + self.rows[:, at["s"]] @ point.slacks - bounds  # g <= 0
+        for i, (kind, _, row) in enumerate(self.labels):
+            if kind in conditions.changes.bounds:
+                self.rows[i, at["p"]] -= conditions.changes.bounds[kind][row]
+        # the price of a violation is counted in units that may change
+        prices = {kind: change for kind, change in conditions.changes.units.items() if change.any()}
+        priced = [(i, step - 1, prices[kind][row]) for i, (kind, step, row) in enumerate(self.labels) if kind in prices]
+        for i, k, change in priced:
+            self.rows[i, at["p"]] -= point.slacks[k] * change
+        self.units = row_units(problem, self.labels)
+        self.on_bound = self.values >= -KKT_REPORTED * self.units  # rows that hold with equality
+        held = np.concatenate([np.arange(length) > 0 for length in block_lengths(problem)])
+        own = [label.kind != "input" or not held[label.step] for label in self.labels]
+        self.own = np.array(own, dtype=bool)  # of a held input, the limits at its first step
+        self.multipliers = np.zeros(len(self.rows)) if point.multipliers is None else point.multipliers
+        return priced
 
     def _hessian(self, forms: Array, curvature: Array) -> Array:
         """Lagrangian Hessian (n, ·) by (z, slacks) and ξ."""

@@ -37,7 +37,7 @@ def test_a_body_is_drawn_face_by_face():
     axes = Figure().add_subplot(projection="3d")
     faces = plot_polytope(CUBE, ax=axes)
     assert faces in axes.collections
-    assert len(faces._faces if hasattr(faces, "_faces") else faces._vec) >= 6
+    assert len(faces._faces if hasattr(faces, "_faces") else faces._vec) >= 6  # noqa: SLF001
 
 
 def test_a_set_in_four_dimensions_is_projected(axes):

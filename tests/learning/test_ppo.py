@@ -171,7 +171,7 @@ def test_gradients_are_clipped_before_adam():
     net = agent()
     ppo = PPO(net, PPOConfig(max_gradient=0.5))
     parameters = list(net.value_network.parameters())
-    ppo._step(ppo.critic_optimiser, 1e6 * net.value(torch.ones(4, 2)).sum(), parameters)
+    ppo._step(ppo.critic_optimiser, 1e6 * net.value(torch.ones(4, 2)).sum(), parameters)  # noqa: SLF001
     norm = torch.cat([p.grad.flatten() for p in parameters]).norm().item()
     assert norm == pytest.approx(0.5, rel=1e-4)
 

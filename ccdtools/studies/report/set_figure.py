@@ -33,25 +33,8 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
     sets = {title: result.set for title, (result, _) in results.items() if not result.set.is_empty}
     if not sets:
         return []
-    caption = (
-        "X_fea(p), the largest set of states from which the limits can be kept for ever, at different designs; "
-        "shaded: the final design. "
-    )
     local = not run.study.plant.linear
-    if local:
-        caption += "They are those of the linearisation at rest, which the plant itself may leave. "
-    if any(title.startswith(NEAR) for title in results):
-        caption += "Where a design of the box cannot be built, the nearest that can stands for it. "
-    inner = [title for title in sets if results[title][0].status is not Status.CONVERGED]
-    if inner:
-        caption += (
-            f"Not the largest, but a part of it that the limits can be kept in, as far as {SET_SECONDS:g} s went: "
-            f"{'; '.join(inner)}. "
-        )
-    missing = [f"{title} ({result.status.name.lower().replace('_', ' ')})"
-               for title, (result, _) in results.items() if title not in sets]  # fmt: skip
-    if missing:
-        caption += f"There is none to show at {'; '.join(missing)}. "
+    caption = _caption({title: result for title, (result, _) in results.items()}, local)
     pairs = [(0, 1)] if nx == 2 else _most_different_pairs(sets, nx)
     cuts = _cuts(nx)
     figure = style.blank(7, 5.2, quick=run.quick) if nx == 2 else style.blank(9, 4.1 * len(cuts), quick=run.quick)
@@ -74,6 +57,30 @@ def feasible_set_figure(run: FinishedRun) -> list[ReportFigure]:
         caption += f"The sets have {nx} dimensions; shown are the pairs of states on which they differ most: {drawn}. "
     of_final = " of the final design" if isinstance(run.study.X, DesignLimits) else ""
     return [ReportFigure("feasible_sets", heading, caption + f"The dashed frame is X{of_final}.", figure)]
+
+
+def _caption(results: dict[str, SetResult], local: bool) -> str:
+    """What the sets by title are, which of them are not the largest, and which are missing."""
+    caption = (
+        "X_fea(p), the largest set of states from which the limits can be kept for ever, at different designs; "
+        "shaded: the final design. "
+    )
+    if local:
+        caption += "They are those of the linearisation at rest, which the plant itself may leave. "
+    if any(title.startswith(NEAR) for title in results):
+        caption += "Where a design of the box cannot be built, the nearest that can stands for it. "
+    shown = {title: result for title, result in results.items() if not result.set.is_empty}
+    inner = [title for title, result in shown.items() if result.status is not Status.CONVERGED]
+    if inner:
+        caption += (
+            f"Not the largest, but a part of it that the limits can be kept in, as far as {SET_SECONDS:g} s went: "
+            f"{'; '.join(inner)}. "
+        )
+    missing = [title for title in results if title not in shown]
+    if missing:
+        why = [f"{title} ({results[title].status.name.lower().replace('_', ' ')})" for title in missing]
+        caption += f"There is none to show at {'; '.join(why)}. "
+    return caption
 
 
 def _results(run: FinishedRun) -> dict[str, tuple[SetResult, _Line]]:

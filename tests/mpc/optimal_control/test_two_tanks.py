@@ -59,7 +59,7 @@ def test_a_weak_pump_leaves_no_offset_and_every_plan_is_solved(level, reached, l
     x, u, statuses = np.zeros(2), np.zeros(1), []
     for _ in range(150):
         u = loop(length * x, reference=[length * level], u_prev=u)
-        statuses.append(loop._each[0].mpc.last_plans[0].status)
+        statuses.append(loop._each[0].mpc.last_plans[0].status)  # noqa: SLF001
         x = np.asarray(tanks(x, u / flow, pump=0.9)).ravel()
     assert x[1] == pytest.approx(reached, abs=1e-6)  # (2 · 0.9)² of the level at rest is all that the pump holds
     assert set(statuses) == {Status.SOLVED}
