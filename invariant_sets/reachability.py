@@ -115,7 +115,7 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
         """One step backwards from S, checked."""
         return backward_step(system, S, within, inputs, deadline)
 
-    hull = partial(inner_hull, A=system.A, B=system.B, sets=(within, within, goal), U=inputs, steps=steps, at=0)
+    hull = partial(inner_hull, system=system, sets=(within, within, goal), U=inputs, steps=steps, at=0)
     return _in_given_units(_repeat(step_back, goal, steps, deadline, within, hull if W is None else None), size)
 
 
@@ -180,7 +180,7 @@ def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: S
         ahead, check = forward_step(system, R, moves, deadline)
         return ahead.intersection(within).minimal() if len(within.b) + len(within.b_eq) else ahead, check
 
-    last = partial(inner_hull, A=system.A, B=system.B, sets=(first, within, within), U=inputs, steps=steps, at=steps)
+    last = partial(inner_hull, system=system, sets=(first, within, within), U=inputs, steps=steps, at=steps)
     return _in_given_units(_repeat(step_ahead, first, steps, deadline, within, last), size)
 
 

@@ -13,6 +13,7 @@ from functools import reduce
 
 import numpy as np
 
+from invariant_sets.engine.trajectories import state_maps
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.polyhedron import nonempty_body, set_of
 from invariant_sets.polytope import Polytope
@@ -56,7 +57,7 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
     if strong:
         system, U = _independent_inputs(system, U, np.where(goal.half_widths > 0.0, goal.half_widths, 1.0))
     nu = U.dim
-    moves, drift = _moves(system, X.dim if target is None else 1)
+    moves, drift = state_maps(system, X.dim if target is None else 1)
     goals = [X] * (len(moves) - 2) + [X if target is None else target]
     lifted = reduce(Polytope.cartesian_product, [U] * len(goals), X)  # (x, u₀, …) of whole trajectories
     for M, c, after in zip(moves[1:], drift[1:], goals):
@@ -92,20 +93,6 @@ def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Po
     if not cut.is_empty and cut.affine_dim < X.affine_dim:
         raise NumericalError("X", X.A.shape, "what inputs can hold of its unstable modes is nothing beside the others")
     return cut
-
-
-def _moves(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
-    """Matrices M and c of the states M (x, u₀, …) + c."""
-    n, nu = system.B.shape
-    mean = np.zeros(n) if system.disturbances is None else system.disturbances.mean(axis=0)
-    moves = [np.hstack([np.eye(n), np.zeros((n, steps * nu))])]
-    drift = [np.zeros(n)]
-    for step in range(steps):
-        M = system.A @ moves[-1]
-        M[:, n + step * nu:n + (step + 1) * nu] = system.B
-        moves.append(M)
-        drift.append(system.A @ drift[-1] + mean)
-    return moves, drift
 
 
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:

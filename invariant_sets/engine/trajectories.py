@@ -8,14 +8,29 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
+from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import Deadline
 
 Array = np.ndarray
 
 
-def inner_hull(deadline: Deadline, *, A: Array, B: Array, sets: tuple[Polytope, Polytope, Polytope], U: Polytope,
+def state_maps(system: LinearSystem, steps: int) -> tuple[list[Array], list[Array]]:
+    """Matrices M and c of the states M (x, u₀, …) + c of trajectories under the mean disturbance."""
+    n, nu = system.B.shape
+    mean = np.zeros(n) if system.disturbances is None else system.disturbances.mean(axis=0)
+    moves = [np.hstack([np.eye(n), np.zeros((n, steps * nu))])]
+    drift = [np.zeros(n)]
+    for step in range(steps):
+        M = system.A @ moves[-1]
+        M[:, n + step * nu:n + (step + 1) * nu] = system.B
+        moves.append(M)
+        drift.append(system.A @ drift[-1] + mean)
+    return moves, drift
+
+
+def inner_hull(deadline: Deadline, *, system: LinearSystem, sets: tuple[Polytope, Polytope, Polytope], U: Polytope,
                steps: int, at: int) -> Polytope | None:
-    """Hull of extreme states x₀ or x_N of trajectories x⁺ = A x + B u, or None.
+    """Hull of extreme states x₀ or x_N of trajectories, or None.
 
     None, too, where the linear program over all steps would be too large.
 
@@ -26,8 +41,8 @@ def inner_hull(deadline: Deadline, *, A: Array, B: Array, sets: tuple[Polytope, 
     ----------
     deadline : Deadline
         No point is sought after it.
-    A, B : arrays
-        Dynamics.
+    system : LinearSystem
+        Dynamics; of the disturbances the mean acts.
     sets : three Polytopes
         Sets of x₀, of x₁, …, x_{N−1}, and of x_N.
     U : Polytope
@@ -35,6 +50,8 @@ def inner_hull(deadline: Deadline, *, A: Array, B: Array, sets: tuple[Polytope, 
     steps, at : int
         N, at least one, and 0 or N, the time of the states.
     """
+    from scipy.linalg import block_diag
+
     start, between, last = sets
     rows_a_step = len(U.b) + len(between.b) + 2 * len(between.b_eq)
     if steps * rows_a_step * (start.dim + steps * U.dim) > 2_000_000:  # more than a second
@@ -44,17 +61,12 @@ def inner_hull(deadline: Deadline, *, A: Array, B: Array, sets: tuple[Polytope, 
     inputs = U.body
     if first is None or inputs is None:
         return None
-    n = len(first.centre)
-    k = first.basis.shape[1]
-    q = inputs.basis.shape[1]
-    maps = [np.hstack([first.basis, np.zeros((n, steps * q))])]
-    offsets = [first.centre]
-    for step in range(steps):
-        moved = A @ maps[-1]
-        moved[:, k + step * q:k + (step + 1) * q] += B @ inputs.basis
-        maps.append(moved)
-        offsets.append(A @ offsets[-1] + B @ inputs.centre)
-    rows = [np.hstack([np.zeros((steps * len(inputs.g), k)), np.kron(np.eye(steps), inputs.F)])]
+    moves, drift = state_maps(system, steps)
+    basis = block_diag(first.basis, *[inputs.basis] * steps)
+    centre = np.concatenate([first.centre, np.tile(inputs.centre, steps)])
+    maps = [M @ basis for M in moves]
+    offsets = [M @ centre + c for M, c in zip(moves, drift)]
+    rows = [np.hstack([np.zeros((steps * len(inputs.g), first.basis.shape[1])), np.kron(np.eye(steps), inputs.F)])]
     right = [np.tile(inputs.g, steps)]
     for S, M, c in zip(states, maps, offsets):
         F = np.vstack([S.A, S.A_eq, -S.A_eq])

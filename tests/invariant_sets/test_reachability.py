@@ -91,6 +91,20 @@ def test_no_steps_ask_nothing_of_the_inputs():
         assert result.set.is_empty
 
 
+def test_what_is_found_before_the_time_limit_is_reached_under_a_disturbance_that_is_never_zero():
+    W = box([0.5, 0.5], [0.6, 0.7])
+    found = reachable_set(A, B, box([-1, -1], [1, 1]), U, 3, W=W, time_limit=1e-9)
+    assert found.status is Status.TIME_LIMIT
+    assert found.set.affine_dim == 2
+    assert found.set.is_subset(reachable_set(A, B, box([-1, -1], [1, 1]), U, 3, W=W).set)
+
+
+def test_a_system_without_inputs_is_stated_without_them():
+    S = box([-1, -1], [1, 2])
+    assert predecessor_set(A, None, S, None).set.equals(S.preimage(A))
+    assert reachable_set(A, None, S, None, 2).set.equals(S.affine_map(A @ A))
+
+
 def test_what_is_found_before_the_time_limit_can_be_steered_to_the_target(rng):
     A, B = 0.5 * rng.standard_normal((4, 4)), rng.standard_normal((4, 2))
     steps = 12
