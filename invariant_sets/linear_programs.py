@@ -141,7 +141,7 @@ def ray_along(d: Array, F: Array) -> Array | None:
     if optimum is None or -optimum.value <= LP_COARSE * np.abs(d).max():
         return None
     for ray in (optimum.x, np.where(np.abs(optimum.x) > CANCELLED * np.abs(optimum.x).max(), optimum.x, 0.0)):
-        if (F @ ray <= CANCELLED * (np.abs(F) @ np.abs(ray))).all():
+        if (F @ ray <= ROUNDING * (np.abs(F) @ np.abs(ray))).all():  # `contains` allows as much
             return ray
     return None
 

@@ -39,22 +39,14 @@ def rows_hold(points: Array, A: Array, b: Array, slack: Array, rounding: float, 
 def _hold_there(points: Array, A: Array, b: Array, slack: Array, rounding: float, most: Array | None) -> Array:
     """Whether points (k,) satisfy the rows with the rounding at each."""
     values = A @ points.T
-    if most is None:
-        most = b + _allowed(A, b, slack, rounding, _largest(points))
     least = b + np.maximum(slack, rounding * np.abs(b))
     answer: Array = np.less_equal(values, least[:, None]).all(axis=0)
-    near = np.flatnonzero(np.less_equal(values, most[:, None]).all(axis=0) & ~answer)
+    possible = True if most is None else np.less_equal(values, most[:, None]).all(axis=0)
+    near = np.flatnonzero(possible & ~answer)
     if len(near):
         limit = b + _allowed(A, b, slack, rounding, np.abs(points[near]))
         answer[near] = np.less_equal(values[:, near].T, limit).all(axis=1)
     return answer
-
-
-def _largest(points: Array) -> Array:
-    """Largest finite |x| (n,) of the points (k, n)."""
-    size = np.abs(points)
-    largest: Array = size[np.isfinite(size).all(axis=1)].max(axis=0, initial=0.0)
-    return largest
 
 
 def _allowed(A: Array, b: Array, slack: Array, rounding: float, size: Array) -> Array:

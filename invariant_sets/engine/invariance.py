@@ -29,7 +29,7 @@ from invariant_sets.engine import certificate
 from invariant_sets.engine.inner_sets import Candidate, candidates, feedback_sets, gap, predecessor_of
 from invariant_sets.engine.local_problem import LocalProblem, localise
 from invariant_sets.engine.loose_bounds import unstable_bounds, without_loose_bounds
-from invariant_sets.engine.observable import cylinder, observed_directions, quotient
+from invariant_sets.engine.observable import observed_directions, quotient
 from invariant_sets.engine.recursion import Limits, Outcome, Region, Shape, iterate
 from invariant_sets.exceptions import NumericalError, TimeLimitError
 from invariant_sets.interior_form import unit_rows
@@ -79,8 +79,8 @@ def _extended(result: SetResult, Q: Array) -> SetResult:
     """Result with its sets as cylinders {x : Q x in the set}."""
     if result.outer.is_empty:
         return no_set(Q.shape[1], result.iterations, status=result.status)
-    C = no_set(Q.shape[1], 0).set if result.set.is_empty else cylinder(result.set, Q)
-    return replace(result, set=C, outer=cylinder(result.outer, Q))
+    C = no_set(Q.shape[1], 0).set if result.set.is_empty else result.set.preimage(Q)
+    return replace(result, set=C, outer=result.outer.preimage(Q))
 
 
 def _largest(task: Task, guess: Polytope | None = None) -> SetResult:

@@ -56,17 +56,4 @@ def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem,
     """Motion of z = Q x, and X as a set of z."""
     back = left_inverse(Q.T).T  # Q back = 1, in any units
     noise = None if system.disturbances is None else system.disturbances @ Q.T
-    seen = Polytope(_product(X.A, back), X.b, _product(X.A_eq, back), X.b_eq)
-    return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), seen
-
-
-def cylinder(P: Polytope, Q: Array) -> Polytope:
-    """Cylinder {x : Q x in P}."""
-    return Polytope(_product(P.A, Q), P.b, _product(P.A_eq, Q), P.b_eq)
-
-
-def _product(F: Array, back: Array) -> Array:
-    """Product F back with zeros where terms have cancelled."""
-    rows: Array = F @ back
-    rows[np.abs(rows) <= CANCELLED * (np.abs(F) @ np.abs(back))] = 0.0
-    return rows
+    return LinearSystem(Q @ system.A @ back, Q @ system.B, noise), X.preimage(back)

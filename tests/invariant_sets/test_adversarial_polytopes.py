@@ -95,6 +95,15 @@ def test_a_slab_has_no_end_along_itself():
     assert not slab.is_bounded
 
 
+def test_a_slab_by_rows_that_are_parallel_but_for_rounding_is_not_empty():
+    rows = np.array([[-2.3005976387607574, -0.6099217056965168], [0.06284084803391919, 0.016660017629549686]])
+    b = [1.6093918865053254, 1.6488087232121946, 0.826283958129824, 1.4217956463763852]
+    P = Polytope(np.vstack([rows, -rows]), b)
+    assert not P.is_empty
+    assert not P.is_bounded  # what `contains` allows for rounding holds any distance away
+    assert P.contains(1e9 * np.array([-rows[0, 1], rows[0, 0]]))
+
+
 def test_a_thin_set_in_mixed_units_is_not_flat():
     units = np.array([1e6, 1e-5])
     P = Polytope(np.array([[1, 0], [0.7, 0.7], [-1, 0], [-0.7, -0.7]]) / units, [1, 1e-4, 1, 1e-4])
