@@ -18,7 +18,7 @@ from invariant_sets.projection import project_rows
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, LP_SOLVER, MEMBERSHIP, MISSING, PLACE, PROGRAMS_PER_CHECK, ROUNDING, WITNESS
+from invariant_sets.tolerances import FLAT, LP_SOLVER, MEMBERSHIP, MISSING, PLACE, ROUNDING, WITNESS
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -147,9 +147,9 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Arr
     rows = np.vstack([F @ closed, H @ gain])
     right = np.append(g - F @ shift, h - H @ offset)
     worst = -np.inf
-    for i in range(0, len(rows), PROGRAMS_PER_CHECK):
+    for slope, level in zip(rows, right):
         deadline.check()
-        worst = max(worst, float((C.support(rows[i:i + PROGRAMS_PER_CHECK]) - right[i:i + PROGRAMS_PER_CHECK]).max()))
+        worst = max(worst, C.support(slope) - level)
     return Certificate(worst, np.inf, len(rows))
 
 
