@@ -94,6 +94,14 @@ def test_a_stabilisable_but_uncontrollable_pair():
     assert result.set.volume > 1
 
 
+def test_inputs_without_limits_that_act_alike_are_as_one():
+    A, b = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
+    one = maximal_control_invariant_set(A, b, X, (-1e20, 1e20))
+    two = maximal_control_invariant_set(A, np.hstack([b, 2 * b]), X, (-1e20, 1e20))
+    assert one.status is two.status is Status.CONVERGED
+    assert two.set.equals(one.set, 1e-7)
+
+
 def test_duplicate_rows_change_nothing():
     double = Polytope(np.vstack([X.A, X.A, 2 * X.A]), np.r_[X.b, X.b, 2 * X.b])
     for name, result in all_invariance(double).items():
