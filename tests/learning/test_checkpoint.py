@@ -3,14 +3,14 @@
 import json
 import pickle
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 from toys import agent
 
-from learning import LearningError, load, save
+from learning import LearningError, QuantileConfig, fit_quantiles, load, save
 from learning.exceptions import CheckpointError
-from learning.quantile import QuantileNetwork
 
 ANOTHER_LAYOUT = "got the layout of another version, expected that of this one: train the network and save it anew"
 
@@ -91,7 +91,8 @@ def test_a_header_that_does_not_fit_its_tensors_is_refused(tmp_path):
 
 
 def test_a_quantile_network_of_an_earlier_version_is_to_be_trained_anew(tmp_path):
-    net = QuantileNetwork(2, 1, (0.1, 0.5, 0.9), (3,))
+    rng = np.random.default_rng(0)
+    net = fit_quantiles(rng.normal(size=(200, 2)), rng.normal(size=200), rng=rng, config=QuantileConfig(steps=1))
     tensors = {name: value for name, value in net.state_dict().items() if name != "positions"}
     shape = {name: value for name, value in net.shape().items() if name != "samples"}
     header = {"format": "ccdtools-1", "kind": "QuantileNetwork", "shape": shape, "extra": {}}

@@ -61,7 +61,7 @@ def test_its_program_is_that_of_python(limits, sx, su, cost):
     given = {"w": 0.3 * np.ones(N), "x_ref": np.tile(sx * [0.05, 0.0], N + 1), "u_ref": np.full(N, -0.1 * su)} | last
     plan = controller.solve(x, **last)
     x = x + sx * [0.02, 0.1]
-    planner = controller._planner
+    planner = controller.planner
     at = planner.shifted(plan, given)
     dear = 100 * ca_cost(controller, at, given)
     step = planner.programs.step(x, at.states, at.inputs, given["w"][:, None], controller.p, given, dear)
