@@ -103,8 +103,12 @@ def disguised(rng: np.random.Generator, rows: Rows, units: Array) -> Polytope:
 
 def highs_support(rows: Rows, D: Array) -> Array | None:
     """Return the support in the directions D; None if there is no point. NaN where HiGHS decides nothing."""
-    sets = {"A_ub": rows.A, "b_ub": rows.b, "A_eq": rows.E if len(rows.e) else None,
-            "b_eq": rows.e if len(rows.e) else None}
+    sets = {
+        "A_ub": rows.A,
+        "b_ub": rows.b,
+        "A_eq": rows.E if len(rows.e) else None,
+        "b_eq": rows.e if len(rows.e) else None,
+    }
     if linprog(np.zeros(rows.A.shape[1]), **sets, bounds=(None, None), options=SOLVER).status == 2:
         return None
     values = []
@@ -149,7 +153,7 @@ def support_case(seed: int, k: int, decades: float) -> str:
     size = 0.01 * float(np.abs(expected[np.isfinite(expected)]).max(initial=1e-12))
     if differ(values, expected, size):
         return f"{name}: support"
-    return f"{name}: bounding box" if differ(sides, expected[:2 * n], size) else ""
+    return f"{name}: bounding box" if differ(sides, expected[: 2 * n], size) else ""
 
 
 def sum_case(seed: int, k: int, decades: float) -> str:
@@ -187,8 +191,9 @@ def flat_case(seed: int, k: int, decades: float) -> str:
     upper = lower + np.where(np.arange(n) < solid, rng.uniform(0.1, 2, n), 0.0)
     units = 10 ** rng.uniform(-decades, decades, n)
     touching = rng.normal(size=(int(rng.integers(0, 4)), n))
-    reach = (np.maximum(touching, 0) @ upper + np.minimum(touching, 0) @ lower
-             + rng.choice([0.0, 1.0, 1e6], len(touching)))
+    reach = (
+        np.maximum(touching, 0) @ upper + np.minimum(touching, 0) @ lower + rng.choice([0.0, 1.0, 1e6], len(touching))
+    )
     A, b = np.vstack([Q.T, -Q.T, touching @ Q.T]) / units, np.concatenate([upper, -lower, reach])
     copied = rng.integers(0, len(b), int(rng.integers(0, 4)))
     factors = 10 ** rng.uniform(-6, 6, len(b) + len(copied)) if rng.random() < 0.7 else np.ones(len(b) + len(copied))
@@ -219,14 +224,18 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=2000, help="number of sets")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    for name, case, count in (("support and bounding box, n = 2 to 6", support_case, options.count),
-                              ("sums and projections, n = 2 to 5", sum_case, max(1, options.count * 3 // 20)),
-                              ("points and flat boxes, n = 2 to 6", flat_case, options.count)):
+    for name, case, count in (
+        ("support and bounding box, n = 2 to 6", support_case, options.count),
+        ("sums and projections, n = 2 to 5", sum_case, max(1, options.count * 3 // 20)),
+        ("points and flat boxes, n = 2 to 6", flat_case, options.count),
+    ):
         for decades in (0.0, 8.0):
             start = time.perf_counter()
             wrong = wrong_cases(case, count, options.seed, decades)
-            print(f"{name}, units over {2 * decades:.0f} decades: {len(wrong)} of {count} wrong, "
-                  f"{time.perf_counter() - start:.0f} s")
+            print(
+                f"{name}, units over {2 * decades:.0f} decades: {len(wrong)} of {count} wrong, "
+                f"{time.perf_counter() - start:.0f} s"
+            )
             print("".join(f"    {line}\n" for line in wrong), end="", flush=True)
 
 

@@ -93,8 +93,14 @@ class Case:
 def largest(c: Array, F: Array, g: Array) -> float:
     """Return max cᵀz over F z <= g by HiGHS: −inf if empty, +inf if unbounded; either is confirmed by zero cost."""
     for method in ("highs-ds", "highs-ipm"):
-        answer = linprog(-c, A_ub=F, b_ub=g, bounds=(None, None), method=method,
-                         options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10})
+        answer = linprog(
+            -c,
+            A_ub=F,
+            b_ub=g,
+            bounds=(None, None),
+            method=method,
+            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        )
         if answer.status == 0:
             return float(-answer.fun)
     feasible = linprog(0 * c, A_ub=F, b_ub=g, bounds=(None, None), method="highs-ds").status == 0
@@ -111,7 +117,7 @@ def lifted(case: Case, steps: int, target: Rows | None) -> Rows:
         rows.append(case.X[0] @ state)
         right.append(case.X[1])
         pick = np.zeros((m, width))
-        pick[:, n + k * m:n + (k + 1) * m] = np.eye(m)
+        pick[:, n + k * m : n + (k + 1) * m] = np.eye(m)
         rows.append(case.U[0] @ pick)
         right.append(case.U[1])
         state = case.A @ state + case.B @ pick
@@ -150,8 +156,13 @@ def inner_point(rows: Rows, n: int) -> tuple[Array, float] | None:
     k = F.shape[1]
     cost = np.zeros(k + 1)
     cost[k] = -1.0
-    answer = linprog(cost, A_ub=np.hstack([F, np.ones((len(F), 1))]), b_ub=g,
-                     bounds=[(None, None)] * k + [(None, 1.0)], method="highs-ds")
+    answer = linprog(
+        cost,
+        A_ub=np.hstack([F, np.ones((len(F), 1))]),
+        b_ub=g,
+        bounds=[(None, None)] * k + [(None, 1.0)],
+        method="highs-ds",
+    )
     return None if answer.status != 0 or answer.x[k] < -1e-9 else (answer.x[:n], float(answer.x[k]))
 
 
@@ -349,8 +360,12 @@ def judge_control(case: Case, result: SetResult, seconds: float, limit: float, r
         if x is None or (case.X[0] @ x > case.X[1] + CLOSE * (1 + np.abs(case.X[1]))).any():
             return "outside X or unbounded"
         rows = np.block([[C[0] @ case.B, -width[:, None]], [case.U[0], np.zeros((len(case.U[1]), 1))]])
-        answer = linprog(np.append(np.zeros(m), 1.0), A_ub=rows, b_ub=np.append(C[1] - C[0] @ case.A @ x, case.U[1]),
-                         bounds=(None, None))
+        answer = linprog(
+            np.append(np.zeros(m), 1.0),
+            A_ub=rows,
+            b_ub=np.append(C[1] - C[0] @ case.A @ x, case.U[1]),
+            bounds=(None, None),
+        )
         if answer.status != 0 or answer.x[-1] > CLOSE:
             return "not invariant"
     returning = lifted(case, 10, C)  # 10 more steps back
@@ -428,8 +443,11 @@ def control(seeds: range, held_out: bool = False, limit: float = 20.0) -> list[t
         result = maximal_control_invariant_set(*case.matrices, case.states(case.X), case.inputs(), time_limit=limit)
         spent = time.perf_counter() - start
         verdicts.append((seed, judge_control(case, result, spent, limit), f"{result.status.name}"))
-        print(f"  {seed} n={len(case.A)} m={case.B.shape[1]} {result.status.name} {spent:.1f} s "
-              f"gap {result.certificate.gap:.1e} {verdicts[-1][1]}", flush=True)
+        print(
+            f"  {seed} n={len(case.A)} m={case.B.shape[1]} {result.status.name} {spent:.1f} s "
+            f"gap {result.certificate.gap:.1e} {verdicts[-1][1]}",
+            flush=True,
+        )
     return verdicts
 
 

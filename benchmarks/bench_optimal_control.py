@@ -180,9 +180,7 @@ def main() -> None:
                 took = "failed | | " if row["seconds"] is None else (
                     f"{1e3 * row['seconds']:.0f} | {row['seconds'] / totals[name]:.1f} | {row['cost']:.7g}"
                 )  # fmt: skip
-                print(
-                    f"| {name} | {package} | {took} | {CLASSICAL[name].cost:.7g} | {row['lines']} | {lines[name]} |"
-                )
+                print(f"| {name} | {package} | {took} | {CLASSICAL[name].cost:.7g} | {row['lines']} | {lines[name]} |")
 
 
 if __name__ == "__main__":

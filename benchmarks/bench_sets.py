@@ -170,7 +170,7 @@ def families(designs: tuple[int, int]) -> None:
         worst = max(family.result(q).certificate.violation for q in p)
         print(
             f"  {count:5d} {name:14s} {spent:7.2f} s, of which {busy:.2f} s on the processor (required "
-              f"{limit:g} s for 300 and 3000); "
+            f"{limit:g} s for 300 and 3000); "
             f"{inside.mean():.0%} inside, worst violation {worst:.1e}"
         )
 
@@ -198,9 +198,11 @@ def growth(*, largest: bool) -> None:
         spent = milliseconds(lambda A=A, B=B, X=X, U=U: maximal_control_invariant_set(A, B, X, U), 1)
         result = maximal_control_invariant_set(A, B, X, U)
         C = result.set
-        print(f"  damping {damping}, {n} states: {spent:9.2f} ms, {result.status.name}, {result.iterations} steps, "
-              f"{len(C.b)} facets, {len(C.vertices)} vertices, volume {C.volume:.6g}, "
-              f"violation {result.certificate.violation:.1e}, gap {result.certificate.gap:.1e}")
+        print(
+            f"  damping {damping}, {n} states: {spent:9.2f} ms, {result.status.name}, {result.iterations} steps, "
+            f"{len(C.b)} facets, {len(C.vertices)} vertices, volume {C.volume:.6g}, "
+            f"violation {result.certificate.violation:.1e}, gap {result.certificate.gap:.1e}"
+        )
 
 
 def main() -> None:

@@ -108,6 +108,7 @@ def suspension() -> Truth:
 
 def _of_statement(s: Statement) -> Truth:
     """A plant of the gallery, from the study's start under the noise that its model assumes."""
+
     def start(runs: int, rng: np.random.Generator) -> tuple[Array, Array]:
         return np.tile(s.x0, (runs, 1)), s.std * rng.standard_normal((runs, s.steps, len(s.std)))
 

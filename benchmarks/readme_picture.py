@@ -31,8 +31,9 @@ def regulator(study, design):
 def returns_of(study, designs):
     """Return the mean return of LQR at each design, on common random numbers."""
     x0, w = study.problem().scenarios.sample(RUNS, study.steps, np.random.default_rng(0))
-    loops = (simulate(study.model, regulator(study, p), x0=x0, steps=study.steps, disturbance=w, design=p)
-             for p in designs)
+    loops = (
+        simulate(study.model, regulator(study, p), x0=x0, steps=study.steps, disturbance=w, design=p) for p in designs
+    )
     return np.array([loop.returns(study.objective).mean() for loop in loops])
 
 

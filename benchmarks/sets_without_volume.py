@@ -47,6 +47,7 @@ NO_LIMIT = (1e6, 1e9, 1e11, 1e12, 1e15, 1e18, 1e20, 1e30, 1e100, 1e200, 1e300, n
 
 # --- exact points ---------------------------------------------------------------------------------------------------
 
+
 def exact(V: Any) -> list[Point]:
     """Return points (k, n) of doubles as the rationals that they are."""
     return [[Fraction(float(x)) for x in v] for v in V]
@@ -123,8 +124,10 @@ def corners(points: list[Point]) -> int:
     for side in (points, points[::-1]):
         chain: list[Any] = []
         for p in side:
-            while len(chain) > 1 and ((chain[-1][0] - chain[-2][0]) * (p[1] - chain[-2][1])
-                                      <= (chain[-1][1] - chain[-2][1]) * (p[0] - chain[-2][0])):
+            while len(chain) > 1 and (
+                (chain[-1][0] - chain[-2][0]) * (p[1] - chain[-2][1])
+                <= (chain[-1][1] - chain[-2][1]) * (p[0] - chain[-2][0])
+            ):
                 chain.pop()
             chain.append(p)
         total += len(chain) - 1
@@ -132,6 +135,7 @@ def corners(points: list[Point]) -> int:
 
 
 # --- cases ----------------------------------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True)
 class Place:
@@ -307,6 +311,7 @@ def segment_case(rng: np.random.Generator) -> str:
 
 # --- bounds that say nothing ----------------------------------------------------------------------------------------
 
+
 def no_limit_case(rng: np.random.Generator) -> str:
     """Return what a bound "no limit" changes, in one of the functions of the package; empty if nothing."""
     n = int(rng.integers(1, 4))
@@ -327,8 +332,11 @@ def no_limit_case(rng: np.random.Generator) -> str:
     inputs = [(-u, u), (-u, u)]
     if rng.random() < 0.2:
         inputs = [(-u * np.inf, u * np.inf), (-u * big, u * big)]
-    name = str(rng.choice(["control", "positive", "predecessor", "controllable", "reachable", "family", "bounds",
-                           "plan", "law"]))
+    name = str(
+        rng.choice(
+            ["control", "positive", "predecessor", "controllable", "reachable", "family", "bounds", "plan", "law"]
+        )
+    )
     small = 0.3 * rng.uniform(0.5, 1, n) * units
     call: Callable[[Any, Any], Any] = {
         "control": lambda X, U: maximal_control_invariant_set(A, B, X, U, max_iterations=60),
@@ -340,7 +348,8 @@ def no_limit_case(rng: np.random.Generator) -> str:
         "bounds": lambda X, U: Polytope.from_bounds(*X).intersection(Polytope.from_bounds(-9 * units, 9 * units)),
         "plan": lambda X, U: LinearMPC(A, B, X=X, U=U, Q=np.diag(units**-2), R=np.eye(len(u)), horizon=3),
         "law": lambda X, U: LinearMPC(A, B, X=X, U=U, Q=np.diag(units**-2), R=np.eye(len(u)), horizon=3).explicit(
-            theta_set=(-units, units)),
+            theta_set=(-units, units)
+        ),
     }[name]
     plain = call(open_, inputs[0])
     result = call(stated, inputs[1])
@@ -356,8 +365,10 @@ def no_limit_case(rng: np.random.Generator) -> str:
         if plain.status.name == "CONVERGED" and not fine:
             return f"{name}: {result.status.name} where it has no end"
         smaller = np.where(which, 1e4 * units, 0.0)  # a bound that is far away, and ends the set all the same
-        near = call((np.where(which, -smaller, lower), np.where(which, smaller, upper)),
-                    inputs[1] if np.isfinite(inputs[0][1]).all() else (-1e4 * u, 1e4 * u))
+        near = call(
+            (np.where(which, -smaller, lower), np.where(which, smaller, upper)),
+            inputs[1] if np.isfinite(inputs[0][1]).all() else (-1e4 * u, 1e4 * u),
+        )
         if name == "reachable" or near.status.name != "CONVERGED" or result.status.name != "CONVERGED":
             return ""
         window = Polytope.from_bounds(-9 * units, 9 * units)

@@ -153,9 +153,7 @@ class DenseQP:
             )
 
 
-def clarabel_solution(
-    H: Any, q: Array, K: Any, b: Array, unit: float, equal: int = 0
-) -> tuple[Array, Array, bool]:
+def clarabel_solution(H: Any, q: Array, K: Any, b: Array, unit: float, equal: int = 0) -> tuple[Array, Array, bool]:
     """Minimiser of ½ z'Hz + q'z with Kz <= b, its first `equal` rows equalities, multipliers, whether it is infeasible.
 
     H : upper triangle, K : both sparse; unit : what the data are divided by, since the tolerances are absolute, too.

@@ -56,9 +56,7 @@ def timed(plan: Plan, start: float) -> Plan:
     return replace(plan, solve_time=time.perf_counter() - start)
 
 
-def stagewise_candidate(
-    problem: MPCProblem, x: Array, given: Given, inputs: Array, typical_cost: float
-) -> Plan | None:
+def stagewise_candidate(problem: MPCProblem, x: Array, given: Given, inputs: Array, typical_cost: float) -> Plan | None:
     """Plan of `solve_stagewise` from first inputs; None if not converged.
 
     Hard state constraints become squared violations, weighed against the typical cost; where all of them hold, the

@@ -68,10 +68,7 @@ def rules_along(p, states, published: bool) -> dict[str, np.ndarray]:
     travel, speed = states[:, 2], states[:, 3] - states[:, 1]
     sag = SPRUNG * G / stiffness(p)
     bump = travel if published else -travel
-    rules = {
-        "bump stop": (bump + sag + 0.02) / room(p) - 1,
-        "linear range": 1.15 * (sag + 1.1 * bump) / room(p) - 1,
-    }
+    rules = {"bump stop": (bump + sag + 0.02) / room(p) - 1, "linear range": 1.15 * (sag + 1.1 * bump) / room(p) - 1}
     amplitude = stress(p, stiffness(p) * (travel if published else np.abs(travel)))
     rules["Soderberg"] = 1.2 * amplitude / (0.24 * strength(p)) + stress(p, SPRUNG * G) / (0.65 * strength(p)) - 1
     rules["Zimmerli"] = 1.2 * amplitude / 241e6 - 1

@@ -196,9 +196,7 @@ def _at(problem: CoDesignProblem | ProblemOf, value: float) -> CoDesignProblem:
     return replace(problem, objective=objective)
 
 
-def _best(
-    of: CoDesignProblem | ProblemOf, method: Method, seed: int, design: Any, value: float
-) -> tuple[Any, ...]:
+def _best(of: CoDesignProblem | ProblemOf, method: Method, seed: int, design: Any, value: float) -> tuple[Any, ...]:
     """Result at a value, design cost, return without it, and box."""
     problem = _at(of, value)
     result = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)

@@ -62,8 +62,14 @@ def prepare(options: Options, asked: tuple[Study, dict[str, str]] | None = None)
     study, sources = asked_study(options) if asked is None else asked
     with blamed_on_source_options(options):
         config = configuration(
-            study, preset=options.preset, quick=options.quick, expert=options.expert, method=options.method,
-            design_gradient=options.design_gradient, sets=options.sets, sets_time_limit=options.sets_time_limit,
+            study,
+            preset=options.preset,
+            quick=options.quick,
+            expert=options.expert,
+            method=options.method,
+            design_gradient=options.design_gradient,
+            sets=options.sets,
+            sets_time_limit=options.sets_time_limit,
         )
         Evaluation(study, config, options.seed).check_recording()
     return PreparedRun(options, study, config, fingerprint(study, sources, config))

@@ -66,8 +66,10 @@ class LoopStages:
             "expert": config.expert, "candidates": config.samples, "samples": len(data.inputs),
             "acceptance": data.acceptance, "diverged": data.diverged, "sets": data.sets.as_dict(),
         }  # fmt: skip
-        report = [f"{data.sets} ({data.sets.seconds:.2g} s)",
-                  f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated"]
+        report = [
+            f"{data.sets} ({data.sets.seconds:.2g} s)",
+            f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated",
+        ]
         return Stage(values | {"report": report}, networks={"agent": agent})
 
     def co_design(

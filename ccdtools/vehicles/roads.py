@@ -22,13 +22,7 @@ Driver: TypeAlias = Literal["mild", "aggressive"]
 
 
 def road_disturbance(
-    distance: ArrayLike,
-    elevation: ArrayLike,
-    time: ArrayLike,
-    speed: ArrayLike,
-    *,
-    dt: float,
-    steps: int | None = None,
+    distance: ArrayLike, elevation: ArrayLike, time: ArrayLike, speed: ArrayLike, *, dt: float, steps: int | None = None
 ) -> Array:
     """Vertical velocity ż₀ = dz₀/ds · v of the road under the wheel [m/s].
 

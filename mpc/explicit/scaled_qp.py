@@ -262,9 +262,7 @@ def twins(M: Array, D: Array, gram: Array, sign: float, tolerance: float) -> tup
     first, second = np.nonzero(np.triu(sign * gram > 1 - tolerance, 1))
     size = np.maximum(np.abs(D[first]), np.abs(D[second])).max(axis=1, initial=0.0)
     apart = np.abs(D[first] - sign * D[second]).max(axis=1, initial=0.0)
-    close = (apart <= tolerance * size) & (
-        np.abs(M[first] - sign * M[second]).max(axis=1, initial=0.0) < tolerance
-    )
+    close = (apart <= tolerance * size) & (np.abs(M[first] - sign * M[second]).max(axis=1, initial=0.0) < tolerance)
     return first[close], second[close]
 
 

@@ -34,9 +34,7 @@ def save_explicit(law: PiecewiseLaw, path: Path) -> tuple[Path, Path]:
     members = np.array([i for active in partition.active_sets for i in active], dtype=np.int64)
     parts = {"qp": problem, "partition": partition, "tree": law.tree}
     data = {
-        f"{prefix}_{name}": getattr(part, name)
-        for prefix, part in parts.items()
-        for name in array_fields(type(part))
+        f"{prefix}_{name}": getattr(part, name) for prefix, part in parts.items() for name in array_fields(type(part))
     }
     data |= {"law": law.law, "law_number": law.law_number, "members": members}
     data |= {"input_H": law.input_rows[0], "input_h": law.input_rows[1]}

@@ -74,9 +74,7 @@ def as_end(name: str, value: Any, within: tuple[Array, Array]) -> tuple[Array, A
         except TypeError:
             given = as_floats(name, value)
         if given.shape != (size,):
-            raise InputError(
-                name, f"shape {given.shape}", f"({size},), one number a state, or bounds as a tuple"
-            )
+            raise InputError(name, f"shape {given.shape}", f"({size},), one number a state, or bounds as a tuple")
         if np.isinf(given).any():
             raise InputError(name, given, "finite numbers; None where a state is free")
         own = np.where(np.isnan(given), -INF, given), np.where(np.isnan(given), INF, given)
@@ -139,9 +137,7 @@ def as_guess(value: Any, states: int, inputs: int) -> tuple[Array, Array, Array]
     finite = all(np.isfinite(part).all() for part in (times, x, u))
     if (times.shape, x.shape, u.shape) != shapes or not finite:
         got = f"shapes {times.shape}, {x.shape}, {u.shape}" if finite else "numbers that are not finite"
-        raise InputError(
-            "guess", got, f"(n,) fractions, (n, {states}) states and (n, {inputs}) inputs, finite"
-        )
+        raise InputError("guess", got, f"(n,) fractions, (n, {states}) states and (n, {inputs}) inputs, finite")
     if not n or (np.diff(times) < 0).any():
         raise InputError("guess", "times that fall" if n else "no times", RISING)
     if times[0] < 0 or times[-1] > 1:

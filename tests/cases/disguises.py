@@ -119,8 +119,9 @@ def with_sums(rng, rows):
     """Rows that are sums of two others touch the set at most, and cut nothing off."""
     i, j = rng.integers(0, len(rows.b), (2, 3))
     weight = rng.uniform(0.5, 2, 3)
-    return rows.inequalities(np.vstack([rows.A, rows.A[i] + weight[:, None] * rows.A[j]]),
-                             np.r_[rows.b, rows.b[i] + weight * rows.b[j]])
+    return rows.inequalities(
+        np.vstack([rows.A, rows.A[i] + weight[:, None] * rows.A[j]]), np.r_[rows.b, rows.b[i] + weight * rows.b[j]]
+    )
 
 
 def rescaled_rows(rng, rows):

@@ -39,8 +39,6 @@ class PlainProgram:
     def __call__(self, x, p, P, plan):
         """Cost, then the inputs, from a guess near a plan."""
         guess = np.r_[plan.states.ravel(), plan.inputs.ravel()]
-        found = self._solver(
-            x0=guess, p=np.r_[x, p, P.ravel()], lbx=self._bounds[0], ubx=self._bounds[1], lbg=0, ubg=0
-        )
+        found = self._solver(x0=guess, p=np.r_[x, p, P.ravel()], lbx=self._bounds[0], ubx=self._bounds[1], lbg=0, ubg=0)
         assert self._solver.stats()["return_status"] == "Solve_Succeeded"
         return np.r_[float(found["f"]), np.asarray(found["x"]).ravel()[self._cut :]]

@@ -26,8 +26,12 @@ def suspension(p):
     spring, damper = p
     body, wheel, tyre = 325.0, 65.0, 232.5e3
     M = np.zeros((5, 5))
-    M[:4, :4] = [[0, 1, 0, 0], [-tyre / wheel, -damper / wheel, spring / wheel, damper / wheel], [0, -1, 0, 1],
-                 [0, damper / body, -spring / body, -damper / body]]
+    M[:4, :4] = [
+        [0, 1, 0, 0],
+        [-tyre / wheel, -damper / wheel, spring / wheel, damper / wheel],
+        [0, -1, 0, 1],
+        [0, damper / body, -spring / body, -damper / body],
+    ]
     M[:4, 4] = [0, -1 / wheel, 0, 1 / body]
     M = expm(M * 0.05)
     return M[:4, :4], M[:4, 4:]

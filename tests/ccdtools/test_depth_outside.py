@@ -1,6 +1,5 @@
 """How far outside X, beside how often: claims about units, facets and pairs."""
 
-
 import numpy as np
 import pytest
 

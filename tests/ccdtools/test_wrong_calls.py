@@ -174,16 +174,19 @@ CALLS = {
     "discretise with a list": (lambda: cc.discretise(plant(), [0.1]), "dt"),
     "an unknown guard": (lambda: cc.discretise(plant(), sampling_guard="off"), "sampling_guard"),
     "a division by zero at a bound": (
-        lambda: cc.discretise(plant(dynamics=ca.vertcat(X[1], U / (P[0] - 1)))), "design",
+        lambda: cc.discretise(plant(dynamics=ca.vertcat(X[1], U / (P[0] - 1)))),
+        "design",
     ),
     "a division by zero inside": (
-        lambda: cc.discretise(plant(dynamics=ca.vertcat(X[1], U / (P[0] - 1.7)))).matrices([1.7, 0.5]), "design",
+        lambda: cc.discretise(plant(dynamics=ca.vertcat(X[1], U / (P[0] - 1.7)))).matrices([1.7, 0.5]),
+        "design",
     ),
     "a model of a TransferFunction": (lambda: cc.LinearModel.from_state_space(TF), "system"),
     "a model of a matrix": (lambda: cc.LinearModel.from_state_space(np.eye(2)), "system"),
     "a model of nothing": (lambda: cc.LinearModel.from_state_space(None), "system"),
     "a continuous model without dt": (
-        lambda: cc.LinearModel.from_state_space(control.ss([[1.0]], [[1.0]], [[1.0]], 0)), "dt",
+        lambda: cc.LinearModel.from_state_space(control.ss([[1.0]], [[1.0]], [[1.0]], 0)),
+        "dt",
     ),
     "E of another size": (lambda: cc.LinearModel.from_state_space(LTI, E=np.ones((3, 1))), "E"),
     "E text": (lambda: cc.LinearModel.from_state_space(LTI, E="E"), "E"),
@@ -228,20 +231,21 @@ CALLS = {
     "design cost of two values": (lambda: problem(objective=quadratic(design_cost=lambda p: p)), "design_cost"),
     "design cost that fails": (lambda: problem(objective=quadratic(design_cost=lambda p: p.mass)), "design_cost"),
     "design cost of an entry that is not there": (
-        lambda: problem(objective=quadratic(design_cost=lambda p: p[9])), "design_cost",
+        lambda: problem(objective=quadratic(design_cost=lambda p: p[9])),
+        "design_cost",
     ),
     "design cost of other symbols": (lambda: problem(objective=quadratic(design_cost=lambda p: P[0])), "design_cost"),
     "episode of no steps": (lambda: cc.QuadraticObjective([[1]], [[1]], episode=0), "episode"),
     "stage cost an expression": (lambda: cc.CustomObjective(X[0] ** 2), "stage_cost"),
     "stage cost of x alone": (lambda: problem(objective=cc.CustomObjective(lambda x: x[0])), "stage_cost"),
-    "stage cost a function of two": (
-        lambda: cc.CustomObjective(ca.Function("l", [X, U], [U[0]])), "stage_cost",
-    ),
+    "stage cost a function of two": (lambda: cc.CustomObjective(ca.Function("l", [X, U], [U[0]])), "stage_cost"),
     "stage cost that falls from rest": (
-        lambda: problem(objective=cc.CustomObjective(lambda x, u, p: u[0] ** 2 - x[0] ** 2)), "objective.stage_cost",
+        lambda: problem(objective=cc.CustomObjective(lambda x, u, p: u[0] ** 2 - x[0] ** 2)),
+        "objective.stage_cost",
     ),
     "terminal cost of two values": (
-        lambda: problem(objective=cc.CustomObjective(lambda x, u, p: u[0] ** 2, lambda x, p: x)), "terminal_cost",
+        lambda: problem(objective=cc.CustomObjective(lambda x, u, p: u[0] ** 2, lambda x, p: x)),
+        "terminal_cost",
     ),
     "Q without R": (lambda: cc.CustomObjective(lambda x, u, p: u[0], Q=np.eye(2)), "Q, R"),
     "outputs of a plant without any": (lambda: cc.output_objective(plant(), weights=[1.0]), "plant"),
@@ -275,7 +279,8 @@ CALLS = {
     "a plant of nothing": (lambda: simulate(plant=None), "plant"),
     "a plant class": (lambda: simulate(plant=cc.Plant), "plant"),
     "more steps than memory": (
-        lambda: simulate(plant=LTI, controller=cc.Passive(), x0=[1.0], steps=10**15, design=None), "steps",
+        lambda: simulate(plant=LTI, controller=cc.Passive(), x0=[1.0], steps=10**15, design=None),
+        "steps",
     ),
     "a torch module as controller": (lambda: simulate(controller=torch.nn.Linear(2, 1)), "controller"),
     "a gain as controller": (lambda: simulate(controller=np.ones((1, 2))), "controller"),
@@ -301,8 +306,11 @@ CALLS = {
     "a replay of a log": (lambda: cc.replay_problem(PROBLEM, simulate(), 5), "logs"),
     "a replay of no log": (lambda: cc.replay_problem(PROBLEM, None, 5), "logs"),
     "scenarios that hold NaN": (
-        lambda: problem(scenarios=SimpleNamespace(
-            sample=lambda runs, steps, rng: (np.zeros((runs, 2)), np.full((runs, steps, 1), np.nan)))),
+        lambda: problem(
+            scenarios=SimpleNamespace(
+                sample=lambda runs, steps, rng: (np.zeros((runs, 2)), np.full((runs, steps, 1), np.nan))
+            )
+        ),
         "scenarios, disturbances",
     ),
     "simulated steps 2.5": (lambda: simulate(steps=2.5), "steps"),
@@ -327,12 +335,14 @@ CALLS = {
     "no design": (lambda: simulate(design=None), "design"),
     "two designs": (lambda: simulate(design=[P0, P0]), "design"),
     "a design for a plant without one": (
-        lambda: simulate(plant=LTI, controller=cc.Passive(), x0=[1.0], design=[1.0]), "design",
+        lambda: simulate(plant=LTI, controller=cc.Passive(), x0=[1.0], design=[1.0]),
+        "design",
     ),
     "a negative limit": (lambda: simulate(limit=-1.0), "limit"),
     "a limit of text": (lambda: simulate(limit="far"), "limit"),
     "a scenario of 3 starts and 4 disturbances": (
-        lambda: cc.Scenario(MODEL, np.ones((3, 2)), np.zeros((4, 5, 1))), "disturbance",
+        lambda: cc.Scenario(MODEL, np.ones((3, 2)), np.zeros((4, 5, 1))),
+        "disturbance",
     ),
     "a scenario of a number": (lambda: cc.Scenario(MODEL, [1.0, 0.0], 0.5), "disturbance"),
     "a scenario without a plant": (lambda: cc.Scenario(None, [1.0, 0.0], np.zeros((5, 1))), "plant"),
@@ -386,12 +396,14 @@ CALLS = {
     "co-design of an agent without designs": (lambda: codesign(agent=agent(2)), "agent"),
     "co-design of an agent of another U": (lambda: codesign(agent=agent(action=5.0)), "agent"),
     "co-design of an agent of other designs": (
-        lambda: codesign(agent=agent(lower=[-2, -2, 1.9, 0.4], upper=[2, 2, 2.1, 0.6])), "agent",
+        lambda: codesign(agent=agent(lower=[-2, -2, 1.9, 0.4], upper=[2, 2, 2.1, 0.6])),
+        "agent",
     ),
     "co-design outside the box": (lambda: codesign(design=[9.0, 0.5]), "design"),
     "co-design with a judge of nothing": (lambda: codesign(judge=MODEL), "judge"),
     "co-design of arrays alone": (
-        lambda: codesign(problem=problem(objective=NotTorch(np.eye(2), [[0.1]]))), "objective",
+        lambda: codesign(problem=problem(objective=NotTorch(np.eye(2), [[0.1]]))),
+        "objective",
     ),
     "iterations 2.5": (lambda: cc.CoDesignConfig(iterations=2.5), "iterations"),
     "a rate of NaN": (lambda: cc.CoDesignConfig(design_rate=np.nan), "design_rate"),
@@ -403,7 +415,8 @@ CALLS = {
     # deployment and twin
     "a deployment of a matrix": (lambda: cc.deploy(MODEL, np.eye(2), P0, np.zeros((5, 1)), x0=[0, 0]), "controller"),
     "a deployment at another design": (
-        lambda: cc.deploy(MODEL, POLICY, [3.0, 0.5], np.zeros((5, 1)), x0=[0, 0]), "design",
+        lambda: cc.deploy(MODEL, POLICY, [3.0, 0.5], np.zeros((5, 1)), x0=[0, 0]),
+        "design",
     ),
     "a deployment on nothing": (lambda: cc.deploy(MODEL, LQR, P0, None, x0=[0, 0]), "disturbance"),
     "a deployment on a sampler": (lambda: cc.deploy(MODEL, LQR, P0, cc.Gaussian([0.1]), x0=[0, 0]), "disturbance"),
@@ -443,7 +456,8 @@ CALLS = {
     "a comparison without an objective": (lambda: compare(objective=None), "objective"),
     "a comparison of few -1": (lambda: compare(few={"LQR": -1}), "few['LQR']"),
     "a comparison at another design": (
-        lambda: compare(controllers={"LQR": LQR, "learned": POLICY}, design=[3, 0.5]), "design",
+        lambda: compare(controllers={"LQR": LQR, "learned": POLICY}, design=[3, 0.5]),
+        "design",
     ),
 }
 

@@ -18,9 +18,7 @@ def test_observations_at_the_bounds_become_plus_and_minus_one():
 def test_a_latent_of_one_is_the_upper_action_bound_and_beyond_it_is_clipped():
     net = ActorCritic([-1], [1], [-3.0, 0.0], [5.0, 10.0])
     latent = torch.tensor([[1.0, 1.0], [-1.0, -1.0], [7.0, -7.0], [0.0, 0.0]])
-    torch.testing.assert_close(
-        net.action(latent), torch.tensor([[5.0, 10.0], [-3.0, 0.0], [5.0, 0.0], [1.0, 5.0]])
-    )
+    torch.testing.assert_close(net.action(latent), torch.tensor([[5.0, 10.0], [-3.0, 0.0], [5.0, 0.0], [1.0, 5.0]]))
 
 
 def test_a_leak_gives_a_gradient_outside_the_clip_and_changes_nothing_inside():

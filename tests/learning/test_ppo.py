@@ -102,11 +102,7 @@ def test_with_lambda_one_and_true_values_the_advantage_of_a_deterministic_chain_
 # ── a prepared batch ──
 
 
-
-
 # ── the loss and the update ──
-
-
 
 
 def weights(parameters):

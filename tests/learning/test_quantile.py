@@ -28,11 +28,7 @@ def fitted():
 # ── the loss ──
 
 
-
-
 # ── the network ──
-
-
 
 
 @pytest.mark.check

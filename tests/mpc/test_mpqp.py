@@ -1,6 +1,5 @@
 """The partition: counts known from elsewhere, optimality everywhere, no holes, no overlap, and hard cases."""
 
-
 import numpy as np
 import pytest
 from online_qp import minimiser

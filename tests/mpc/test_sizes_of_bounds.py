@@ -1,6 +1,5 @@
 """What size the bounds have decides what is near, equal and infeasible: one odd bound, or a far optimum, does not."""
 
-
 import numpy as np
 import pytest
 from plants import box
@@ -222,9 +221,7 @@ def test_an_input_that_is_weak_beside_the_states_is_not_silently_taken_for_locke
     A = np.array([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
     B = np.array([[dt**3 / 6], [dt**2 / 2], [dt]])
     A, B = np.kron(np.eye(2), A), np.kron(np.eye(2), B)
-    mpc = LinearMPC(
-        A, B, Q=np.eye(6), R=1e-2, horizon=3, U=([-1.0, -limit], [1.0, limit]), X=(-3.0, 3.0), P=np.eye(6)
-    )
+    mpc = LinearMPC(A, B, Q=np.eye(6), R=1e-2, horizon=3, U=([-1.0, -limit], [1.0, limit]), X=(-3.0, 3.0), P=np.eye(6))
     partition = solve_mpqp(mpc.build(), Polytope.from_bounds(-np.ones(6), np.ones(6)))
     assert partition.status is not MPQPStatus.INFEASIBLE
     if partition.status is MPQPStatus.COMPLETE:

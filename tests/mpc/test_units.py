@@ -106,9 +106,7 @@ def test_explanations_and_targets_are_the_same_in_other_units():
         there = other.explain(x)
         assert there.conflict_rows == why.conflict_rows
         assert [v.row for v in there.violations] == [v.row for v in why.violations]
-        np.testing.assert_allclose(
-            [v.amount for v in there.violations], [v.amount for v in why.violations], rtol=1e-4
-        )
+        np.testing.assert_allclose([v.amount for v in there.violations], [v.amount for v in why.violations], rtol=1e-4)
         controller = OffsetFreeMPC(other, [[sx[0], 0.0]], disturbance=np.array([0.05, 0.1]) / sx)
         found = controller.nearest_target([1.0])
         assert found.steady

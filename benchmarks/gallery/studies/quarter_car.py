@@ -22,17 +22,9 @@ def quarter_car(*, real: bool = False) -> Plant:
     if real:
         force = spring * (deflection + HARDENING * deflection**3)
         force += damper * ca.if_else(rate > 0, REBOUND, BUMP) * rate
-    dynamics = ca.vertcat(
-        unsprung - w,
-        (force - u - stiffness * tyre) / UNSPRUNG,
-        rate,
-        (u - force) / SPRUNG,
-    )
+    dynamics = ca.vertcat(unsprung - w, (force - u - stiffness * tyre) / UNSPRUNG, rate, (u - force) / SPRUNG)
     design = DesignSpace(
-        ["k_s", "c_s", "k_t"],
-        lower=[8e3, 400.0, 1.2e5],
-        upper=[4e4, 4000.0, 3e5],
-        units=["N/m", "N·s/m", "N/m"],
+        ["k_s", "c_s", "k_t"], lower=[8e3, 400.0, 1.2e5], upper=[4e4, 4000.0, 3e5], units=["N/m", "N·s/m", "N/m"]
     )
     names = ["z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]"]
     return Plant(x, u, w, p, dynamics, design, dt=0.02, state_names=names, input_names=["u [N]"])

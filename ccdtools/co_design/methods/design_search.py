@@ -122,9 +122,7 @@ class DesignSearch:
     evaluations: int
     progress: bool = False
 
-    def best(
-        self, cost_from: Callable[[Array], DesignCost], design: Array, rng: np.random.Generator
-    ) -> CoDesignResult:
+    def best(self, cost_from: Callable[[Array], DesignCost], design: Array, rng: np.random.Generator) -> CoDesignResult:
         """Best design from a feasible one (np,) and other valleys.
 
         Parameters

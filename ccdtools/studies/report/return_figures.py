@@ -164,5 +164,3 @@ def _rows(ax: style.Axes, names: Sequence[str]) -> None:
     """Name the rows of an axis, from the top down."""
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.5, -0.5)
-
-

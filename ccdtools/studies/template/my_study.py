@@ -45,9 +45,7 @@ study = Study(
     U=Polytope.from_bounds([-1.0], [1.0]),
     # The cost of a step is xᵀQx + uᵀRu; the return is minus its sum, and minus the price of the design: without one
     # the stiffest spring and the strongest damper are the best.
-    objective=QuadraticObjective(
-        Q=[[10.0, 0.0], [0.0, 1.0]], R=[[0.1]], design_cost=lambda p: 0.5 * p[0] + 0.4 * p[1]
-    ),
+    objective=QuadraticObjective(Q=[[10.0, 0.0], [0.0, 1.0]], R=[[0.1]], design_cost=lambda p: 0.5 * p[0] + 0.4 * p[1]),
     # What the model assumes of the disturbance: its standard deviation [N].
     disturbance=Gaussian(std=[0.3]),
     x0=[0.5, 0.0],  # start of every evaluation, within X

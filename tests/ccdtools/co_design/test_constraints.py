@@ -37,9 +37,7 @@ def cloned(problem):
 def test_the_design_is_feasible_and_as_good_as_that_of_slsqp_on_the_exact_cost(name):
     case = CASES[name]
     problem = case.problem()
-    found = codesign(
-        problem, agent=case.agent(problem), design=case.start, rng=np.random.default_rng(0), config=SMALL
-    )
+    found = codesign(problem, agent=case.agent(problem), design=case.start, rng=np.random.default_rng(0), config=SMALL)
     _, cost = case.best(4)
     size = np.abs(case.constraints(case.start)).max()
     assert max(case.constraints(found.design)) <= 1e-6 * size

@@ -205,8 +205,13 @@ def test_wrong_methods_are_refused_by_name(problem, methods, word):
 
 @pytest.mark.parametrize(
     ("change", "argument"),
-    [({"seed": -1}, "seed"), ({"jobs": 0}, "jobs"), ({"reference": "x"}, "reference"), ({"design": [99.0]}, "design"),
-     ({"each": 3}, "each")],
+    [
+        ({"seed": -1}, "seed"),
+        ({"jobs": 0}, "jobs"),
+        ({"reference": "x"}, "reference"),
+        ({"design": [99.0]}, "design"),
+        ({"each": 3}, "each"),
+    ],
 )
 def test_wrong_arguments_are_refused_before_anything_runs(problem, change, argument):
     with pytest.raises(InputError) as error:
@@ -321,7 +326,7 @@ def marks(figure, comparison):
     """Where the right picture has the marker of every method, (n, 2)."""
     ax = figure.axes[1]
     drawn = [line.get_xydata() for line in ax.lines if line.get_marker() not in ("None", "", None)]
-    return np.concatenate(drawn)[-len(comparison):], ax
+    return np.concatenate(drawn)[-len(comparison) :], ax
 
 
 def test_designs_of_two_parameters_are_drawn_on_a_map():

@@ -56,14 +56,10 @@ def cart():
     """A pole on a cart from 0.5 rad."""
     X = ([-2.0, -4.0, -1.2, -6.0], [2.0, 4.0, 1.2, 6.0])
     model = discretise(pendulum_on_cart(), X=X, U=(-10.0, 10.0), W=(-0.6, 0.6))
-    return problem_of(
-        model, x0=(0.0, 0.0, 0.5, 0.0), Q=np.diag([1.0, 0.1, 10.0, 0.1]), X=X, U=(-10.0, 10.0), steps=100
-    )
+    return problem_of(model, x0=(0.0, 0.0, 0.5, 0.0), Q=np.diag([1.0, 0.1, 10.0, 0.1]), X=X, U=(-10.0, 10.0), steps=100)
 
 
 # ── against the exact model of a linear plant ──
-
-
 
 
 def test_logged_errors_and_their_replay_are_those_of_the_exact_model(pair):
@@ -100,8 +96,6 @@ def test_the_same_co_design_is_found_on_both_models(pair):
 
 
 # ── a pole on a cart ──
-
-
 
 
 def test_errors_are_added_to_the_next_state(cart):

@@ -148,10 +148,7 @@ def test_methods_with_the_same_seed_meet_the_same_scenarios():
 
 def test_trajectories_refuse_what_they_cannot_honour(illustrative):
     problem = illustrative.problem()
-    for changed, named in (
-        (replace(problem, risk=cc.CVaR(0.1)), "risk"),
-        (replace(problem, warm_up=10), "warm-up"),
-    ):
+    for changed, named in ((replace(problem, risk=cc.CVaR(0.1)), "risk"), (replace(problem, warm_up=10), "warm-up")):
         with pytest.raises(cc.InputError, match=named):
             codesigned(changed, "simultaneous")
 

@@ -62,9 +62,7 @@ def test_problems_that_do_not_fit_together_are_refused(illustrative, changes, me
 def test_inputs_must_have_independent_bounds(illustrative):
     problem = illustrative.problem()
     A, B, _ = problem.model.matrices([1.0])
-    two = LinearModel(
-        problem.model.symbols, ca.DM(A), ca.DM(np.hstack([B, B])), ca.DM(np.eye(2)), 1.0, problem.design
-    )
+    two = LinearModel(problem.model.symbols, ca.DM(A), ca.DM(np.hstack([B, B])), ca.DM(np.eye(2)), 1.0, problem.design)
     diamond = Polytope(np.array([[1.0, 1], [1, -1], [-1, 1], [-1, -1]]), np.ones(4))
     with pytest.raises(InputError, match="U: got a set that is not a box, expected independent bounds"):
         replace(problem, model=two, U=diamond, objective=QuadraticObjective(np.eye(2), np.eye(2)))

@@ -62,10 +62,7 @@ def test_the_generator_decides(disturbance):
         (lambda: Uniform([0.0], [1.0, 2.0]), "upper: got shape"),
         (lambda: Recorded([1.0, np.nan]), "signal: got a value that is not finite"),
         (lambda: Recorded(np.zeros((2, 2, 2))), r"signal: got shape \(2, 2, 2\)"),
-        (
-            lambda: Recorded(np.zeros(3)).sample(1, 4, np.random.default_rng(0)),
-            "steps: got 4, expected at most 3",
-        ),
+        (lambda: Recorded(np.zeros(3)).sample(1, 4, np.random.default_rng(0)), "steps: got 4, expected at most 3"),
     ],
 )
 def test_bad_disturbances_are_refused(make, message):

@@ -119,8 +119,7 @@ def read_any_disturbance(path, **keywords):
 
 
 @pytest.mark.parametrize(
-    ("read", "argument"),
-    [(read_any_disturbance, "path"), (read_road, "path"), (read_speed, "path")],
+    ("read", "argument"), [(read_any_disturbance, "path"), (read_road, "path"), (read_speed, "path")]
 )
 class TestEveryReader:
     def test_refuses_a_missing_file(self, read, argument, tmp_path):
@@ -145,9 +144,7 @@ class TestEveryReader:
             read(write(text))
 
     def test_refuses_a_file_without_a_header(self, read, argument, write):
-        with pytest.raises(
-            InputError, match=rf"^{argument}: .*: no header, but '0.1', '0.2' in the first line, exp"
-        ):
+        with pytest.raises(InputError, match=rf"^{argument}: .*: no header, but '0.1', '0.2' in the first line, exp"):
             read(write("0.1,0.2\n0.3,0.4\n0.5,0.6\n"))
 
     def test_refuses_a_file_with_fewer_than_two_rows(self, read, argument, write):
@@ -201,9 +198,7 @@ def test_without_a_name_the_disturbance_must_be_the_only_column(write, header, c
 @pytest.mark.parametrize("third", ["0.11", "0.05", "0.01"])
 def test_unequal_sampling_is_refused_with_its_line(write, third):
     text = f"time,w\n0,1\n0.05,1\n{third},1\n0.15,1\n0.2,1\n0.25,1\n"
-    with pytest.raises(
-        InputError, match=r"unequal sampling: a step of .* s in line 4, expected 0.05 s through"
-    ):
+    with pytest.raises(InputError, match=r"unequal sampling: a step of .* s in line 4, expected 0.05 s through"):
         read_disturbance(write(text), dt=DT)
 
 

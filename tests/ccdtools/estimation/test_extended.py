@@ -61,6 +61,7 @@ def test_a_constant_term_of_a_linear_model_is_predicted():
 
 def by_hand(step, h, W, V, x, cov, y, u):
     """The filter of the textbook for one run, all derivatives by differences."""
+
     def slope(f, at):
         return np.array([(f(at + d) - f(at - d)) / 2e-6 for d in 1e-6 * np.eye(len(at))]).T
 

@@ -1,6 +1,5 @@
 """Steps of few runs by CasADi's machine and of many by arrays in place: both are the step that CasADi computes."""
 
-
 import casadi as ca
 import numpy as np
 import pytest

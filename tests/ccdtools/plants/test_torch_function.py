@@ -1,6 +1,5 @@
 """CasADi functions as torch functions: the same values and derivatives, in batches, whatever the shapes."""
 
-
 import casadi as ca
 import numpy as np
 import pytest

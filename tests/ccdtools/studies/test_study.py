@@ -60,7 +60,9 @@ def test_the_start_may_be_elsewhere(illustrative):
 @pytest.mark.parametrize(
     "starts",
     [
-        Polytope.from_bounds([-1, -1], [1, 0]), Uniform([-1, -1], [1, 0]), [[-1, 0], [1, -1], [0.5, -0.5]],
+        Polytope.from_bounds([-1, -1], [1, 0]),
+        Uniform([-1, -1], [1, 0]),
+        [[-1, 0], [1, -1], [0.5, -0.5]],
         Gaussian([0.1, 0]),
     ],
 )

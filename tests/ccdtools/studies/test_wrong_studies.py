@@ -7,7 +7,7 @@ from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjectiv
 from ccdtools.studies import RealPlant, Study, load_study
 from invariant_sets import Polytope
 
-HEAD = '''
+HEAD = """
 import casadi as ca
 import numpy as np
 from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, Recorded
@@ -38,7 +38,7 @@ def study_with(**changes):
 def real_with(**changes):
     fields = dict(plant=spring(), disturbance=Gaussian([0.1]), x0=[0, 0], runs=10, steps=60)
     return RealPlant(**(fields | changes))
-'''
+"""
 
 WRONG = [
     # Kinds

@@ -110,8 +110,6 @@ def test_runs_that_run_away_are_bounded(illustrative, twin, log):
 # ── the updated model that draws ──
 
 
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -40,11 +40,7 @@ def twin(illustrative, log):
 # ── residuals ──
 
 
-
-
 # ── the split in time ──
-
-
 
 
 # ── the update ──

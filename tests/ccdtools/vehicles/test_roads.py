@@ -69,11 +69,7 @@ def test_inputs_are_left_as_they_were():
 # ── the generated road ──
 
 
-
-
 # ── the generated speed ──
-
-
 
 
 # ── what is refused ──

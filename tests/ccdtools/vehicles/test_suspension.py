@@ -23,8 +23,6 @@ SIGNALS = {
 # ── one by one ──
 
 
-
-
 # ── a car ──
 
 

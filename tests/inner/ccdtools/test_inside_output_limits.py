@@ -1,4 +1,3 @@
-
 """What test_output_limits.py claims, seen from inside."""
 
 import casadi as ca

@@ -90,8 +90,6 @@ def test_shapes_are_checked():
         paired_difference(np.zeros(3), np.zeros(2))
 
 
-
-
 def autoregression(rho, runs, steps, rng):
     """Stationary series x⁺ = ρ x + e of variance 1, (runs, steps)."""
     noise = np.sqrt(1 - rho**2) * rng.standard_normal((runs, steps))

@@ -49,7 +49,8 @@ CALLS = {
     "a discrepancy of unknown noise": (lambda: Discrepancy(NETWORK, np.eye(2), noise="white"), "noise"),
     "a discrepancy of nothing": (lambda: Discrepancy(None, np.eye(2)), "network"),
     "a twin plant of another size": (
-        lambda: TwinPlant(cc.LinearModel.from_state_space(LTI), Discrepancy(NETWORK, np.eye(2))), "discrepancy",
+        lambda: TwinPlant(cc.LinearModel.from_state_space(LTI), Discrepancy(NETWORK, np.eye(2))),
+        "discrepancy",
     ),
     "a replay of nothing": (lambda: Replay(()), "logs"),
     "a replay that is too long": (lambda: Replay((residuals(MODEL, LOG),)).sample(1, 99, rng()), "steps"),

@@ -1,6 +1,5 @@
 """What test_adversarial_polytopes.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 from scipy.optimize import linprog

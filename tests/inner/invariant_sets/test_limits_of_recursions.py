@@ -19,8 +19,8 @@ def chain(k, dt):
     """k unit masses between springs, pushed at the last, zero-order hold."""
     K = 2 * np.eye(k) - np.eye(k, k=1) - np.eye(k, k=-1)
     M = np.zeros((2 * k + 1, 2 * k + 1))
-    M[:k, k:2 * k] = np.eye(k)
-    M[k:2 * k, :2 * k] = np.hstack([-K, -0.05 * np.eye(k)])
+    M[:k, k : 2 * k] = np.eye(k)
+    M[k : 2 * k, : 2 * k] = np.hstack([-K, -0.05 * np.eye(k)])
     M[2 * k - 1, -1] = 1
     M = expm(M * dt)
     return M[:-1, :-1], M[:-1, -1:]

@@ -1,6 +1,5 @@
 """What test_checkpoint.py claims, seen from inside."""
 
-
 import torch
 
 from learning import load, save

@@ -1,6 +1,5 @@
 """What test_ppo.py claims, seen from inside."""
 
-
 import pytest
 import torch
 from toys import DoubleIntegrator, agent
@@ -15,8 +14,6 @@ def generator(seed=1):
 
 def experience(net, steps=20, **options):
     return collect(DoubleIntegrator(**options), net, steps=steps, generator=generator())
-
-
 
 
 def test_advantages_are_normalised_and_outliers_limited():
@@ -44,8 +41,6 @@ def test_a_time_limit_is_bootstrapped_with_the_state_before_the_restart():
     with torch.no_grad():
         expected = data.rewards[-1] + config.gamma * net.value(data.successors[-1])
     torch.testing.assert_close(prepare(net, data, config).targets.reshape(20, 8)[-1], expected)
-
-
 
 
 def test_the_ratio_is_one_at_the_first_pass():

@@ -26,8 +26,6 @@ def fitted():
     return fit_quantiles(*heteroscedastic(6000, 0), rng=np.random.default_rng(1), config=SHORT)
 
 
-
-
 @pytest.mark.parametrize("level", [0.1, 0.5, 0.9])
 def test_pinball_is_minimised_by_the_true_quantile(level):
     y = np.random.default_rng(0).standard_normal((20000, 1))
@@ -45,11 +43,7 @@ def test_pinball_agrees_with_its_definition():
 def test_pinball_of_tensors_equals_pinball_of_arrays():
     rng = np.random.default_rng(0)
     y, q = rng.standard_normal((30, 2)), rng.standard_normal((30, 3, 2))
-    torch.testing.assert_close(
-        pinball(torch.tensor(y), torch.tensor(q), LEVELS), torch.tensor(pinball(y, q, LEVELS))
-    )
-
-
+    torch.testing.assert_close(pinball(torch.tensor(y), torch.tensor(q), LEVELS), torch.tensor(pinball(y, q, LEVELS)))
 
 
 @pytest.mark.check

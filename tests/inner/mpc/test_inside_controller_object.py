@@ -1,6 +1,5 @@
 """What test_controller_object.py claims, seen from inside."""
 
-
 import control
 import numpy as np
 from plants import box, double_integrator

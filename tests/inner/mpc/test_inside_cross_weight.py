@@ -1,6 +1,5 @@
 """What test_cross_weight.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 from adversarial_mpc import output_case, output_cost, output_plan

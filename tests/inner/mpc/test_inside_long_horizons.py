@@ -1,6 +1,5 @@
 """What test_long_horizons.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 from plants import box

@@ -1,6 +1,5 @@
 """What test_mpqp_hard.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 from plants import box, double_integrator

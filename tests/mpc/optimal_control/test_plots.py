@@ -66,9 +66,7 @@ def test_phases_stand_side_by_side_even_without_inputs():
 
 
 def test_discrete_dynamics_and_no_figure():
-    phase = Phase(
-        lambda x, u: x + u, 1, 1, start=[1.0], duration=5, discrete=True, stage_cost=lambda x, u: x**2 + u**2
-    )
+    phase = Phase(lambda x, u: x + u, 1, 1, start=[1.0], duration=5, discrete=True, stage_cost=lambda x, u: x**2 + u**2)
     solution = solve(phase)
     assert solution.plot().axes[-1].get_xlabel() == "step"
     with pytest.raises(InputError, match="Figure"):

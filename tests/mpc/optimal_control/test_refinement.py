@@ -1,6 +1,5 @@
 """Refinement ends where it was asked to, or by time or rounds, or where finer meshes do not help; it says which."""
 
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -79,6 +79,7 @@ class Clock:
 @pytest.fixture
 def no_sets(monkeypatch):
     """Have every computation of a set fail the test."""
+
     def computed(*_):
         raise AssertionError("a set was computed")
 

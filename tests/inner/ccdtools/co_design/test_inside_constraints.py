@@ -1,6 +1,5 @@
 """What test_constraints.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What test_method_comparison.py claims, seen from inside."""
 
-
-
 from ccdtools.co_design.compare_methods import known_methods, named_methods
 from ccdtools.co_design.method_names import NAMES
 

@@ -1,6 +1,5 @@
 """What test_nested.py claims, seen from inside."""
 
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -58,11 +58,7 @@ def cart():
     """A pole on a cart from 0.5 rad."""
     X = ([-2.0, -4.0, -1.2, -6.0], [2.0, 4.0, 1.2, 6.0])
     model = discretise(pendulum_on_cart(), X=X, U=(-10.0, 10.0), W=(-0.6, 0.6))
-    return problem_of(
-        model, x0=(0.0, 0.0, 0.5, 0.0), Q=np.diag([1.0, 0.1, 10.0, 0.1]), X=X, U=(-10.0, 10.0), steps=100
-    )
-
-
+    return problem_of(model, x0=(0.0, 0.0, 0.5, 0.0), Q=np.diag([1.0, 0.1, 10.0, 0.1]), X=X, U=(-10.0, 10.0), steps=100)
 
 
 def test_matrices_and_their_derivatives_are_those_of_the_exact_model(pair):
@@ -102,8 +98,6 @@ def test_the_landscape_is_that_of_the_exact_model(pair):
     V = np.random.default_rng(2).random((5, 2))
     returns = [Landscape(problem_of(model), np.random.default_rng(0)).returns(V) for model in pair]
     np.testing.assert_allclose(returns[1], returns[0], rtol=1e-4)
-
-
 
 
 def test_the_fast_step_and_its_gradient_are_those_that_torch_records(cart):

@@ -1,6 +1,5 @@
 """What test_comparison.py claims, seen from inside."""
 
-
 import control
 import numpy as np
 import pytest
@@ -53,8 +52,6 @@ def test_differences_are_paired_on_the_same_runs(illustrative, scores, controlle
     assert score.ci95 == pytest.approx(summarise(difference).ci95)
     unpaired = summarise(returns("MPC", 100)).ci95
     assert score.ci95[1] - score.ci95[0] < 0.5 * (unpaired[1] - unpaired[0])
-
-
 
 
 def test_timing_a_controller_leaves_it_ready_for_one_run():

@@ -64,9 +64,7 @@ def test_candidate_outputs_may_be_given(illustrative):
 
 def test_the_generator_decides(illustrative):
     options = {"runs": 8, "screened": 4, "refinements": 5}
-    gains = [
-        tuned_pid(illustrative.problem(), [2.0], rng=np.random.default_rng(3), **options) for _ in range(2)
-    ]
+    gains = [tuned_pid(illustrative.problem(), [2.0], rng=np.random.default_rng(3), **options) for _ in range(2)]
     assert gains[0].kp == pytest.approx(gains[1].kp)
     assert gains[0].ki == pytest.approx(gains[1].ki)
 

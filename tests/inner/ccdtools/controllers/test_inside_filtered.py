@@ -1,6 +1,5 @@
 """What test_filtered.py claims, seen from inside."""
 
-
 import control
 import numpy as np
 import pytest

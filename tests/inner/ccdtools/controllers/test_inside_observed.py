@@ -1,6 +1,5 @@
 """What test_observed.py claims, seen from inside."""
 
-
 import control
 import numpy as np
 import pytest

@@ -67,8 +67,7 @@ def test_torch_in_double_precision_agrees_with_casadi(name):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [n for n in EXPRESSIONS if n not in ("sign", "rounding", "logic", "if_else on equality", "constants")],
+    "name", [n for n in EXPRESSIONS if n not in ("sign", "rounding", "logic", "if_else on equality", "constants")]
 )
 def test_torch_gradients_agree_with_casadi_derivatives(name):
     x, y = points()

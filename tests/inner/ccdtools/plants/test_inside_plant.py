@@ -1,6 +1,5 @@
 """What test_plant.py claims, seen from inside."""
 
-
 import numpy as np
 
 from ccdtools.studies.cases.suspension import quarter_car

@@ -1,6 +1,5 @@
 """What test_preview.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 

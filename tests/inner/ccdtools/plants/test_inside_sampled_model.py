@@ -1,6 +1,5 @@
 """What test_sampled_model.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 import torch

@@ -1,6 +1,5 @@
 """What test_sampling_guard.py claims, seen from inside."""
 
-
 import casadi as ca
 import numpy as np
 import pytest

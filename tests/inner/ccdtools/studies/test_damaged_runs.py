@@ -46,72 +46,90 @@ def outcome(folder: Path) -> dict:
 
 def edit(name, **changes):
     """Return a damage: other values in a JSON file."""
+
     def damage(run):
         values = json.loads((run / name).read_text(encoding="utf-8"))
         (run / name).write_text(json.dumps(values | changes), encoding="utf-8")
+
     return damage
 
 
 def edit_option(**changes):
     """Return a damage: other options in run.json."""
+
     def damage(run):
         values = json.loads((run / "run.json").read_text(encoding="utf-8"))
         values["options"] |= changes
         (run / "run.json").write_text(json.dumps(values), encoding="utf-8")
+
     return damage
 
 
 def write(name, content):
     """Return a damage: another content of a file."""
+
     def damage(run):
         (run / name).write_bytes(content)
+
     return damage
 
 
 def remove(name):
     """Return a damage: a file that is gone."""
+
     def damage(run):
         (run / name).unlink()
+
     return damage
 
 
 def file_for_folder(name):
     """Return a damage: a file where a folder was."""
+
     def damage(run):
         shutil.rmtree(run / name)
         (run / name).write_text("")
+
     return damage
 
 
 def folder_for_file(name):
     """Return a damage: a folder where a file was."""
+
     def damage(run):
         (run / name).unlink(missing_ok=True)
         (run / name).mkdir()
+
     return damage
 
 
 def cut(name):
     """Return a damage: the end of a file is missing."""
+
     def damage(run):
         (run / name).write_bytes((run / name).read_bytes()[:-30])
+
     return damage
 
 
 def flip(name):
     """Return a damage: one bit in the middle of a file."""
+
     def damage(run):
         content = bytearray((run / name).read_bytes())
         content[len(content) // 2] ^= 1
         (run / name).write_bytes(bytes(content))
+
     return damage
 
 
 def take_for(name, other):
     """Return a damage: a stage in the place of another."""
+
     def damage(run):
         shutil.rmtree(run / "stages" / other)
         (run / "stages" / name).rename(run / "stages" / other)
+
     return damage
 
 

@@ -43,8 +43,6 @@ def agents(study):
     return [ActorCritic(*problem.observation_bounds, *problem.input_bounds, seed=seed) for seed in range(3)]
 
 
-
-
 def with_real(study, **changes):
     """The real plant of a study, changed."""
     return replace(study.real, **changes)
@@ -71,8 +69,6 @@ def test_baselines_are_tuned_once_and_as_new_every_time(study, evaluation):
     x = np.array([[0.3, -0.2]])
     assert all(one[name] is not other[name] for name in one)
     np.testing.assert_array_equal(one["LQR"](x), other["LQR"](x))
-
-
 
 
 def test_gains_by_source_add_up_and_name_their_source():

@@ -34,8 +34,6 @@ def study(plant, **changes) -> Study:
 def test_another_accuracy_is_another_run():
     one = study(tank(rate=30.0))
     config = configuration(one)
-    before, now = (
-        fingerprint(own, {}, config) for own in (one, replace(one, accuracy=1e-4, method="rk4"))
-    )
+    before, now = (fingerprint(own, {}, config) for own in (one, replace(one, accuracy=1e-4, method="rk4")))
     assert {name for name in before if before[name] != now.get(name)} == {"study.accuracy", "study.method"}
     assert fingerprint(study(tank(rate=30.0)), {}, config) == before

@@ -6,7 +6,7 @@ from ccdtools import InputError
 from ccdtools.studies import load_study
 from ccdtools.studies.loading import load_with_sources
 
-HEAD = '''
+HEAD = """
 import casadi as ca
 import numpy as np
 from ccdtools import DesignSpace, Gaussian, Plant, QuadraticObjective, Recorded
@@ -37,7 +37,7 @@ def study_with(**changes):
 def real_with(**changes):
     fields = dict(plant=spring(), disturbance=Gaussian([0.1]), x0=[0, 0], runs=10, steps=60)
     return RealPlant(**(fields | changes))
-'''
+"""
 
 
 def test_a_study_imports_its_neighbour_and_names_its_line(tmp_path):

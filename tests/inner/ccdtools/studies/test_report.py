@@ -340,6 +340,7 @@ def test_a_gain_without_an_interval_or_without_a_reference_says_so():
     assert gain_text(place, "design") == "n/a"
     assert gain_text(place | {"start": 0.0}, "total") == "n/a"
 
+
 def test_the_page_and_the_results_say_which_sets_the_samples_came_from(spring, masses):
     for folder, results in (spring, masses):
         sets = results["initialisation"]["sets"]
@@ -349,16 +350,14 @@ def test_the_page_and_the_results_say_which_sets_the_samples_came_from(spring, m
 
 def asked_for_no_sets(folder, results):
     """The same run, had it been asked for no sets."""
-    return FinishedRun(
-        two_masses(), folder, results | {"configuration": results["configuration"] | {"sets": "none"}}
-    )
+    return FinishedRun(two_masses(), folder, results | {"configuration": results["configuration"] | {"sets": "none"}})
 
 
 def test_a_run_without_sets_draws_none_and_says_why(masses, monkeypatch):
     run = asked_for_no_sets(*masses)
     monkeypatch.setattr(FinishedRun, "sets", property(lambda self: pytest.fail("a set was asked for")))
     assert feasible_set_figure(run) == []
-    assert 'No figure of X_fea(p): the run was asked for sets = &#34;none&#34;.' in render(run, [])
+    assert "No figure of X_fea(p): the run was asked for sets = &#34;none&#34;." in render(run, [])
 
 
 def test_a_figure_of_inner_sets_says_so(masses, monkeypatch):
@@ -409,9 +408,13 @@ def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
     S[1, 0] = -0.01234
     other = replace(study, plant=limited, objective=QuadraticObjective(np.eye(4), 0.1 * np.eye(2), S), risk=CVaR(0.35))
     page = {one: render(FinishedRun(one, folder, results), []) for one in (study, other)}
-    told = ["S: [0, 0; −0.01234, 0; 0, 0; 0, 0]", "uᵀRu + 2zᵀSu",
-            "Of the returns a co-design optimises the mean of the worst 35 %",
-            "<td>slip [m/s]</td><td>n/a</td><td>1.234</td>", "<td>travel [m]</td><td>−0.7654</td><td>0.9000</td>"]
+    told = [
+        "S: [0, 0; −0.01234, 0; 0, 0; 0, 0]",
+        "uᵀRu + 2zᵀSu",
+        "Of the returns a co-design optimises the mean of the worst 35 %",
+        "<td>slip [m/s]</td><td>n/a</td><td>1.234</td>",
+        "<td>travel [m]</td><td>−0.7654</td><td>0.9000</td>",
+    ]
     for text in told:
         assert text in page[other]
         assert text not in page[study]

@@ -180,9 +180,7 @@ def test_limits_that_were_broken_come_before_a_gain():
     assert delivery.as_dict()["breach"] == str(BROKEN)
 
 
-@pytest.mark.parametrize(
-    ("cost", "agreement"), [(1.0, Agreement.AGREED), (4.0, Agreement.LESS), (0.2, Agreement.MORE)]
-)
+@pytest.mark.parametrize(("cost", "agreement"), [(1.0, Agreement.AGREED), (4.0, Agreement.LESS), (0.2, Agreement.MORE)])
 def test_a_prediction_is_wrong_where_the_measured_return_lies_beyond_both_intervals(cost, agreement):
     assert judged(second(log(cost, spread=0.0 if cost == 1 else 0.5)), None, None).agreement is agreement
     assert agreement.kept == {"within chance": True, "more than predicted": None}.get(agreement.value, False)

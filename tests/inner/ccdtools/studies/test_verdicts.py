@@ -51,6 +51,7 @@ def test_verdict_takes_what_is_certain_and_matters(ends, expected):
 
 def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False, replaces=True):
     """Results with costs on the real plant at the start and after two generations."""
+
     def row(generation, controller, cost, ci):
         gain = {"mean": (ci[0] + ci[1]) / 2, "ci95": list(ci)}
         return {"plant": "real", "model": "real", "generation": generation, "controller": controller, "n": 30,

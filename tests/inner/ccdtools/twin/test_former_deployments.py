@@ -124,9 +124,7 @@ def quick():
     return QuantileConfig(hidden=(16,), steps=300, batch=256)
 
 
-def test_on_the_updated_model_runs_of_what_was_deployed_are_those_of_the_log(
-    illustrative, clone, former, split, judge
-):
+def test_on_the_updated_model_runs_of_what_was_deployed_are_those_of_the_log(illustrative, clone, former, split, judge):
     """Under the policy of the log what follows the state and what is replayed add up to the errors as they were."""
     plant = UpdatedPlant.from_logs(split, [former], rng=np.random.default_rng(0), config=quick())
     again = logged(plant, [former], series=False, most=400, rng=np.random.default_rng(0))

@@ -32,8 +32,6 @@ def log(illustrative):
     return driven(illustrative, DESIGN, 60, 100, 0)
 
 
-
-
 def test_the_error_is_the_one_step_residual_at_the_measured_state(illustrative, log):
     r = residuals(illustrative.model, log)
     A, B, _ = illustrative.model.matrices(DESIGN)
@@ -71,8 +69,6 @@ def test_a_part_is_a_stretch_of_every_column(illustrative, log):
     np.testing.assert_array_equal(part.p, r.p)
 
 
-
-
 def counted(runs, steps, illustrative):
     """A log whose states count the samples."""
     states = np.zeros((runs, steps + 1, 2))
@@ -103,8 +99,6 @@ def test_of_several_runs_the_last_are_held_out_whole(illustrative):
     assert [part.runs * part.steps for part in parts] == [80]
     assert set(held[:, 0] // 1000) == {4}
     assert set(x[:, 0] // 1000) == {0, 1, 2, 3}
-
-
 
 
 def network():

@@ -1,6 +1,5 @@
 """What test_iso_road.py claims, seen from inside."""
 
-
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid, quad

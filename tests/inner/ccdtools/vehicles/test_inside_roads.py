@@ -30,8 +30,6 @@ def test_integrating_the_disturbance_gives_back_the_elevation_along_the_drive(dr
     )
 
 
-
-
 def test_the_same_seed_gives_the_same_drive_and_another_seed_another():
     first, again, other = drive(1, duration=30.0), drive(1, duration=30.0), drive(2, duration=30.0)
     for one, two in zip(first, again):
@@ -91,8 +89,6 @@ def test_a_mild_drive_is_as_rough_as_the_recorded_one():
 def test_an_aggressive_drive_is_clearly_rougher_than_a_mild_one():
     for seed in range(8):
         assert drive(seed, "aggressive")[-1].std() > 1.2 * drive(seed)[-1].std()
-
-
 
 
 @pytest.mark.parametrize("driver", STYLES)

@@ -18,8 +18,6 @@ K_S, C_S = 2e4, 1500.0  # N/m, N s/m
 SPRUNG, UNSPRUNG, TYRE = 325.0, 65.0, 232.5e3  # kg, kg, N/m: of the paper's quarter car
 
 
-
-
 def metrics(travel=(0.0, 0.0), tyre_force=0.0, force=None, static_load=1.0, **others):
     """The metrics of some signals, the others zero."""
     travel = np.asarray(travel)
@@ -57,8 +55,6 @@ def test_the_work_of_a_held_force_is_the_energy_that_an_undamped_mass_and_spring
     z, v = np.array(states).T
     gained = 0.5 * mass * v[-1] ** 2 + 0.5 * stiffness * z[-1] ** 2
     assert metrics(z, force=force, recovered=1.0).energy == pytest.approx(gained, rel=1e-9)
-
-
 
 
 def drive(road_class, *, runs=3, steps=600, dt=0.01):

@@ -1,6 +1,5 @@
 """What test_library_of_plants.py claims, seen from inside."""
 
-
 import pytest
 
 from ccdtools import InputError
