@@ -30,6 +30,7 @@ targets: $(SETUP)      ## the long studies: seeds 1 and 2 of every target, the w
 
 lint: $(SETUP)
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
