@@ -38,6 +38,7 @@ from mpc.tolerances import (
     OVERFLOW,
     RELAXATION_MARGIN,
     RELAXATION_SHARES,
+    RELAXATION_WIDER,
     RUNAWAY,
     UNIT_CIRCLE,
 )
@@ -149,8 +150,12 @@ class CondensedSolver:
         if least is None:
             return None
         relaxed, point = least
-        result = self.dense.solve(q, relaxed, confirm_infeasible=True)  # feasible by a hair's breadth
-        if result.infeasible:
+        for margin in RELAXATION_WIDER:  # the least relaxation is feasible by a hair's breadth
+            wider = relaxed + margin * self.units * (relaxed > b)
+            result = self.dense.solve(q, wider, confirm_infeasible=margin == RELAXATION_WIDER[-1])
+            if not result.infeasible:
+                break
+        else:
             result = replace(result, z=point)
         infeasible = (relaxed - b > FEASIBLE * self.units).any()
         return result, Status.SOFTENED if infeasible else Status.SOLVED

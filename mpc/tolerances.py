@@ -59,6 +59,8 @@ GROWTH = 1e3
 # Weights of the control cost beside the squared violation [-], tried in turn until the QP solves accurately
 RELAXATION_SHARES = (1e-6, 1e-3, 1.0)
 RELAXATION_MARGIN = 1e-8  # Room that relaxed bounds leave, relative to the bound or to the slack [-]
+# Further room tried in turn where the QP with the least relaxation is called infeasible, in units of the rows [-]
+RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 
 # ---- regulator ----
 # Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
