@@ -14,11 +14,21 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import highs, minimise
 from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
-from invariant_sets.projection import project_rows
+from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, LP_SOLVER, MEMBERSHIP, MISSING, PLACE, ROUNDING, WITNESS
+from invariant_sets.tolerances import (
+    FLAT,
+    LP_RESIDUAL,
+    LP_SOLVER,
+    MEMBERSHIP,
+    MISSING,
+    PLACE,
+    PROGRAMS_PER_CHECK,
+    ROUNDING,
+    WITNESS,
+)
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -147,9 +157,9 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Arr
     rows = np.vstack([F @ closed, H @ gain])
     right = np.append(g - F @ shift, h - H @ offset)
     worst = -np.inf
-    for slope, level in zip(rows, right):
+    for i in range(0, len(rows), PROGRAMS_PER_CHECK):
         deadline.check()
-        worst = max(worst, C.support(slope) - level)
+        worst = max(worst, float((C.support(rows[i:i + PROGRAMS_PER_CHECK]) - right[i:i + PROGRAMS_PER_CHECK]).max()))
     return Certificate(worst, np.inf, len(rows))
 
 
@@ -175,31 +185,56 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE) -> float:
     """Enlargement of C by a backward step, relative to row ranges.
 
-    A set that has collapsed, or was cut too far, shows here.
+    For every row f of C one linear program: max fᵀx over x in X and u in U with A x + B u + w in C for all w. A set
+    that has collapsed, or was cut too far, shows here.
     """
+    state = nonempty_body(X, "the certificate")
+    inputs = nonempty_body(U, "the certificate")
+    F, g = C.relative_rows
     T, t = tightened_rows(C, system.disturbances)
-    stays = Polytope(T @ np.hstack([system.A, system.B]), t)
-    return beyond(C, stays.intersection(X.cartesian_product(U)), deadline, doubted=MISSING)
-
-
-def beyond(P: Polytope, lifted: Polytope, deadline: Deadline = NO_DEADLINE, *, doubted: float = MEMBERSHIP) -> float:
-    """Largest relative reach of the x of a set of (x, u) beyond rows of P.
-
-    A linear program a row; where the answer is above `doubted`, a second solver is asked, too: flat optima may be found
-    too large.
-    """
-    body = nonempty_body(lifted, "the certificate")
-    F, g = P.relative_rows
-    worst = -np.inf
-    for slope, level in zip(F @ body.basis[:P.dim], F @ body.centre[:P.dim] - g):
+    k = state.basis.shape[1]
+    m = len(state.g)
+    rows = np.zeros((m + len(inputs.g) + len(t), k + inputs.basis.shape[1]))
+    rows[:m, :k] = state.F
+    rows[m:m + len(inputs.g), k:] = inputs.F
+    rows[m + len(inputs.g):, :k] = T @ system.A @ state.basis
+    rows[m + len(inputs.g):, k:] = T @ system.B @ inputs.basis
+    drift = system.A @ state.centre + system.B @ inputs.centre
+    rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
+    costs = np.zeros((len(F), rows.shape[1]))
+    costs[:, :k] = -F @ state.basis
+    level = F @ state.centre - g
+    size = row_norms(costs)
+    moving = np.flatnonzero(size > 0.0)
+    beyond = level.copy()
+    for i in range(0, len(moving), PROGRAMS_PER_CHECK):
         deadline.check()
-        size = float(np.hypot.reduce(slope, initial=0.0))
-        reach = size * -minimise(-slope / size, body.F, body.g)[0] + level if size > 0.0 else level
-        if reach > doubted and size > 0.0:
-            point = precise_minimiser(-slope / size, body.F, body.g)
-            reach = reach if point is None else min(reach, float(slope @ point) + level)
-        worst = max(worst, float(reach))
+        part = moving[i:i + PROGRAMS_PER_CHECK]
+        beyond[part] += size[part] * _upper_bounds(costs[part] / size[part, None], rows, right)
+    worst = -np.inf
+    for row in np.argsort(-beyond):
+        if beyond[row] <= worst:
+            break
+        if beyond[row] > MISSING and size[row] > 0.0:  # the multipliers may give too large a bound
+            beyond[row] = min(beyond[row], size[row] * -minimise(costs[row] / size[row], rows, right)[0] + level[row])
+        worst = max(worst, float(beyond[row]))
     return worst
+
+
+def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
+    """Upper bounds of max −costᵀz over the rows, for every cost."""
+    dual = np.zeros((len(costs), len(right)))
+    solved = np.zeros(len(costs), bool)
+    for i, cost in enumerate(costs):
+        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_RESIDUAL)
+        if flag == 1:
+            dual[i] = info["lam"]
+            solved[i] = True
+    dual = np.maximum(dual, 0.0)
+    bounds: Array = dual @ right
+    for row in np.flatnonzero(~(solved & (np.abs(costs + dual @ rows).max(axis=1) <= LP_SOLVER))):
+        bounds[row] = -minimise(costs[row], rows, right)[0]
+    return bounds
 
 
 def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invariant_sets.engine.certificate import beyond, control_violation
+from invariant_sets.engine.certificate import control_violation, precise_minimiser
 from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
@@ -60,7 +60,7 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
             if P is None or P.is_empty:
                 continue
             check = control_violation(system, P, U, target=S, deadline=deadline)
-            check = replace(check, missing=beyond(P, lifted, deadline))
+            check = replace(check, missing=_too_small(P, lifted, n, deadline))
         except NumericalError:
             continue
         if _worst(check) < _worst(best[1]):
@@ -137,6 +137,24 @@ def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted:
         return None
     deadline.check_hull(len(S.vertices) * len(useful.vertices), n)
     return S.minkowski_sum(useful.affine_map(-system.B)).preimage(system.A).intersection(X).minimal()
+
+
+def _too_small(P: Polytope, lifted: Polytope, n: int, deadline: Deadline) -> float:
+    """Largest relative reach of the lifted set beyond facets of P."""
+    body = nonempty_body(lifted, "backward_step")
+    F, g = P.relative_rows
+    worst = 0.0
+    for i, f in enumerate(F):
+        deadline.check()
+        local = body.basis[:n].T @ f
+        level = float(f @ body.centre[:n] - g[i])
+        size = float(np.hypot.reduce(local, initial=0.0))
+        beyond = size * -minimise(-local / size, body.F, body.g)[0] + level if size > 0.0 else level
+        if beyond > MEMBERSHIP and size > 0.0:  # a flat optimum may be found too large: a second solver
+            point = precise_minimiser(-local / size, body.F, body.g)
+            beyond = beyond if point is None else min(beyond, float(local @ point) + level)
+        worst = max(worst, beyond)
+    return worst
 
 
 def forward_step(system: LinearSystem, R: Polytope, moves: Polytope, deadline: Deadline = NO_DEADLINE) -> Step:
