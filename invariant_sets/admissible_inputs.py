@@ -235,8 +235,16 @@ def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B
-    arrays = (body.centre, body.basis, left_inverse(body.basis), after, push @ body.basis, g - push @ body.centre,
-              body.F, body.g)
+    arrays = (
+        body.centre,
+        body.basis,
+        left_inverse(body.basis),
+        after,
+        push @ body.basis,
+        g - push @ body.centre,
+        body.F,
+        body.g,
+    )
     return _LocalRows(*(frozen(np.array(array)) for array in arrays))
 
 

@@ -35,8 +35,14 @@ class Stated(NamedTuple):
     def unit(self) -> Stated:
         """Rows of norm one; rows of norm zero stay."""
         size, size_eq = (np.where(norms > 0.0, norms, 1.0) for norms in (row_norms(self.A), row_norms(self.A_eq)))
-        return Stated(self.A / size[:, None], self.b / size, self.A_eq / size_eq[:, None], self.b_eq / size_eq,
-                      self.terms / size, self.terms_eq / size_eq)
+        return Stated(
+            self.A / size[:, None],
+            self.b / size,
+            self.A_eq / size_eq[:, None],
+            self.b_eq / size_eq,
+            self.terms / size,
+            self.terms_eq / size_eq,
+        )
 
 
 @dataclass(frozen=True)
@@ -80,8 +86,14 @@ class Body:
         A_eq = self.normals
         if not (np.isfinite(A).all() and A.any(axis=1).all()):
             raise NumericalError("The hull", A.shape, "its coordinates are too large or too small for doubles")
-        return Stated(A, self.g + A @ self.centre, A_eq, A_eq @ self.centre,
-                      self.sizes + np.abs(A) @ self.terms, np.abs(A_eq) @ self.terms).unit
+        return Stated(
+            A,
+            self.g + A @ self.centre,
+            A_eq,
+            A_eq @ self.centre,
+            self.sizes + np.abs(A) @ self.terms,
+            np.abs(A_eq) @ self.terms,
+        ).unit
 
     def holds_part_of(self, whole: Body) -> bool:
         """Whether the tightened set holds a copy `SETTLED` times the `whole`."""

@@ -64,8 +64,12 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     point_terms = np.zeros(n)
     point_terms[bound] = terms[solved, n]
     start = centre[free] / scale[free]
-    return bare_body(scale * (point + basis @ start), scale[:, None] * basis, free,
-                     scale * (point_terms + np.abs(basis) @ np.abs(start)))
+    return bare_body(
+        scale * (point + basis @ start),
+        scale[:, None] * basis,
+        free,
+        scale * (point_terms + np.abs(basis) @ np.abs(start)),
+    )
 
 
 def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:
@@ -192,11 +196,13 @@ def opposite_rows(A: Array, b: Array, terms: Array) -> tuple[Array, Array]:
     most = np.maximum.reduceat(doubt[order], starts)
     pairs[pairs] = np.abs(low[pairs] + high[pairs]) <= most[pairs]
     for group in pairs.nonzero()[0]:
-        members = order[starts[group]:np.append(starts, m)[group + 1]]
+        members = order[starts[group] : np.append(starts, m)[group + 1]]
         first = members[upper[members].argmin()]
         second = members[lower[members].argmin()]
-        parallel = (np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
-                    <= CANCELLED * np.abs(rows[first])).all(axis=1)
+        parallel = (
+            np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
+            <= CANCELLED * np.abs(rows[first])
+        ).all(axis=1)
         within = abs(right[first] + right[second]) <= max(doubt[first], doubt[second])
         if within and parallel[members == second].all():
             chosen.append(int(first))

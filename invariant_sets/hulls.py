@@ -102,8 +102,10 @@ def _holds_all(equations: Array, points: Array) -> bool:
     """Whether all points are inside the facets."""
     limit = FLAT * np.abs(points).max()
     step = max(1, 10_000_000 // len(points))
-    return all((points @ part[:, :-1].T + part[:, -1]).max() <= limit
-               for part in (equations[i:i + step] for i in range(0, len(equations), step)))
+    return all(
+        (points @ part[:, :-1].T + part[:, -1]).max() <= limit
+        for part in (equations[i : i + step] for i in range(0, len(equations), step))
+    )
 
 
 def _check_vertices(V: Array, F: Array, g: Array) -> None:
@@ -129,7 +131,7 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
     kept = distinct(V, tol) if tol > FLAT else np.arange(len(V))
     products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
     step = max(1, 10_000_000 // max(len(F), 1))
-    touched = [(V[kept[i:i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
+    touched = [(V[kept[i : i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
     sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NEGLIGIBLE
     for i in kept if tol > FLAT else kept[~sharp]:
         others = kept[kept != i]  # SciPy 1.17 frees twice what it never had where there are none

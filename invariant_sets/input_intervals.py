@@ -12,8 +12,9 @@ from invariant_sets.tolerances import CANCELLED
 Array = np.ndarray
 
 
-def nearest_inputs(slope: Array, room: Array, lower: float | Array, upper: float | Array,
-                   wanted: Array) -> tuple[Array, Array]:
+def nearest_inputs(
+    slope: Array, room: Array, lower: float | Array, upper: float | Array, wanted: Array
+) -> tuple[Array, Array]:
     """Inputs (k,) nearest to `wanted` (k,) with slope·v <= room, lower <= v <= upper, and their worst violations.
 
     Where no input meets all rows, the one with the least violation, and nearest to the wanted one among those; a

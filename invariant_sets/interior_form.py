@@ -84,7 +84,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
             centre = box.centre + box.basis @ box.ball.centre
             E = np.vstack([E, A[rows]])
             e = np.append(e, b[rows] if within_rounding else A[rows] @ centre)
-            sizes = np.append(sizes, np.maximum(terms[rows], np.abs(e[-len(rows):])))
+            sizes = np.append(sizes, np.maximum(terms[rows], np.abs(e[-len(rows) :])))
             scale = measured
             hidden += 1
             rescaled = 0
@@ -110,8 +110,17 @@ def _part(whole: Body, inner: Body) -> Body:
         shape = replace(inner, centre=np.zeros(len(whole.free)))
         widths = support(shape, whole.basis) / 2 + support(shape, -whole.basis) / 2
         half = np.where(np.isfinite(widths), widths, half)
-    return Body(whole.centre + whole.basis @ inner.centre, whole.basis @ inner.basis, inner.F, inner.g, inner.sizes,
-                inner.bounded, whole.free[inner.free], half, whole.terms + np.abs(whole.basis) @ inner.terms)
+    return Body(
+        whole.centre + whole.basis @ inner.centre,
+        whole.basis @ inner.basis,
+        inner.F,
+        inner.g,
+        inner.sizes,
+        inner.bounded,
+        whole.free[inner.free],
+        half,
+        whole.terms + np.abs(whole.basis) @ inner.terms,
+    )
 
 
 def _interval(A: Array, b: Array, terms: Array, hull: Body, cancelled: float) -> Body | None:
@@ -158,9 +167,17 @@ def _box(A: Array, b: Array, terms: Array) -> Body | None:
     ends = np.concatenate([upper[free] - centre[free], centre[free] - lower[free]])
     used = np.isfinite(ends)
     scale = np.concatenate([length, length])[used]
-    return Body(centre, np.diag(half)[:, free], np.concatenate([eye, -eye])[used], ends[used] / scale,
-                np.concatenate([doubt[free], doubt[free]])[used] / scale, bool(used.all()), free,
-                np.where(solid, half, 0.0), np.maximum(np.abs(centre), doubt))
+    return Body(
+        centre,
+        np.diag(half)[:, free],
+        np.concatenate([eye, -eye])[used],
+        ends[used] / scale,
+        np.concatenate([doubt[free], doubt[free]])[used] / scale,
+        bool(used.all()),
+        free,
+        np.where(solid, half, 0.0),
+        np.maximum(np.abs(centre), doubt),
+    )
 
 
 def _tightest(column: Array, bound: Array, doubt: Array, n: int) -> tuple[Array, Array]:
@@ -185,8 +202,17 @@ def _body(box: LocalBox, hull: Body, widths: Array) -> Body:
     F = box.F[touching]
     g = box.g[touching]
     centre = box.centre + box.basis @ y
-    return Body(centre, box.basis, F, np.maximum(g - F @ y, FLAT), box.error[touching] / ROUNDING, bounded,
-                hull.free, widths, np.maximum(np.abs(centre), hull.terms))
+    return Body(
+        centre,
+        box.basis,
+        F,
+        np.maximum(g - F @ y, FLAT),
+        box.error[touching] / ROUNDING,
+        bounded,
+        hull.free,
+        widths,
+        np.maximum(np.abs(centre), hull.terms),
+    )
 
 
 def tightened(body: Body, Q: Body, V: Array | None = None) -> Body | None:
@@ -197,8 +223,14 @@ def tightened(body: Body, Q: Body, V: Array | None = None) -> Body | None:
     """
     shape = replace(Q, centre=np.zeros(len(Q.centre)))
     across = body.normals
-    if len(across) and (support(shape, across) > FLAT * (np.abs(across) @ (body.half_widths + Q.half_widths))
-            + ROUNDING * (np.abs(across) @ (body.terms + Q.terms))).any():
+    if (
+        len(across)
+        and (
+            support(shape, across)
+            > FLAT * (np.abs(across) @ (body.half_widths + Q.half_widths))
+            + ROUNDING * (np.abs(across) @ (body.terms + Q.terms))
+        ).any()
+    ):
         return None
     slope = body.F @ body.inverse
     reach = support(shape, slope) if V is None else (slope @ V.T).max(axis=1)
@@ -264,7 +296,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     free = np.arange(n)
     graph = np.eye(n)
     if not solid.all():
-        free = np.sort(qr(axes[solid], mode="r", pivoting=True)[1][:int(solid.sum())])  # pivots of the rows
+        free = np.sort(qr(axes[solid], mode="r", pivoting=True)[1][: int(solid.sum())])  # pivots of the rows
         graph = np.linalg.solve(axes[solid][:, free], axes[solid])
         graph = np.where(np.abs(graph) > CANCELLED, graph, 0.0)
         graph[:, free] = np.eye(len(free))
@@ -276,9 +308,17 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     shift = F @ ((centre - first) / unit)[free]
     size = half[free] / unit[free]
     norms = np.linalg.norm(F * size, axis=1)
-    return Body(centre, unit[:, None] * graph.T * size, F * size / norms[:, None], (g - shift) / norms,
-                (np.abs(g) + np.abs(shift)) / norms, True, free, np.where(moving, half, 0.0),
-                np.maximum(terms, np.abs(centre))), extreme
+    return Body(
+        centre,
+        unit[:, None] * graph.T * size,
+        F * size / norms[:, None],
+        (g - shift) / norms,
+        (np.abs(g) + np.abs(shift)) / norms,
+        True,
+        free,
+        np.where(moving, half, 0.0),
+        np.maximum(terms, np.abs(centre)),
+    ), extreme
 
 
 def null_space(rows: Array) -> Array:
@@ -291,7 +331,7 @@ def null_space(rows: Array) -> Array:
 def normals(basis: Array) -> Array:
     """Orthonormal rows (n − k, n) across the k columns of a basis."""
     left, _, _ = np.linalg.svd(basis / row_norms(basis.T), full_matrices=True)
-    return left[:, basis.shape[1]:].T
+    return left[:, basis.shape[1] :].T
 
 
 def unit_rows(A: Array, b: Array) -> tuple[Array | None, Array]:

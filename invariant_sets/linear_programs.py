@@ -207,8 +207,15 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
         _move_to_corners(A, b, X, dual)
     values = (costs * X).sum(axis=1)
     slope = np.abs(costs + dual @ A)
-    wrong = np.array([(X @ A.T - b).max(axis=1), -dual.min(axis=1), slope.max(axis=1), (slope * np.abs(X)).sum(axis=1),
-                      np.abs(values + dual @ b)])
+    wrong = np.array(
+        [
+            (X @ A.T - b).max(axis=1),
+            -dual.min(axis=1),
+            slope.max(axis=1),
+            (slope * np.abs(X)).sum(axis=1),
+            np.abs(values + dual @ b),
+        ]
+    )
     return values, solved & (wrong <= (LP_RESIDUAL if coarse else ROUNDING)).all(axis=0)
 
 
@@ -265,9 +272,18 @@ def highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> tuple[Array
     """Minimiser (n,) and multipliers (m,) by HiGHS at its tightest tolerances, or None."""
     from scipy.optimize import linprog
 
-    answer = linprog(c, A_ub=A, b_ub=b, bounds=(None, None), method=method,
-                     options={"primal_feasibility_tolerance": LP_SOLVER, "dual_feasibility_tolerance": LP_SOLVER,
-                              "maxiter": 100 * sum(A.shape)})  # else interior points may not end
+    answer = linprog(
+        c,
+        A_ub=A,
+        b_ub=b,
+        bounds=(None, None),
+        method=method,
+        options={
+            "primal_feasibility_tolerance": LP_SOLVER,
+            "dual_feasibility_tolerance": LP_SOLVER,
+            "maxiter": 100 * sum(A.shape),
+        },
+    )  # else interior points may not end
     return (np.asarray(answer.x), -np.asarray(answer.ineqlin.marginals)) if answer.status == 0 else None
 
 

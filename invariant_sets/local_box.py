@@ -76,8 +76,9 @@ class LocalBox:
         return bool(self.room == 0.0 and self.ball.dual.any() and not self.open.any())
 
 
-def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array, *,
-                  cancelled: float) -> LocalBox | None:
+def rescaled_view(
+    A: Array, b: Array, terms: Array, centre: Array, basis: Array, *, cancelled: float
+) -> LocalBox | None:
     """Box with unit extents of the set; None if it is empty.
 
     The view ends where the set is solid and has the right size, or is flat: then `ball.radius` <= `FLAT`, and no
@@ -116,8 +117,9 @@ def rescaled_view(A: Array, b: Array, terms: Array, centre: Array, basis: Array,
     return box
 
 
-def _local_box(A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbounded: Array,
-               cancelled: float) -> LocalBox | None:
+def _local_box(
+    A: Array, b: Array, terms: Array, centre: Array, basis: Array, unbounded: Array, cancelled: float
+) -> LocalBox | None:
     """Box in the given coordinates; None if a parallel row excludes it."""
     F = A @ basis
     g = b - A @ centre
@@ -156,7 +158,7 @@ def _extents(box: LocalBox, D: Array) -> tuple[Array, Array]:
     """Lower and upper ends (k,) of the set within the box along the rows of D."""
     g = box.g[box.near] + 1.01 * max(-box.ball.radius, 0.0)
     ends = maximise_in_box(np.concatenate([D, -D]), box.F[box.near], g, HALF_BOX)
-    return -ends[len(D):], ends[:len(D)]
+    return -ends[len(D) :], ends[: len(D)]
 
 
 def _ends(box: LocalBox, unbounded: Array) -> tuple[Array, Array, Array, Array]:

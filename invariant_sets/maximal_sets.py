@@ -32,9 +32,19 @@ from invariant_sets.validation import as_count, as_matrix, check_tolerance
 NO_INPUT = Polytope(A_eq=[[1.0]], b_eq=[0.0])
 
 
-def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = None,
-                                  W: Set | None = None, tol: float = GAP, max_iterations: int = 500,
-                                  max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
+def maximal_control_invariant_set(
+    A: Any,
+    B: Any,
+    X: Set,
+    U: Set,
+    *,
+    E: Any = None,
+    W: Set | None = None,
+    tol: float = GAP,
+    max_iterations: int = 500,
+    max_facets: int = 1000,
+    time_limit: float | None = None,
+) -> SetResult:
     """Maximal (robust) control invariant set of x⁺ = A x + B u + E w.
 
     Parameters
@@ -86,9 +96,18 @@ def maximal_control_invariant_set(A: Any, B: Any, X: Set, U: Set, *, E: Any = No
     return largest_invariant_set(task)
 
 
-def maximal_positively_invariant_set(A: Any, X: Set, *, C: Any = None, E: Any = None, W: Set | None = None,
-                                     tol: float = GAP, max_iterations: int = 500,
-                                     max_facets: int = 1000, time_limit: float | None = None) -> SetResult:
+def maximal_positively_invariant_set(
+    A: Any,
+    X: Set,
+    *,
+    C: Any = None,
+    E: Any = None,
+    W: Set | None = None,
+    tol: float = GAP,
+    max_iterations: int = 500,
+    max_facets: int = 1000,
+    time_limit: float | None = None,
+) -> SetResult:
     """Largest set whose trajectories x⁺ = A x + E w keep C x in X.
 
     Parameters
@@ -144,5 +163,9 @@ def maximal_positively_invariant_set(A: Any, X: Set, *, C: Any = None, E: Any = 
 
 def as_limits(tol: Any, max_iterations: Any, max_facets: Any, time_limit: Any) -> Limits:
     """Limits with time from now; raise `InputError` for improper numbers."""
-    return Limits(check_tolerance(tol), as_count("max_iterations", max_iterations), as_count("max_facets", max_facets),
-                  Deadline.after(time_limit))
+    return Limits(
+        check_tolerance(tol),
+        as_count("max_iterations", max_iterations),
+        as_count("max_facets", max_facets),
+        Deadline.after(time_limit),
+    )

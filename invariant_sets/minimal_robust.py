@@ -29,9 +29,16 @@ from invariant_sets.validation import check_tolerance
 Array = np.ndarray
 
 
-def minimal_robust_positively_invariant_set(A: Any, W: Set, *, E: Any = None, eps: float = 1e-2,
-                                            max_iterations: int = 500, max_facets: int = 2000,
-                                            time_limit: float | None = None) -> SetResult:
+def minimal_robust_positively_invariant_set(
+    A: Any,
+    W: Set,
+    *,
+    E: Any = None,
+    eps: float = 1e-2,
+    max_iterations: int = 500,
+    max_facets: int = 2000,
+    time_limit: float | None = None,
+) -> SetResult:
     """Robust invariant outer approximation of the smallest one, ⊕ᵢ AⁱEW.
 
     Parameters

@@ -129,8 +129,9 @@ class SetOperations(Polyhedron):
         else:  # no length that Q could be small to: by the rows as they are stated
             A, b, E, e, terms, sizes = self.stated
             size = theirs.terms + theirs.half_widths
-            rows = Stated(A, b - support(theirs, A), E, e - support(theirs, E),
-                          terms + np.abs(A) @ size, sizes + np.abs(E) @ size)
+            rows = Stated(
+                A, b - support(theirs, A), E, e - support(theirs, E), terms + np.abs(A) @ size, sizes + np.abs(E) @ size
+            )
             if solid:
                 return set_of(type(self), rows)
             found = body_of(rows)
@@ -254,8 +255,9 @@ def _moved(kind: type[AnySet], P: Polyhedron, point: Body) -> AnySet:
     """Nonempty P moved by a point."""
     A, b, A_eq, b_eq, terms, terms_eq = P.stated
     c = point.centre
-    rows = Stated(A, b + A @ c, A_eq, b_eq + A_eq @ c, terms + np.abs(A) @ point.terms,
-                  terms_eq + np.abs(A_eq) @ point.terms)
+    rows = Stated(
+        A, b + A @ c, A_eq, b_eq + A_eq @ c, terms + np.abs(A) @ point.terms, terms_eq + np.abs(A_eq) @ point.terms
+    )
     body = nonempty_body(P, "minkowski_sum")
     body = replace(body, centre=body.centre + c, terms=body.terms + point.terms)
     return set_of(kind, rows, None if P.given_vertices is None else P.given_vertices + c, body)
@@ -302,8 +304,9 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
     rows = body.F @ back
     rows = np.where(np.abs(rows) * units > CANCELLED * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
     normal = np.where(np.abs(left[:, rank:].T) > CANCELLED, left[:, rank:].T, 0.0) / units
-    return Stated(rows, body.g + rows @ origin, normal, normal @ origin,
-                  body.g + np.abs(rows) @ sizes, np.abs(normal) @ sizes).unit
+    return Stated(
+        rows, body.g + rows @ origin, normal, normal @ origin, body.g + np.abs(rows) @ sizes, np.abs(normal) @ sizes
+    ).unit
 
 
 def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[Array, Array, Array]:
@@ -311,5 +314,3 @@ def _pulled_back(A: Array, b: Array, terms: Array, M: Array, c: Array) -> tuple[
     rows = A @ M
     rows = np.where(np.abs(rows) > PLACE * (np.abs(A) @ np.abs(M)), rows, 0.0)
     return rows, b - A @ c, terms + np.abs(A) @ np.abs(c)
-
-

@@ -90,8 +90,10 @@ class ParametricSet:
 
     def __repr__(self) -> str:
         nx, nu = (S.dim if isinstance(S, Polytope) else "any" for S in (self.X, self.U))
-        return (f"ParametricSet(nx={nx}, nu={nu}, {'robust' if self.W is not None else 'nominal'}, "
-                f"{len(self._results)} designs known)")
+        return (
+            f"ParametricSet(nx={nx}, nu={nu}, {'robust' if self.W is not None else 'nominal'}, "
+            f"{len(self._results)} designs known)"
+        )
 
     def _limits(self) -> Limits:
         """Tolerance and caps of every design, with time from now."""

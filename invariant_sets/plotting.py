@@ -48,9 +48,15 @@ def plot_polytope(P: SetOperations, *, ax: Any = None, coordinates: Any = None, 
     return _draw_space(P, ax, style) if P.dim == 3 else _draw_plane(P, ax, style)
 
 
-def plot_family(sets: Iterable[SetOperations], *, values: Iterable[float] | None = None,
-                labels: Iterable[str] | None = None, ax: Any = None, coordinates: Any = None,
-                **style: Any) -> list[Any]:
+def plot_family(
+    sets: Iterable[SetOperations],
+    *,
+    values: Iterable[float] | None = None,
+    labels: Iterable[str] | None = None,
+    ax: Any = None,
+    coordinates: Any = None,
+    **style: Any,
+) -> list[Any]:
     """Draw sets of several designs in colours; return the artists.
 
     In the plane a fill is opaque and pale, and every outline lies above all fills: the legend shows the colours that

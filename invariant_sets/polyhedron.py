@@ -265,8 +265,10 @@ class Polyhedron:
     def one_sided(self) -> tuple[Array, Array]:
         if not len(self.b_eq):
             return self.A, self.b
-        return (frozen(np.concatenate([self.A, self.A_eq, -self.A_eq])),
-                frozen(np.concatenate([self.b, self.b_eq, -self.b_eq])))
+        return (
+            frozen(np.concatenate([self.A, self.A_eq, -self.A_eq])),
+            frozen(np.concatenate([self.b, self.b_eq, -self.b_eq])),
+        )
 
     @property
     def row_terms(self) -> Array:
@@ -363,8 +365,9 @@ def _fill(P: Polyhedron, rows: Stated, V: Array | None) -> None:
         object.__setattr__(P, name, value)
 
 
-def set_of(kind: type[AnySet], rows: Stated, V: Array | None = None, body: Body | None = None,
-           settled: bool = True) -> AnySet:
+def set_of(
+    kind: type[AnySet], rows: Stated, V: Array | None = None, body: Body | None = None, settled: bool = True
+) -> AnySet:
     """Set of these rows, with vertices V (k, n) and body where known.
 
     A body that is not settled says where the set lies; its own extents are found when something asks for them.

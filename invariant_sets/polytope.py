@@ -108,8 +108,14 @@ class Polytope(SetOperations):
         return f"Polytope(dim={self.dim}, {len(self.b)} inequalities{equalities})"
 
     def _repr_html_(self) -> str:
-        facts: dict[str, Any] = {"dimension": self.dim, "inequalities": len(self.b), "equalities": len(self.b_eq),
-                 "empty": self.is_empty, "bounded": self.is_bounded, "dimension of its affine hull": self.affine_dim}
+        facts: dict[str, Any] = {
+            "dimension": self.dim,
+            "inequalities": len(self.b),
+            "equalities": len(self.b_eq),
+            "empty": self.is_empty,
+            "bounded": self.is_bounded,
+            "dimension of its affine hull": self.affine_dim,
+        }
         if not self.is_empty:
             lower, upper = self.bounding_box()
             for i in range(self.dim):

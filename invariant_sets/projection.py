@@ -22,8 +22,9 @@ from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FEW_ROWS, FLAT,
 Array = np.ndarray
 
 
-def project_rows(R: Array, r: Array, keep: int, *, reach: Array | None = None,
-                 deadline: Deadline = NO_DEADLINE) -> tuple[Array, Array]:
+def project_rows(
+    R: Array, r: Array, keep: int, *, reach: Array | None = None, deadline: Deadline = NO_DEADLINE
+) -> tuple[Array, Array]:
     """Unit rows of {R z <= r} projected on its first `keep` coordinates.
 
     Parameters
@@ -80,8 +81,11 @@ def eliminate_last(R: Array, r: Array, fresh: Array | None = None) -> tuple[Arra
         new_up = up & fresh
         new_down = down & fresh
         old_up = up & ~fresh
-        rows = [rest[level & fresh], _combined(rest[new_up], last[new_up], rest[down], -last[down]),
-                _combined(rest[old_up], last[old_up], rest[new_down], -last[new_down])]
+        rows = [
+            rest[level & fresh],
+            _combined(rest[new_up], last[new_up], rest[down], -last[down]),
+            _combined(rest[old_up], last[old_up], rest[new_down], -last[new_down]),
+        ]
     return _without_zero_rows(np.vstack(rows))
 
 
@@ -141,7 +145,7 @@ def needed_rows(F: Array, g: Array, deadline: Deadline = NO_DEADLINE) -> Array:
         return strongly_irredundant_rows(F, g)
     needed = np.zeros(len(g), bool)
     rays = max(FEW_ROWS, 20_000_000 // len(g))  # every row's own normal, if there are not too many
-    needed[_hit_by_rays(F, g, F[::max(1, len(g) // rays)])] = True
+    needed[_hit_by_rays(F, g, F[:: max(1, len(g) // rays)])] = True
     open_rows = ~needed
     for i in np.argsort(g, kind="stable"):
         while open_rows[i]:
@@ -166,7 +170,7 @@ def _hit_by_rays(F: Array, g: Array, directions: Array) -> Array:
     hits = []
     step = max(1, 2_000_000 // len(F))
     for start in range(0, len(directions), step):
-        slope = directions[start:start + step] @ F.T
+        slope = directions[start : start + step] @ F.T
         with np.errstate(divide="ignore"):
             distance = np.where(slope > 0.0, g / np.where(slope > 0.0, slope, 1.0), np.inf)
         hits.append(distance.argmin(axis=1))

@@ -30,8 +30,17 @@ from invariant_sets.validation import as_count
 Array = np.ndarray
 
 
-def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = None, E: Any = None,
-                    W: Set | None = None, time_limit: float | None = None) -> SetResult:
+def predecessor_set(
+    A: Any,
+    B: Any,
+    S: Set,
+    U: Set | None,
+    *,
+    X: Set | None = None,
+    E: Any = None,
+    W: Set | None = None,
+    time_limit: float | None = None,
+) -> SetResult:
     """States in X that inputs steer into S in one step for all w.
 
     Parameters
@@ -65,8 +74,18 @@ def predecessor_set(A: Any, B: Any, S: Set, U: Set | None, *, X: Set | None = No
     return controllable_set(A, B, X, U, S, 1, E=E, W=W, time_limit=time_limit)
 
 
-def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: int, *, E: Any = None,
-                     W: Set | None = None, time_limit: float | None = None) -> SetResult:
+def controllable_set(
+    A: Any,
+    B: Any,
+    X: Set,
+    U: Set | None,
+    target: Set,
+    steps: int,
+    *,
+    E: Any = None,
+    W: Set | None = None,
+    time_limit: float | None = None,
+) -> SetResult:
     """States that inputs steer through X into `target` in exactly `steps` steps.
 
     Parameters
@@ -119,8 +138,18 @@ def controllable_set(A: Any, B: Any, X: Set, U: Set | None, target: Set, steps: 
     return _in_given_units(_repeat(step_back, goal, steps, deadline, within, hull if W is None else None), size)
 
 
-def reachable_set(A: Any, B: Any, start: Set, U: Set | None, steps: int, *, X: Set | None = None,
-                  E: Any = None, W: Set | None = None, time_limit: float | None = None) -> SetResult:
+def reachable_set(
+    A: Any,
+    B: Any,
+    start: Set,
+    U: Set | None,
+    steps: int,
+    *,
+    X: Set | None = None,
+    E: Any = None,
+    W: Set | None = None,
+    time_limit: float | None = None,
+) -> SetResult:
     """States that x⁺ = A x + B u + E w reaches in exactly `steps` steps.
 
     Parameters
@@ -210,8 +239,13 @@ def _scaled(S: Polytope, size: Array) -> Polytope:
     body = S.body
     if body is None:
         return Polytope.empty(S.dim)
-    body = replace(body, centre=body.centre / size, basis=body.basis / size[:, None],
-                   half_widths=body.half_widths / size, terms=body.terms / size)
+    body = replace(
+        body,
+        centre=body.centre / size,
+        basis=body.basis / size[:, None],
+        half_widths=body.half_widths / size,
+        terms=body.terms / size,
+    )
     V = None if S.given_vertices is None else S.given_vertices / size
     rows = S.stated
     return set_of(Polytope, rows._replace(A=rows.A * size, A_eq=rows.A_eq * size).unit, V, body)
@@ -222,8 +256,14 @@ def _in_given_units(result: SetResult, size: Array) -> SetResult:
     return replace(result, set=_scaled(result.set, 1 / size), outer=_scaled(result.outer, 1 / size))
 
 
-def _repeat(step: Callable[[Polytope, Deadline], Step], S: Polytope, steps: int, deadline: Deadline, outer: Polytope,
-            last: Callable[[Deadline], Polytope | None] | None) -> SetResult:
+def _repeat(
+    step: Callable[[Polytope, Deadline], Step],
+    S: Polytope,
+    steps: int,
+    deadline: Deadline,
+    outer: Polytope,
+    last: Callable[[Deadline], Polytope | None] | None,
+) -> SetResult:
     """Result of `steps` steps from S; at a limit `outer` and the inner hull of states that `last` finds, if any."""
     exact = deadline.part(EXACT_SHARE)
     violation = -np.inf

@@ -17,18 +17,30 @@ class Status(Outcome):
 
     CONVERGED = "The set is what was asked for, to the stated tolerance."
     EMPTY = "No state has the property: enlarge X or U, or shrink W."
-    ITERATION_LIMIT = ("The iteration limit came first: `set` is invariant (or empty) but not maximal, `outer` is not "
-                       "invariant. Increase `max_iterations` or `tol`.")
-    FACET_LIMIT = ("The set needs more facets than `max_facets`, or than Qhull can resolve: `set` is invariant (or "
-                   "empty) but not the extremal one. Increase `max_facets` or `tol`.")
-    TIME_LIMIT = ("The time limit came first: `set` is invariant but not the extremal one, and `certificate.gap` says "
-                  "how far `outer` is from it; it is empty if none was found in time. Increase `time_limit` or `tol`.")
-    NOT_CERTIFIED = ("The check of the result failed, so `set` is empty and only `outer` holds. The data are badly "
-                     "scaled or a mode is nearly marginal: rescale, or increase `tol`.")
-    NOT_MAXIMAL = ("`set` is invariant, but one more backward step would enlarge it by `certificate.missing`, so "
-                   "neither it nor `outer` is known to be the maximal one. Rescale the data, or increase `tol`.")
-    OUTER_ONLY = ("X is unbounded and the recursion has not ended in an invariant set: only `outer` holds. "
-                  "Intersect X with a box.")
+    ITERATION_LIMIT = (
+        "The iteration limit came first: `set` is invariant (or empty) but not maximal, `outer` is not "
+        "invariant. Increase `max_iterations` or `tol`."
+    )
+    FACET_LIMIT = (
+        "The set needs more facets than `max_facets`, or than Qhull can resolve: `set` is invariant (or "
+        "empty) but not the extremal one. Increase `max_facets` or `tol`."
+    )
+    TIME_LIMIT = (
+        "The time limit came first: `set` is invariant but not the extremal one, and `certificate.gap` says "
+        "how far `outer` is from it; it is empty if none was found in time. Increase `time_limit` or `tol`."
+    )
+    NOT_CERTIFIED = (
+        "The check of the result failed, so `set` is empty and only `outer` holds. The data are badly "
+        "scaled or a mode is nearly marginal: rescale, or increase `tol`."
+    )
+    NOT_MAXIMAL = (
+        "`set` is invariant, but one more backward step would enlarge it by `certificate.missing`, so "
+        "neither it nor `outer` is known to be the maximal one. Rescale the data, or increase `tol`."
+    )
+    OUTER_ONLY = (
+        "X is unbounded and the recursion has not ended in an invariant set: only `outer` holds. "
+        "Intersect X with a box."
+    )
 
 
 @dataclass(frozen=True)
@@ -98,8 +110,10 @@ class SetResult:
 
     def __repr__(self) -> str:
         kind = "empty" if self.set.is_empty else "bounded" if self.is_bounded else "unbounded"
-        return (f"SetResult({self.status.name}, {kind} set of dimension {self.set.dim}, {len(self.set.b)} rows, "
-                f"{self.iterations} steps, violation {self.certificate.violation:.1e}, gap {self.certificate.gap:.1e})")
+        return (
+            f"SetResult({self.status.name}, {kind} set of dimension {self.set.dim}, {len(self.set.b)} rows, "
+            f"{self.iterations} steps, violation {self.certificate.violation:.1e}, gap {self.certificate.gap:.1e})"
+        )
 
 
 def status_of(limit: LimitReached) -> Status:

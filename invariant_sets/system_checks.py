@@ -51,8 +51,9 @@ def disturbance_vertices(E: Any, W: Any, nx: int) -> Array | None:
     return None if W is None else W.vertices @ E.T
 
 
-def checked_system(A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *,
-                   name: str = "X") -> tuple[LinearSystem, Polytope, Polytope]:
+def checked_system(
+    A: Any, B: Any, states: Any, U: Any, E: Any, W: Any, *, name: str = "X"
+) -> tuple[LinearSystem, Polytope, Polytope]:
     """System x⁺ = A x + B u + w with w in E W, its set of states and U, or raise `InputError`.
 
     `states` are what the caller means by them: constraints X, a start, or a set S to stay in.

@@ -64,8 +64,12 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
     reversed_ = np.flatnonzero(lower > upper)
     if len(reversed_):
         i = int(reversed_[0])
-        raise InputError("lower", f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}", "lower <= upper",
-                         "Exchange them; the empty set is Polytope.empty(n).")
+        raise InputError(
+            "lower",
+            f"{lower[i]:g} above upper, {upper[i]:g}, at index {i}",
+            "lower <= upper",
+            "Exchange them; the empty set is Polytope.empty(n).",
+        )
     return lower, upper
 
 

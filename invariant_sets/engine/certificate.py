@@ -34,8 +34,9 @@ Array = np.ndarray
 Rows = tuple[Array, Array]
 
 
-def control_violation(system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None,
-                      deadline: Deadline = NO_DEADLINE) -> Certificate:
+def control_violation(
+    system: LinearSystem, C: Polytope, U: Polytope, *, target: Polytope | None = None, deadline: Deadline = NO_DEADLINE
+) -> Certificate:
     """Violation of `target` by C's worst vertex under its best input.
 
     Parameters
@@ -86,9 +87,9 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
         slope = slope @ turn
         H = H @ turn
     rows = np.zeros((len(slope) + len(H), nu + 1))
-    rows[:len(slope), :nu] = slope
-    rows[:len(slope), nu] = -1.0
-    rows[len(slope):, :nu] = H
+    rows[: len(slope), :nu] = slope
+    rows[: len(slope), nu] = -1.0
+    rows[len(slope) :, :nu] = H
     cost = np.zeros(nu + 1)
     cost[nu] = 1.0
     witnesses = _middle_inputs(slope[:, 0], room, (H, h)) if nu == 1 else np.full((len(room), nu), np.inf)
@@ -106,7 +107,7 @@ def _least_violation(slope: Array, room: Array, inputs: Rows, deadline: Deadline
         for solver in (_checked_minimiser, precise_minimiser):
             v = solver(cost, rows, np.concatenate([room[k], h]))
             if v is not None:
-                leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k:k + 1], (H, h))[0])
+                leaves[k] = min(leaves[k], _violations(v[None, :nu], slope, room[k : k + 1], (H, h))[0])
             if leaves[k] <= MEMBERSHIP:
                 break
         if leaves[k] > MEMBERSHIP:  # confirmed by three solvers: the other vertices cannot mend that
@@ -147,8 +148,9 @@ def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
         return np.where(excess <= 1.0 + WITNESS, (inside @ slope.T - room).max(axis=1), np.inf)
 
 
-def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Array, offset: Array,
-                       deadline: Deadline = NO_DEADLINE) -> Certificate:
+def feedback_violation(
+    system: LinearSystem, C: Polytope, U: Polytope, gain: Array, offset: Array, deadline: Deadline = NO_DEADLINE
+) -> Certificate:
     """Violation of C or U by C under the feedback u = gain x + offset."""
     closed = system.A + system.B @ gain
     shift = system.B @ offset
@@ -159,7 +161,9 @@ def feedback_violation(system: LinearSystem, C: Polytope, U: Polytope, gain: Arr
     worst = -np.inf
     for i in range(0, len(rows), PROGRAMS_PER_CHECK):
         deadline.check()
-        worst = max(worst, float((C.support(rows[i:i + PROGRAMS_PER_CHECK]) - right[i:i + PROGRAMS_PER_CHECK]).max()))
+        worst = max(
+            worst, float((C.support(rows[i : i + PROGRAMS_PER_CHECK]) - right[i : i + PROGRAMS_PER_CHECK]).max())
+        )
     return Certificate(worst, np.inf, len(rows))
 
 
@@ -196,9 +200,9 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     m = len(state.g)
     rows = np.zeros((m + len(inputs.g) + len(t), k + inputs.basis.shape[1]))
     rows[:m, :k] = state.F
-    rows[m:m + len(inputs.g), k:] = inputs.F
-    rows[m + len(inputs.g):, :k] = T @ system.A @ state.basis
-    rows[m + len(inputs.g):, k:] = T @ system.B @ inputs.basis
+    rows[m : m + len(inputs.g), k:] = inputs.F
+    rows[m + len(inputs.g) :, :k] = T @ system.A @ state.basis
+    rows[m + len(inputs.g) :, k:] = T @ system.B @ inputs.basis
     drift = system.A @ state.centre + system.B @ inputs.centre
     rows, right = unit(rows, np.concatenate([state.g, inputs.g, t - T @ drift]))
     costs = np.zeros((len(F), rows.shape[1]))
@@ -209,7 +213,7 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     beyond = level.copy()
     for i in range(0, len(moving), PROGRAMS_PER_CHECK):
         deadline.check()
-        part = moving[i:i + PROGRAMS_PER_CHECK]
+        part = moving[i : i + PROGRAMS_PER_CHECK]
         beyond[part] += size[part] * _upper_bounds(costs[part] / size[part, None], rows, right)
     worst = -np.inf
     for row in np.argsort(-beyond):
@@ -243,15 +247,20 @@ def tightened_rows(C: Polytope, disturbances: Array | None) -> Rows:
     return F, g if disturbances is None or not len(g) else g - (F @ disturbances.T).max(axis=1)
 
 
-def _violation_at_facets(system: LinearSystem, C: Polytope, U: Polytope, target: Rows,
-                         deadline: Deadline) -> Certificate:
+def _violation_at_facets(
+    system: LinearSystem, C: Polytope, U: Polytope, target: Rows, deadline: Deadline
+) -> Certificate:
     """Violation of the target's predecessor rows by C."""
     body = nonempty_body(U, "the certificate")
     F, g = target
     state = nonempty_body(C, "the certificate")
     N = state.basis
-    rows = np.vstack([np.hstack([F @ system.A @ N, F @ system.B @ body.basis]),
-                      np.hstack([np.zeros((len(body.g), N.shape[1])), body.F])])
+    rows = np.vstack(
+        [
+            np.hstack([F @ system.A @ N, F @ system.B @ body.basis]),
+            np.hstack([np.zeros((len(body.g), N.shape[1])), body.F]),
+        ]
+    )
     right = np.append(g - F @ (system.A @ state.centre + system.B @ body.centre), body.g)
     R, r = project_rows(rows, right, N.shape[1], deadline=deadline)
     if not len(r):

@@ -192,8 +192,9 @@ def gap(outer: Region, inner: Region) -> float:
     return float(max(0.0, (excess[~passing] / inner.g[~passing]).max(initial=0.0)))
 
 
-def predecessor_rows(target: Rows, A: Array, B: Array, joint: Rows, *, fresh: Array | None = None,
-                     deadline: Deadline = NO_DEADLINE) -> Rows:
+def predecessor_rows(
+    target: Rows, A: Array, B: Array, joint: Rows, *, fresh: Array | None = None, deadline: Deadline = NO_DEADLINE
+) -> Rows:
     """Unit rows (R, r) of the predecessor set with inputs eliminated.
 
     Parameters

@@ -235,8 +235,9 @@ class _Inner:
     centre: Array
 
 
-def _certified(task: Task, problem: LocalProblem, region: Region, candidate: Candidate,
-               deadline: Deadline) -> _Inner | None:
+def _certified(
+    task: Task, problem: LocalProblem, region: Region, candidate: Candidate, deadline: Deadline
+) -> _Inner | None:
     """Candidate as a set if certified in time, otherwise None."""
     found = candidate.region
     C = problem.frame.polytope(found.F, found.g, found.V)

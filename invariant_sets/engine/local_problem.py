@@ -104,9 +104,10 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
             return None
         motion, rows, law = (part @ answer for part in (motion, rows, law))
     local = frame.back @ motion
-    dynamics = LinearSystem(local[:, 1:k + 1], local[:, k + 1:], None if spread is None else spread @ frame.back.T)
-    problem = LocalProblem(frame, dynamics, local[:, 0], states, (rows[:, 1:], -rows[:, 0]), None, law, state.bounded,
-                           at_equilibrium=False)
+    dynamics = LinearSystem(local[:, 1 : k + 1], local[:, k + 1 :], None if spread is None else spread @ frame.back.T)
+    problem = LocalProblem(
+        frame, dynamics, local[:, 0], states, (rows[:, 1:], -rows[:, 0]), None, law, state.bounded, at_equilibrium=False
+    )
     if flat:
         vertices = _joint_input_corners(problem)
     else:
@@ -114,18 +115,22 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
     return _at_equilibrium(problem, vertices, system)
 
 
-def _stay_on_hull(motion: Array, basis: Array, spread: Array | None,
-                  size: Array) -> Array | tuple[Array, Array] | None:
+def _stay_on_hull(motion: Array, basis: Array, spread: Array | None, size: Array) -> Array | tuple[Array, Array] | None:
     """Map of (1, y, v') to (1, y, v) that stays on the hull of `basis`, or equalities on y to meet before, or None."""
     # `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) is one in each coordinate of x
     k = basis.shape[1]
     normal = normals(basis)
-    P = normal @ motion[:, 1:k + 1]
-    Q = normal @ motion[:, k + 1:]
+    P = normal @ motion[:, 1 : k + 1]
+    Q = normal @ motion[:, k + 1 :]
     s = -normal @ motion[:, 0]
     size = np.maximum(np.maximum(np.abs(normal) @ size, np.abs(s)), np.finfo(float).tiny)
-    if spread is not None and (np.abs(spread @ normal.T).max(axis=0) > NEGLIGIBLE * np.maximum(
-            size, np.abs(spread).max() + np.finfo(float).tiny)).any():
+    if (
+        spread is not None
+        and (
+            np.abs(spread @ normal.T).max(axis=0)
+            > NEGLIGIBLE * np.maximum(size, np.abs(spread).max() + np.finfo(float).tiny)
+        ).any()
+    ):
         return None
     P = P / size[:, None]
     Q = Q / size[:, None]
@@ -200,12 +205,15 @@ def _at_equilibrium(problem: LocalProblem, vertices: Array | None, system: Linea
     y = point[:k]
     law = np.column_stack([problem.law @ np.append(1.0, point), problem.law[:, 1:]])
     return replace(
-        problem, frame=Frame(problem.frame.centre + problem.frame.basis @ y, problem.frame.basis),
+        problem,
+        frame=Frame(problem.frame.centre + problem.frame.basis @ y, problem.frame.basis),
         drift=np.zeros(k),
         states=(problem.states[0], problem.states[1] - problem.states[0] @ y),
         joint=(problem.joint[0], problem.joint[1] - problem.joint[0] @ point),
         input_moves=None if vertices is None else (vertices - point[k:]) @ problem.dynamics.B.T,
-        law=law, at_equilibrium=True)
+        law=law,
+        at_equilibrium=True,
+    )
 
 
 def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:

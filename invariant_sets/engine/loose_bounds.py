@@ -23,8 +23,9 @@ from invariant_sets.tolerances import BOX_ROOM, EIGENVALUE, FLAT, LOOSE, ROUNDIN
 Array = np.ndarray
 
 
-def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
-                         target: Polytope | None = None) -> tuple[LinearSystem, Polytope, Polytope]:
+def without_loose_bounds(
+    system: LinearSystem, X: Polytope, U: Polytope, target: Polytope | None = None
+) -> tuple[LinearSystem, Polytope, Polytope]:
     """Problem without rows and inputs that cannot matter in one step to `target`.
 
     Without a target, in staying in X for ever. Where U has to be cut, inputs that move the state alike become one.
@@ -37,8 +38,9 @@ def without_loose_bounds(system: LinearSystem, X: Polytope, U: Polytope,
     return system, X, U
 
 
-def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
-                  target: Polytope | None) -> tuple[LinearSystem, Polytope, Polytope]:
+def _within_reach(
+    system: LinearSystem, X: Polytope, U: Polytope, target: Polytope | None
+) -> tuple[LinearSystem, Polytope, Polytope]:
     """Problem with what is felt in one step, or in nx."""
     states = X.body
     inputs = U.body
@@ -64,7 +66,7 @@ def _within_reach(system: LinearSystem, X: Polytope, U: Polytope,
         lifted = lifted.intersection(after.preimage(M, c))
     if lifted.is_empty:
         return system, X, U
-    eye = np.eye(lifted.dim)[X.dim:X.dim + nu]
+    eye = np.eye(lifted.dim)[X.dim : X.dim + nu]
     upper = lifted.support(eye)
     lower = -lifted.support(-eye)
     room = BOX_ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
@@ -85,8 +87,8 @@ def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Po
     disturbances = None if system.disturbances is None else system.disturbances / units / size
     D, d, group = unstable_bounds(A, moves / size, disturbances)
     D = D / units / size
-    room, width = (ends[:len(d) // 2] + ends[len(d) // 2:] for ends in (X.support(D), d))
-    loose = (width > 0.0) & (room > LOOSE * width) & ~np.isin(group[:len(width)], group[np.tile(np.isinf(room), 2)])
+    room, width = (ends[: len(d) // 2] + ends[len(d) // 2 :] for ends in (X.support(D), d))
+    loose = (width > 0.0) & (room > LOOSE * width) & ~np.isin(group[: len(width)], group[np.tile(np.isinf(room), 2)])
     if not loose.any():
         return X
     cut = X.intersection(Polytope(D[np.tile(loose, 2)], d[np.tile(loose, 2)]))
@@ -98,7 +100,7 @@ def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Po
 def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array]) -> Polytope:
     """X without the rows that no trajectory comes near; what has no width has nothing far away."""
     body = nonempty_body(lifted, "backward_step")
-    far = np.abs(X.A) @ body.half_widths[:X.dim] > 0.0
+    far = np.abs(X.A) @ body.half_widths[: X.dim] > 0.0
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
         lower = -lifted.support(-X.A @ M)
@@ -189,8 +191,9 @@ def _mode_bound(value: float, v: Array, inputs: Array, disturbances: Array | Non
     return float(up), float(down)
 
 
-def _subspace_bounds(A: Array, inputs: Array,
-                     disturbances: Array | None) -> Iterator[tuple[Array, tuple[float, float]]]:
+def _subspace_bounds(
+    A: Array, inputs: Array, disturbances: Array | None
+) -> Iterator[tuple[Array, tuple[float, float]]]:
     """Yield rows and their two bounds on the left unstable subspace."""
     from scipy.linalg import schur
 

@@ -48,13 +48,13 @@ class Region:
             return np.zeros(0)
         if self.V is not None:
             step = max(1, 60_000 // len(self.V))  # rows times vertices of one product
-            return np.concatenate([(rows[i:i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)])
+            return np.concatenate([(rows[i : i + step] @ self.V.T).max(axis=1) for i in range(0, len(rows), step)])
         if not len(self.g):
             return np.full(len(rows), np.inf)
         parts = []
         for i in range(0, len(rows), 20):
             deadline.check()
-            parts.append(maximise_rows(rows[i:i + 20], self.F, self.g))
+            parts.append(maximise_rows(rows[i : i + 20], self.F, self.g))
         return np.concatenate(parts)
 
     def cut(self, R: Array, r: Array, deadline: Deadline = NO_DEADLINE) -> Region:
@@ -117,8 +117,9 @@ class Limits:
     deadline: Deadline = NO_DEADLINE  # latest end
 
 
-def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: float = REDUNDANT,
-            fresh: Array | None = None) -> Outcome:
+def iterate(
+    region: Region, predecessor: Predecessor, limits: Limits, *, stop: float = REDUNDANT, fresh: Array | None = None
+) -> Outcome:
     """Outcome of Ω ← predecessor(Ω) ∩ Ω from `region`.
 
     Parameters
@@ -155,8 +156,9 @@ def iterate(region: Region, predecessor: Predecessor, limits: Limits, *, stop: f
     return Outcome(region, limits.iterations)
 
 
-def _one_step(region: Region, predecessor: Predecessor, fresh: Array | None,
-              deadline: Deadline) -> tuple[Region, float]:
+def _one_step(
+    region: Region, predecessor: Predecessor, fresh: Array | None, deadline: Deadline
+) -> tuple[Region, float]:
     """Intersection predecessor(region) ∩ region and the largest relative cut."""
     R, r = unit_rows(*predecessor((region.F, region.g), fresh))
     if R is None:

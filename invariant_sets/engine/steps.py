@@ -32,8 +32,9 @@ Step = tuple[Polytope, Certificate]  # the set after one step, and by how much a
 _UNCHECKED = Certificate(0.0, np.inf, 0, missing=0.0)
 
 
-def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
-                  deadline: Deadline = NO_DEADLINE) -> Step:
+def backward_step(
+    system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, deadline: Deadline = NO_DEADLINE
+) -> Step:
     """States in X that inputs in U steer into S for all w.
 
     It is found in one of two ways that share no arithmetic, by elimination of the inputs from the lifted set or by
@@ -50,7 +51,9 @@ def backward_step(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope,
         if longer is not None:
             return longer
     ways: list[Callable[[], Polytope | None]] = [
-        lambda: _by_elimination(lifted, n, deadline), lambda: _by_sum(system, tight, X, U, lifted, deadline)]
+        lambda: _by_elimination(lifted, n, deadline),
+        lambda: _by_sum(system, tight, X, U, lifted, deadline),
+    ]
     if system.B.shape[1] > 1:
         ways.reverse()
     best = X, replace(_UNCHECKED, violation=np.inf)
@@ -75,8 +78,9 @@ def _worst(check: Certificate) -> float:
     return max(check.violation, check.missing)
 
 
-def _without_far_ends(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
-                      deadline: Deadline) -> Step | None:
+def _without_far_ends(
+    system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope, deadline: Deadline
+) -> Step | None:
     """Step without ends so far away that a width seems flat, or None.
 
     In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
@@ -126,8 +130,9 @@ def _by_elimination(lifted: Polytope, n: int, deadline: Deadline) -> Polytope:
     return Polytope(F, g + F @ body.centre[:n]).minimal()
 
 
-def _by_sum(system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope,
-            deadline: Deadline) -> Polytope | None:
+def _by_sum(
+    system: LinearSystem, S: Polytope, X: Polytope, U: Polytope, lifted: Polytope, deadline: Deadline
+) -> Polytope | None:
     """Set {x : A x in S ⊕ (−B U)} ∩ X by vertices; None if unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
@@ -187,10 +192,14 @@ def _unreached(system: LinearSystem, image: Polytope, R: Polytope, moves: Polyto
     width = np.where(width > 0.0, width, 1.0)
     to = np.hstack([system.A @ start.basis, move.basis]) / width[:, None]
     at = (system.A @ start.centre + move.centre) / width
-    rows = np.vstack([
-        np.column_stack([to, -np.ones(n)]), np.column_stack([-to, -np.ones(n)]),
-        np.column_stack([start.F, np.zeros((len(start.g), q + 1))]),
-        np.column_stack([np.zeros((len(move.g), k)), move.F, np.zeros(len(move.g))])])
+    rows = np.vstack(
+        [
+            np.column_stack([to, -np.ones(n)]),
+            np.column_stack([-to, -np.ones(n)]),
+            np.column_stack([start.F, np.zeros((len(start.g), q + 1))]),
+            np.column_stack([np.zeros((len(move.g), k)), move.F, np.zeros(len(move.g))]),
+        ]
+    )
     cost = np.append(np.zeros(k + q), 1.0)
     worst = 0.0
     for v in image.vertices / width:

@@ -22,14 +22,21 @@ def state_maps(system: LinearSystem, steps: int) -> tuple[list[Array], list[Arra
     drift = [np.zeros(n)]
     for step in range(steps):
         M = system.A @ moves[-1]
-        M[:, n + step * nu:n + (step + 1) * nu] = system.B
+        M[:, n + step * nu : n + (step + 1) * nu] = system.B
         moves.append(M)
         drift.append(system.A @ drift[-1] + mean)
     return moves, drift
 
 
-def inner_hull(deadline: Deadline, *, system: LinearSystem, sets: tuple[Polytope, Polytope, Polytope], U: Polytope,
-               steps: int, at: int) -> Polytope | None:
+def inner_hull(
+    deadline: Deadline,
+    *,
+    system: LinearSystem,
+    sets: tuple[Polytope, Polytope, Polytope],
+    U: Polytope,
+    steps: int,
+    at: int,
+) -> Polytope | None:
     """Hull of extreme states x₀ or x_N of trajectories, or None.
 
     None, too, where the linear program over all steps would be too large.

@@ -137,7 +137,7 @@ def test_equalities_through_one_another():
 @pytest.mark.parametrize("n", [4, 5])
 def test_sums_of_unbounded_sets_end(n, rng):
     A = rng.normal(size=(2 * n, n))
-    P = Polytope(A[:n + 1], np.ones(n + 1)).minkowski_sum(Polytope(A[n:], np.ones(n)))
+    P = Polytope(A[: n + 1], np.ones(n + 1)).minkowski_sum(Polytope(A[n:], np.ones(n)))
     assert not P.is_empty
     line = Polytope([[1.0, 0], [-1, 0]], [0, 0]).minkowski_sum(Polytope([[0, 1.0], [0, -1]], [1, 1]))
     assert len(line.b) == len(line.b_eq) == 0  # a vertical line and a horizontal strip: the plane
@@ -195,8 +195,13 @@ def test_copies_are_the_same_set_and_read_only(copied):
         assert type(Q) is Polytope
         with pytest.raises(ValueError, match="read-only"):
             Q.A[...] = 0
-    for error in (InputError("A", 1, 2, "do this"), UnboundedError("volume"), EmptySetError("sample"),
-                  NumericalError("The hull", (3, 2), "flat"), TimeLimitError("affine_map", 1.0, "large")):
+    for error in (
+        InputError("A", 1, 2, "do this"),
+        UnboundedError("volume"),
+        EmptySetError("sample"),
+        NumericalError("The hull", (3, 2), "flat"),
+        TimeLimitError("affine_map", 1.0, "large"),
+    ):
         again = copied(error)
         assert vars(again) == vars(error)
         assert str(again) == str(error)

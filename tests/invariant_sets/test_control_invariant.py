@@ -15,8 +15,7 @@ def worst_violation(A, B, C, U):
     for x in C.vertices:
         nu = B.shape[1]
         rows = np.block([[C.A @ B, -width[:, None]], [U.A, np.zeros((len(U.b), 1))]])
-        answer = linprog(np.r_[np.zeros(nu), 1], A_ub=rows, b_ub=np.r_[C.b - C.A @ A @ x, U.b],
-                         bounds=(None, None))
+        answer = linprog(np.r_[np.zeros(nu), 1], A_ub=rows, b_ub=np.r_[C.b - C.A @ A @ x, U.b], bounds=(None, None))
         worst = max(worst, answer.x[-1])
     return worst
 
@@ -42,8 +41,12 @@ def test_set_is_invariant_by_an_independent_solver(case):
     A, B, X, U = {
         "illustrative": (*illustrative(1.0), ILLUSTRATIVE_X, ILLUSTRATIVE_U),
         "suspension": (*suspension((1e4, 3000.0)), SUSPENSION_X, SUSPENSION_U),
-        "nonsymmetric": (np.array([[1.3, 1], [0, 0.5]]), np.array([[0.2], [1.0]]),
-                         Polytope.from_bounds([-10, -10], [10, 10]), ILLUSTRATIVE_U),
+        "nonsymmetric": (
+            np.array([[1.3, 1], [0, 0.5]]),
+            np.array([[0.2], [1.0]]),
+            Polytope.from_bounds([-10, -10], [10, 10]),
+            ILLUSTRATIVE_U,
+        ),
     }[case]
     result = maximal_control_invariant_set(A, B, X, U)
     assert result.certificate.holds

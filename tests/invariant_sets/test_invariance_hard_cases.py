@@ -25,11 +25,19 @@ CASES = {
     "millionths": ([[1.3, 1e-6], [0, 0.5]], [[0.2e-6], [1]], box([-1e-5, -10], [1e-5, 10]), ONE),
     "origin outside": ([[0.5]], [[1.0]], box([1.5], [10]), ONE),
     "origin on the border": ([[2.0, 0.1], [0, 0.5]], [[1], [0.3]], box([0, -1], [5, 1]), box([-1], [0])),
-    "two inputs": ([[1.1, 0.3, 0], [0, 1.2, 0.4], [0.2, 0, 0.9]], [[1, 0], [0, 1], [1, 1]], box([-5] * 3, [5] * 3),
-                   box([-1, -1], [1, 1])),
+    "two inputs": (
+        [[1.1, 0.3, 0], [0, 1.2, 0.4], [0.2, 0, 0.9]],
+        [[1, 0], [0, 1], [1, 1]],
+        box([-5] * 3, [5] * 3),
+        box([-1, -1], [1, 1]),
+    ),
     "unbounded inputs": ([[1.2, 0.5], [0, 0.8]], [[0.5], [1]], box([-5, -5], [5, 5]), Polytope([[1.0]], [1.0])),
-    "repeated rows": ([[1.3, 1], [0, 0.5]], [[0.2], [1]], Polytope(np.tile(np.vstack([np.eye(2), -np.eye(2)]), (3, 1)),
-                                                                    10 * np.ones(12)), ONE),
+    "repeated rows": (
+        [[1.3, 1], [0, 0.5]],
+        [[0.2], [1]],
+        Polytope(np.tile(np.vstack([np.eye(2), -np.eye(2)]), (3, 1)), 10 * np.ones(12)),
+        ONE,
+    ),
 }
 
 
@@ -87,7 +95,7 @@ def test_states_just_outside_cannot_be_kept(name):
             free, forced = x, np.zeros((n, N * m))
             for k in range(N):
                 forced = A @ forced
-                forced[:, k * m:(k + 1) * m] = B
+                forced[:, k * m : (k + 1) * m] = B
                 free = A @ free
                 rows.append(X.A @ forced)
                 right.append(X.b - X.A @ free)
@@ -134,8 +142,9 @@ def test_flat_sets_are_solved_on_their_own_plane():
     joint = np.array([[-0.1, -0.2], [0.1, 0.2]])
     reference = box([-1, -1], [1, 1])
     for _ in range(400):  # plain recursion with u = (−0.1 x1 − 0.2 x3 − v, v)
-        lifted = reference.preimage(np.hstack([A2, B2])).intersection(Polytope(
-            np.vstack([np.column_stack([joint, [-1, 1]]), [[0, 0, 1], [0, 0, -1]]]), np.ones(4)))
+        lifted = reference.preimage(np.hstack([A2, B2])).intersection(
+            Polytope(np.vstack([np.column_stack([joint, [-1, 1]]), [[0, 0, 1], [0, 0, -1]]]), np.ones(4))
+        )
         smaller = lifted.projection([0, 1]).intersection(reference).minimal()
         if reference.is_subset(smaller, 1e-11):
             break
@@ -154,8 +163,10 @@ def test_an_unstable_mode_without_input_leaves_only_the_stable_subspace():
 NOISE = {
     "small": (np.eye(2), box([-0.1, -0.1], [0.1, 0.1])),
     "one channel, not centred": (np.array([[1.0], [0.3]]), box([-0.1], [0.2])),
-    "hexagon": (np.eye(2), Polytope.from_vertices(0.1 * np.array([[1, 0], [0.5, 1], [-0.5, 1], [-1, 0], [-0.5, -1],
-                                                                  [0.5, -1]]))),
+    "hexagon": (
+        np.eye(2),
+        Polytope.from_vertices(0.1 * np.array([[1, 0], [0.5, 1], [-0.5, 1], [-1, 0], [-0.5, -1], [0.5, -1]])),
+    ),
 }
 
 
@@ -228,10 +239,13 @@ def test_unbounded_constraints():
     assert not result.set.contains([1.01, 0])
     result = maximal_control_invariant_set([[1.2, 1], [0, 0.5]], [[0], [1]], strip, ONE)  # becomes bounded
     assert result.status is Status.CONVERGED
-    assert violation_by_highs(np.array([[1.2, 1], [0, 0.5]]), np.array([[0.0], [1]]), result.set, ONE,
-                              np.zeros((1, 2))) <= 1e-9
-    half = maximal_control_invariant_set([[1, 1], [0, 1]], [[0], [1]], Polytope([[1.0, 0]], [1.0]), ONE,
-                                         max_iterations=12)
+    assert (
+        violation_by_highs(np.array([[1.2, 1], [0, 0.5]]), np.array([[0.0], [1]]), result.set, ONE, np.zeros((1, 2)))
+        <= 1e-9
+    )
+    half = maximal_control_invariant_set(
+        [[1, 1], [0, 1]], [[0], [1]], Polytope([[1.0, 0]], [1.0]), ONE, max_iterations=12
+    )
     assert half.status is Status.OUTER_ONLY
     assert half.set.is_empty
 
@@ -285,8 +299,12 @@ def test_a_singular_or_uncontrolled_rest_is_not_lost_to_rounding(scale):
         A = np.array(A) * s[:, None] / s
         result = maximal_control_invariant_set(A, np.zeros((n, 1)), box(-s, 2 * s), ONE)
         assert (result.status, result.set.affine_dim) == (Status.CONVERGED, 1)
-        assert violation_by_highs(A / s[:, None] * s, np.zeros((n, 1)), result.set.affine_map(np.diag(1 / s)), ONE,
-                                  np.zeros((1, n))) <= 1e-8
+        assert (
+            violation_by_highs(
+                A / s[:, None] * s, np.zeros((n, 1)), result.set.affine_map(np.diag(1 / s)), ONE, np.zeros((1, n))
+            )
+            <= 1e-8
+        )
 
 
 def test_needed_rows_survive_between_two_inputs():

@@ -106,9 +106,12 @@ def test_operations_do_not_depend_on_units(kind, n, rng):
     P, Q, D = rows.polytope, rows.mapped(inverse).polytope, directions(rng, rows, n)
     step = 0.1 * rng.normal(size=(n + 1, n))
     W, V = P.from_vertices(step), P.from_vertices(step @ M.T)
-    for ours, theirs in ((P.minkowski_sum(W), Q.minkowski_sum(V)),
-                         (P.pontryagin_difference(W), Q.pontryagin_difference(V)),
-                         (P.intersection(W), Q.intersection(V)), (P.scale(-2), Q.scale(-2))):
+    for ours, theirs in (
+        (P.minkowski_sum(W), Q.minkowski_sum(V)),
+        (P.pontryagin_difference(W), Q.pontryagin_difference(V)),
+        (P.intersection(W), Q.intersection(V)),
+        (P.scale(-2), Q.scale(-2)),
+    ):
         h = ours.support(D)
         assert ours.affine_dim == theirs.affine_dim
         assert_same(theirs.support(D @ inverse), h, size_of(h))
@@ -132,7 +135,6 @@ def inner_point(P):
     return np.zeros(P.dim) if P.is_empty else P.chebyshev_ball()[0]
 
 
-
 @every_kind
 @every_n
 @pytest.mark.parametrize("change", SAME_SET, ids=lambda f: f.__name__)
@@ -147,8 +149,12 @@ def test_slices_preimages_and_products_do_not_depend_on_rows_or_units(kind, n, c
     pairs = [
         (P.slice(fixed, x[fixed]), D, Q.slice(fixed, (scale * x)[fixed]), D / scale[free]),
         (P.preimage(along, x), E, Q.preimage(scale[:, None] * along / factors, scale * x), E / factors),
-        (P.cartesian_product(W), both, Q.cartesian_product(W.affine_map(np.diag(factors))),
-         both / np.append(scale, factors)),
+        (
+            P.cartesian_product(W),
+            both,
+            Q.cartesian_product(W.affine_map(np.diag(factors))),
+            both / np.append(scale, factors),
+        ),
     ]
     for ours, one, theirs, other in pairs:
         assert_same_shape(ours, theirs)

@@ -54,8 +54,15 @@ def test_an_empty_X_gives_empty_sets_and_says_so():
     assert not ParametricSet(illustrative, EMPTY, U).contains([0.0, 0.0], [1.0])
 
 
-@pytest.mark.parametrize("unbounded", [Polytope(np.zeros((0, 2)), []), Polytope([[1.0, 0]], [1.0]),
-                                       Polytope([[1.0, 0], [-1, 0]], [1, 1]), Polytope([[1.0, 1], [-1, 1]], [1, 1])])
+@pytest.mark.parametrize(
+    "unbounded",
+    [
+        Polytope(np.zeros((0, 2)), []),
+        Polytope([[1.0, 0]], [1.0]),
+        Polytope([[1.0, 0], [-1, 0]], [1, 1]),
+        Polytope([[1.0, 1], [-1, 1]], [1, 1]),
+    ],
+)
 def test_an_unbounded_X_gives_a_checked_set_or_none(unbounded):
     for result in all_invariance(unbounded).values():
         assert_clean(result)
@@ -112,9 +119,11 @@ def test_duplicate_rows_change_nothing():
 
 def test_a_disturbance_too_large_leaves_the_empty_set_and_says_so():
     large = box([-3, -3], [3, 3])
-    for result in (maximal_control_invariant_set(A, B, X, U, W=large),
-                   maximal_positively_invariant_set(STABLE, box([-1, -1], [1, 1]), W=large),
-                   controllable_set(A, B, X, U, box([-1, -1], [1, 1]), 2, W=large)):
+    for result in (
+        maximal_control_invariant_set(A, B, X, U, W=large),
+        maximal_positively_invariant_set(STABLE, box([-1, -1], [1, 1]), W=large),
+        controllable_set(A, B, X, U, box([-1, -1], [1, 1]), 2, W=large),
+    ):
         assert_clean(result)
         assert (result.status, result.set.is_empty) == (Status.EMPTY, True)
         assert "shrink W" in result.status.advice
@@ -123,9 +132,10 @@ def test_a_disturbance_too_large_leaves_the_empty_set_and_says_so():
 @pytest.mark.parametrize("limit", [1, 2, 5])
 def test_an_iteration_limit_is_a_status_with_advice(limit):
     A2, B2 = [[1.0, 1], [0, 1]], [[0.5], [1.0]]
-    for result in (maximal_control_invariant_set(A2, B2, box([-50, -5], [50, 5]), box([-0.1], [0.1]),
-                                                 max_iterations=limit),
-                   maximal_positively_invariant_set([[0.99, 0.1], [-0.1, 0.98]], X, max_iterations=limit)):
+    for result in (
+        maximal_control_invariant_set(A2, B2, box([-50, -5], [50, 5]), box([-0.1], [0.1]), max_iterations=limit),
+        maximal_positively_invariant_set([[0.99, 0.1], [-0.1, 0.98]], X, max_iterations=limit),
+    ):
         assert_clean(result)
         assert result.status is Status.ITERATION_LIMIT
         assert "max_iterations" in result.status.advice
@@ -138,8 +148,10 @@ def test_plants_that_leave_at_once_have_a_status_and_no_traceback(growth):
 
 
 def test_a_time_limit_holds_for_any_number_of_steps():
-    for call in (lambda: controllable_set(A, B, X, U, X, 10**9, time_limit=0.2),
-                 lambda: reachable_set(STABLE, B, X, U, 10**9, X=X, time_limit=0.2)):
+    for call in (
+        lambda: controllable_set(A, B, X, U, X, 10**9, time_limit=0.2),
+        lambda: reachable_set(STABLE, B, X, U, 10**9, X=X, time_limit=0.2),
+    ):
         result = call()
         assert result.status is Status.TIME_LIMIT
         assert result.set.is_subset(result.outer, 1e-8)

@@ -11,8 +11,10 @@ from invariant_sets import Polytope
 
 def random_polytope(rng, n, rows=None):
     A = rng.normal(size=(rows or 4 * n, n))
-    return Polytope(np.vstack([A, np.eye(n), -np.eye(n)]),
-                    np.r_[rng.uniform(0.3, 1, len(A)) * np.linalg.norm(A, axis=1), np.ones(2 * n)])
+    return Polytope(
+        np.vstack([A, np.eye(n), -np.eye(n)]),
+        np.r_[rng.uniform(0.3, 1, len(A)) * np.linalg.norm(A, axis=1), np.ones(2 * n)],
+    )
 
 
 @pytest.mark.quick(4)

@@ -124,8 +124,9 @@ def test_a_facet_limit_returns_a_robust_set_and_the_excess_reached():
 
 
 def test_caps_too_small_for_any_robust_set_are_a_status_and_no_exception():
-    result = minimal_robust_positively_invariant_set([[0.5, 99], [0, 0.5]], box([-1, -1], [1, 1]), max_iterations=1,
-                                                     max_facets=4)
+    result = minimal_robust_positively_invariant_set(
+        [[0.5, 99], [0, 0.5]], box([-1, -1], [1, 1]), max_iterations=1, max_facets=4
+    )
     assert result.status in (Status.ITERATION_LIMIT, Status.FACET_LIMIT)
     assert result.set.is_empty
     assert not result.certificate.holds

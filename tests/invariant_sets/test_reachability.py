@@ -42,8 +42,9 @@ def test_reachable_from_the_origin_is_the_zonotope_of_inputs_and_disturbances(st
     W = box([-0.1, -0.2], [0.1, 0.2])
     result = reachable_set(A, B, ORIGIN, U, steps, W=W)
     D = rng.normal(size=(30, 2))
-    exact = sum(np.abs(D @ np.linalg.matrix_power(A, k) @ np.hstack([B, np.diag([0.1, 0.2])])).sum(axis=1)
-                for k in range(steps))
+    exact = sum(
+        np.abs(D @ np.linalg.matrix_power(A, k) @ np.hstack([B, np.diag([0.1, 0.2])])).sum(axis=1) for k in range(steps)
+    )
     np.testing.assert_allclose(result.set.support(D), exact, atol=1e-7)
     assert result.certificate.violation <= 1e-9
 
@@ -61,8 +62,12 @@ def test_constraints_hold_on_the_way(rng):
     assert result.set.is_subset(controllable_set(A, B, X, U, ORIGIN, 4).set)
     for x in result.set.sample(20, rng=rng):
         for S in (controllable_set(A, B, narrow, U, ORIGIN, k).set for k in (3, 2, 1, 0)):
-            answer = linprog([0], A_ub=np.vstack([S.A @ B, S.A_eq @ B, -S.A_eq @ B]), b_ub=np.r_[
-                S.b - S.A @ A @ x, S.b_eq - S.A_eq @ A @ x, S.A_eq @ A @ x - S.b_eq] + 1e-8, bounds=[(-1, 1)])
+            answer = linprog(
+                [0],
+                A_ub=np.vstack([S.A @ B, S.A_eq @ B, -S.A_eq @ B]),
+                b_ub=np.r_[S.b - S.A @ A @ x, S.b_eq - S.A_eq @ A @ x, S.A_eq @ A @ x - S.b_eq] + 1e-8,
+                bounds=[(-1, 1)],
+            )
             assert answer.status == 0
             x = A @ x + B @ answer.x
 
@@ -73,8 +78,12 @@ def test_two_inputs_and_three_states(rng):
     S = box([-1] * 3, [1] * 3)
     result = predecessor_set(A3, B3, S, U3)
     for x in rng.uniform(-3, 3, (100, 3)):
-        feasible = linprog([0, 0], A_ub=np.vstack([S.A @ B3, U3.A]), b_ub=np.r_[S.b - S.A @ A3 @ x, U3.b],
-                           bounds=(None, None)).status == 0
+        feasible = (
+            linprog(
+                [0, 0], A_ub=np.vstack([S.A @ B3, U3.A]), b_ub=np.r_[S.b - S.A @ A3 @ x, U3.b], bounds=(None, None)
+            ).status
+            == 0
+        )
         assert result.set.contains(x, tol=1e-7) == feasible
 
 

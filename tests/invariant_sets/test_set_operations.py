@@ -242,9 +242,20 @@ def test_subset_and_equality_see_a_difference_of_a_millionth(rng):
 
 def test_empty_set_passes_through_every_operation():
     empty, P = Polytope.empty(2), Polytope.from_bounds([0, 0], [1, 1])
-    results = [empty.intersection(P), empty.cartesian_product(P), empty.minkowski_sum(P), P.minkowski_sum(empty),
-               empty.pontryagin_difference(P), empty.affine_map(np.ones((3, 2))), empty.preimage(np.ones((2, 3))),
-               empty.projection([0]), empty.slice([0], [0.5]), empty.scale(2), empty.scale(0), empty.minimal()]
+    results = [
+        empty.intersection(P),
+        empty.cartesian_product(P),
+        empty.minkowski_sum(P),
+        P.minkowski_sum(empty),
+        empty.pontryagin_difference(P),
+        empty.affine_map(np.ones((3, 2))),
+        empty.preimage(np.ones((2, 3))),
+        empty.projection([0]),
+        empty.slice([0], [0.5]),
+        empty.scale(2),
+        empty.scale(0),
+        empty.minimal(),
+    ]
     assert all(result.is_empty for result in results)
     assert empty.is_subset(P)
     assert not P.is_subset(empty)

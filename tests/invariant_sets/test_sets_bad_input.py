@@ -51,28 +51,54 @@ CALLS = {
     "slice": (P.slice, {"coordinates": [0], "values": [0.1]}),
     "scale": (P.scale, {"factor": 2.0}),
     "sample": (P.sample, {"n": 3, "rng": RNG}),
-    "control invariant": (maximal_control_invariant_set,
-                          {**dynamics, "X": X, "U": U, **robust, "tol": 1e-7, "max_iterations": 9, "max_facets": 99,
-                           "time_limit": 60.0}),
-    "positively invariant": (maximal_positively_invariant_set,
-                             {"A": STABLE, "X": X, "C": np.eye(2), **robust, "tol": 1e-7, "max_iterations": 9,
-                              "max_facets": 99, "time_limit": 60.0}),
-    "minimal robust": (minimal_robust_positively_invariant_set,
-                       {"A": STABLE, "W": W, "E": np.eye(2), "eps": 0.1, "max_iterations": 99, "max_facets": 99,
-                        "time_limit": 60.0}),
+    "control invariant": (
+        maximal_control_invariant_set,
+        {**dynamics, "X": X, "U": U, **robust, "tol": 1e-7, "max_iterations": 9, "max_facets": 99, "time_limit": 60.0},
+    ),
+    "positively invariant": (
+        maximal_positively_invariant_set,
+        {
+            "A": STABLE,
+            "X": X,
+            "C": np.eye(2),
+            **robust,
+            "tol": 1e-7,
+            "max_iterations": 9,
+            "max_facets": 99,
+            "time_limit": 60.0,
+        },
+    ),
+    "minimal robust": (
+        minimal_robust_positively_invariant_set,
+        {"A": STABLE, "W": W, "E": np.eye(2), "eps": 0.1, "max_iterations": 99, "max_facets": 99, "time_limit": 60.0},
+    ),
     "predecessor": (predecessor_set, {**dynamics, "S": X, "U": U, "X": X, **robust, "time_limit": 60}),
-    "controllable": (controllable_set, {**dynamics, "X": X, "U": U, "target": X, "steps": 2, **robust,
-                                       "time_limit": 60}),
+    "controllable": (
+        controllable_set,
+        {**dynamics, "X": X, "U": U, "target": X, "steps": 2, **robust, "time_limit": 60},
+    ),
     "reachable": (reachable_set, {**dynamics, "start": X, "U": U, "steps": 2, "X": X, **robust, "time_limit": 60}),
     "AdmissibleInputs": (AdmissibleInputs, {**dynamics, "S": X, "U": U, **robust}),
     "AdmissibleInputFamily": (AdmissibleInputFamily, {"filters": [FILTER, FILTER]}),
-    "family project": (AdmissibleInputFamily([FILTER] * 3).project,
-                       {"x": np.zeros((3, 2)), "u_proposed": np.zeros((3, 1))}),
+    "family project": (
+        AdmissibleInputFamily([FILTER] * 3).project,
+        {"x": np.zeros((3, 2)), "u_proposed": np.zeros((3, 1))},
+    ),
     "project": (FILTER.project, {"x": np.zeros((3, 2)), "u_proposed": np.zeros((3, 1))}),
     "admissible at": (FILTER.at, {"x": np.zeros(2)}),
-    "ParametricSet": (ParametricSet, {"matrices": illustrative, "X": X, "U": U, "W": W, "tol": 1e-7,
-                                      "max_iterations": 9, "max_facets": 99,
-                           "time_limit": 60.0}),
+    "ParametricSet": (
+        ParametricSet,
+        {
+            "matrices": illustrative,
+            "X": X,
+            "U": U,
+            "W": W,
+            "tol": 1e-7,
+            "max_iterations": 9,
+            "max_facets": 99,
+            "time_limit": 60.0,
+        },
+    ),
     "family at": (FAMILY.at, {"p": np.ones(1)}),
     "family result": (FAMILY.result, {"p": np.ones(1)}),
     "family compute": (FAMILY.compute, {"designs": np.ones((2, 1)), "n_jobs": 1}),
@@ -107,8 +133,11 @@ def bad_values(name, value, function):
         yield "complex", np.array(value, float) * 1j
         yield "ragged", [[1.0, 2.0], [3.0]]
         yield "three axes", np.zeros((2, 2, 2))
-        if not (name in {"p", "designs", "V"} or (name == "lower" and function == "from_bounds")
-                or (name == "M" and function == "preimage")):
+        if not (
+            name in {"p", "designs", "V"}
+            or (name == "lower" and function == "from_bounds")
+            or (name == "M" and function == "preimage")
+        ):
             yield "one too many", np.concatenate([np.array(value, float)] * 2, axis=-1)
     elif name in SETS:
         yield "an array", np.eye(2)
@@ -158,8 +187,18 @@ def test_bad_input_raises_and_names_the_argument(function, name, value):
     with pytest.raises(InvariantSetsError) as caught:
         call(**{**good, name: value})
     message = str(caught.value)
-    related = {"B": "A|U", "A": "B|E|X|S|W|start|C", "C": "X", "E": "W", "x": "u_proposed", "p": "p|x|matrices",
-               "A_eq": "A_eq|b_eq", "lower": "lower|upper", "V": "V", "b": "b"}.get(name, name)
+    related = {
+        "B": "A|U",
+        "A": "B|E|X|S|W|start|C",
+        "C": "X",
+        "E": "W",
+        "x": "u_proposed",
+        "p": "p|x|matrices",
+        "A_eq": "A_eq|b_eq",
+        "lower": "lower|upper",
+        "V": "V",
+        "b": "b",
+    }.get(name, name)
     assert any(word in message for word in (name, *related.split("|")))
     assert len(message) > 20
 
@@ -171,21 +210,31 @@ def test_every_public_function_is_in_the_table():
     passive = {"Certificate", "InputError", "InvariantSetsError", "SetResult", "Status"}
     assert public - passive <= tested
     methods = {name for name, value in inspect.getmembers(Polytope) if not name.startswith("_") and callable(value)}
-    assert methods - set(CALLS) <= {"from_bounds", "from_vertices", "bounding_box", "chebyshev_ball", "minimal", "plot",
-                                       "empty"}
+    assert methods - set(CALLS) <= {
+        "from_bounds",
+        "from_vertices",
+        "bounding_box",
+        "chebyshev_ball",
+        "minimal",
+        "plot",
+        "empty",
+    }
     assert len(invariant_sets.__all__) <= 17
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"A": np.ones((2, 3))}, r"A: got shape \(2, 3\), expected a square matrix"),
-    ({"B": np.ones((3, 1))}, r"B: got shape \(3, 1\), expected \(2, n\)"),
-    ({"B": np.ones((2, 0))}, "Use a zero column for no input"),
-    ({"W": box([-1], [1])}, "W: got a set of dimension 1, expected dimension 2"),
-    ({"W": box([0, 0], [np.inf, 1])}, "W: got an unbounded set, expected a bounded"),
-    ({"W": Polytope.empty(2)}, "W: got an empty set, expected a bounded"),
-    ({"W": None, "E": np.eye(2)}, "E: got a matrix without W"),
-    ({"tol": -1.0}, r"tol: got -1.0, expected a finite number >= 0"),
-])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"A": np.ones((2, 3))}, r"A: got shape \(2, 3\), expected a square matrix"),
+        ({"B": np.ones((3, 1))}, r"B: got shape \(3, 1\), expected \(2, n\)"),
+        ({"B": np.ones((2, 0))}, "Use a zero column for no input"),
+        ({"W": box([-1], [1])}, "W: got a set of dimension 1, expected dimension 2"),
+        ({"W": box([0, 0], [np.inf, 1])}, "W: got an unbounded set, expected a bounded"),
+        ({"W": Polytope.empty(2)}, "W: got an empty set, expected a bounded"),
+        ({"W": None, "E": np.eye(2)}, "E: got a matrix without W"),
+        ({"tol": -1.0}, r"tol: got -1.0, expected a finite number >= 0"),
+    ],
+)
 def test_messages_say_what_was_got_and_expected(arguments, message):
     with pytest.raises(InvariantSetsError, match=message):
         maximal_control_invariant_set(**{**dynamics, "X": X, "U": U, **arguments})
@@ -210,11 +259,15 @@ def test_other_messages():
         (lambda: plot_polytope(Polytope.empty(1)), "nothing to draw"),
         (lambda: plot_polytope(box([0, 0], [np.inf, 1])), "unbounded"),
         (lambda: plot_polytope(np.eye(2)), "P: got ndarray, expected a Polytope"),
-        (lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]),
-         "coordinates: got 4 entries, expected one, two or three"),
+        (
+            lambda: plot_polytope(box([0] * 4, [1] * 4), coordinates=[0, 1, 2, 3]),
+            "coordinates: got 4 entries, expected one, two or three",
+        ),
         (lambda: plot_family([P], values=[1, 2]), "values, labels: got 2 and 1 entries"),
-        (lambda: box([1, 0], [0, 1]),
-         "lower: got 1 above upper, 0, at index 0, expected lower <= upper. Exchange them"),
+        (
+            lambda: box([1, 0], [0, 1]),
+            "lower: got 1 above upper, 0, at index 0, expected lower <= upper. Exchange them",
+        ),
         (lambda: Polytope(), "A: got neither A nor A_eq"),
         (lambda: [1.0] in P, r"x: got shape \(1,\), expected \(2,\)"),
     ]:
@@ -253,8 +306,10 @@ def test_what_cannot_be_read_as_numbers_is_refused_whatever_it_raises():
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_sets_beyond_what_doubles_hold_are_refused_by_name():
-    for call in (lambda: Polytope.from_vertices([[1e300, 0], [0, 1e300], [-1e300, -1e300]]).volume,
-                 lambda: X.scale(1e-320).volume,
-                 lambda: X.scale(1e305).volume):
+    for call in (
+        lambda: Polytope.from_vertices([[1e300, 0], [0, 1e300], [-1e300, -1e300]]).volume,
+        lambda: X.scale(1e-320).volume,
+        lambda: X.scale(1e305).volume,
+    ):
         with pytest.raises(InvariantSetsError):
             call()

@@ -28,7 +28,10 @@ CALLS = {
     "control invariant": (maximal_control_invariant_set, (A, B), {"X": X, "U": U, "W": W}),
     "positively invariant": (maximal_positively_invariant_set, (STABLE,), {"X": X, "W": W}),
     "positively invariant, of outputs": (
-        maximal_positively_invariant_set, (STABLE,), {"C": np.array([[1.0, 1.0]]), "X": (-1, 2)}),
+        maximal_positively_invariant_set,
+        (STABLE,),
+        {"C": np.array([[1.0, 1.0]]), "X": (-1, 2)},
+    ),
     "minimal robust": (minimal_robust_positively_invariant_set, (STABLE,), {"W": W}),
     "predecessor": (predecessor_set, (A, B), {"S": TARGET, "U": U, "X": X, "W": W}),
     "controllable": (controllable_set, (A, B), {"X": X, "U": U, "target": TARGET, "steps": 3}),
@@ -64,20 +67,23 @@ def test_a_filter_and_a_family_take_bounds():
     assert family.at([1.0]).equals(maximal_control_invariant_set(A, B, X, U).set)
 
 
-@pytest.mark.parametrize(("bounds", "message"), [
-    ((1, -1), r"U\[0\]: got 1 above upper, -1, at index 0, expected lower <= upper"),
-    ((-1, [1, 2]), r"U\[1\]: got shape \(2,\), expected a number"),
-    ((-1, np.nan), r"U\[1\]: got nan at index .*, expected finite numbers"),
-    ((np.inf, np.inf), r"U\[0\]: got an infinite bound that excludes every point"),
-    ((-1, "one"), r"U\[1\]: got 'one', expected an array of real numbers"),
-    ((-1, np.eye(2)), r"U\[1\]: got shape \(2, 2\), expected a number"),
-    ((-1, 0, 1), r"U: got \(-1, 0, 1\), expected a Polytope or bounds \(lower, upper\)"),
-    ((False, True), r"U\[0\]: got False, expected an array of real numbers, not True or False"),
-    ((-1, [True]), r"U\[1\]: got \[True\], expected an array of real numbers, not True or False"),
-    ((-1, np.array([True])), r"U\[1\]: got .*True.*, expected an array of real numbers, not True or False"),
-    (1.0, r"U: got 1.0, expected a Polytope or bounds \(lower, upper\)"),
-    (([], []), r"U\[0\]: got shape \(0,\), expected a number"),
-])
+@pytest.mark.parametrize(
+    ("bounds", "message"),
+    [
+        ((1, -1), r"U\[0\]: got 1 above upper, -1, at index 0, expected lower <= upper"),
+        ((-1, [1, 2]), r"U\[1\]: got shape \(2,\), expected a number"),
+        ((-1, np.nan), r"U\[1\]: got nan at index .*, expected finite numbers"),
+        ((np.inf, np.inf), r"U\[0\]: got an infinite bound that excludes every point"),
+        ((-1, "one"), r"U\[1\]: got 'one', expected an array of real numbers"),
+        ((-1, np.eye(2)), r"U\[1\]: got shape \(2, 2\), expected a number"),
+        ((-1, 0, 1), r"U: got \(-1, 0, 1\), expected a Polytope or bounds \(lower, upper\)"),
+        ((False, True), r"U\[0\]: got False, expected an array of real numbers, not True or False"),
+        ((-1, [True]), r"U\[1\]: got \[True\], expected an array of real numbers, not True or False"),
+        ((-1, np.array([True])), r"U\[1\]: got .*True.*, expected an array of real numbers, not True or False"),
+        (1.0, r"U: got 1.0, expected a Polytope or bounds \(lower, upper\)"),
+        (([], []), r"U\[0\]: got shape \(0,\), expected a number"),
+    ],
+)
 def test_wrong_bounds_are_refused_by_name_and_side(bounds, message):
     with pytest.raises(InputError, match=message):
         maximal_control_invariant_set(A, B, X, bounds)

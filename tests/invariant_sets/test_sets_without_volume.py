@@ -137,8 +137,13 @@ def test_a_strip_that_ends_where_a_bound_says_no_limit_is_as_wide_as_without_the
 
 
 def test_a_strip_whose_end_counts_and_whose_width_is_lost_beside_it_is_not_certified():
-    result = predecessor_set([[0.5, 1e3], [0.1, 0.8]], [[0.0], [0.0]], ([-1e-5, -1e6], [1e-5, 1e6]), ([-1], [1]),
-                             X=([-1e6, -1e6], [1e6, 1e6]))
+    result = predecessor_set(
+        [[0.5, 1e3], [0.1, 0.8]],
+        [[0.0], [0.0]],
+        ([-1e-5, -1e6], [1e-5, 1e6]),
+        ([-1], [1]),
+        X=([-1e6, -1e6], [1e6, 1e6]),
+    )
     assert result.status is Status.NOT_CERTIFIED
 
 
