@@ -56,3 +56,11 @@ def test_a_bound_that_misses_the_origin_by_rounding_has_no_size(bound, size):
 def test_a_mode_is_reached_or_the_message_says_how_far_not():
     with pytest.raises(NotStabilisableError, match=r"relative strength .*expected >= 1e-07"):
         lqr(np.diag([1.1, 0.5]), [[1e-9], [1.0]], Q=np.eye(2), R=1.0)
+
+
+def test_limits_that_are_relaxed_by_no_more_than_they_must_leave_a_plan_to_be_found():
+    three = np.eye(3) + 0.1 * np.eye(3, k=1)
+    regulator = LinearMPC(
+        three, [[0], [0], [0.1]], Q=np.eye(3), R=0.01, horizon=200, X=(-np.ones(3), np.ones(3)), U=(-1, 1)
+    )
+    assert regulator.solve([-1.3, -0.4, -1.1]).status is Status.SOFTENED
