@@ -88,8 +88,8 @@ def load(path: str | Path, *, action_limits: LimitsReader | None = None) -> tupl
             network.action_limits = action_limits(limits)
         return network.eval(), dict(header["extra"])
     except (RuntimeError, KeyError, IndexError, TypeError, ValueError):
-        expected = "that of this one: train the network and save it anew"
-        raise CheckpointError(path, "the layout of another version", expected) from None
+        expected = "an intact file of this version: if it is of another, train the network and save it anew"
+        raise CheckpointError(path, "tensors that do not fit the header", expected) from None
 
 
 def _path(value: Any) -> Path:

@@ -124,9 +124,7 @@ class Vectorised:
     def __call__(self, *arguments: Any) -> Any:
         """Values (..., n_out) at arguments (..., n_i); leading shapes broadcast."""
         shape = np.broadcast_shapes(*(tuple(a.shape[:-1]) for a in arguments))
-        entries = []
-        for a in arguments:
-            entries.append([a[..., i] for i in range(a.shape[-1])])
+        entries = [[a[..., i] for i in range(a.shape[-1])] for a in arguments]
         if all(isinstance(a, np.ndarray) for a in arguments):  # torch is then never imported
             with np.errstate(all="ignore"):
                 out = self.run(entries, numpy_operations())[0]

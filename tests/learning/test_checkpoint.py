@@ -12,7 +12,7 @@ from toys import agent
 from learning import LearningError, QuantileConfig, fit_quantiles, load, save
 from learning.exceptions import CheckpointError
 
-ANOTHER_LAYOUT = "got the layout of another version, expected that of this one: train the network and save it anew"
+ANOTHER_LAYOUT = "tensors that do not fit the header, expected an intact file of this version"
 
 
 @pytest.mark.parametrize("std_network", [False, True])
