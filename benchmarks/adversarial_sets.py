@@ -293,7 +293,7 @@ def judge_positive(case: Case, C: Array, Y: Rows, result: SetResult) -> str:
     blocks = [C]
     for _ in range(n - 1):
         blocks.append(blocks[-1] @ case.A)
-    sizes = np.linalg.svd(np.vstack(blocks), compute_uv=False)
+    _, sizes, seen = np.linalg.svd(np.vstack(blocks))
     sizes = np.append(sizes, np.zeros(n - len(sizes)))[:n]
     observable = sizes[-1] > 1e-7 * sizes[0]
     if result.set.is_bounded != observable and not 1e-12 < sizes[-1] / sizes[0] < 1e-7:
@@ -311,8 +311,12 @@ def judge_positive(case: Case, C: Array, Y: Rows, result: SetResult) -> str:
         right.append(case.X[1])
         if np.abs(rows[-1]).max() < 1e-9:
             break
-    everything = np.vstack(rows), np.concatenate(right)
-    if any(largest(f, *everything) > limit + 10 * CLOSE * w for f, limit, w in zip(F, g, width)):
+    hidden = int((sizes <= 1e-12 * sizes[0]).sum())
+    seen = seen[: n - hidden] if hidden else np.eye(n)  # what no output sees is zero but for rounding
+    if np.abs(F - F @ seen.T @ seen).max() > CLOSE:
+        return "bounded where no output sees"
+    everything = np.vstack(rows) @ seen.T, np.concatenate(right)
+    if any(largest(f, *everything) > limit + 10 * CLOSE * w for f, limit, w in zip(F @ seen.T, g, width)):
         return "too small"
     return ""
 

@@ -39,21 +39,9 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     row_sizes = np.abs(E * scale).max(axis=1)
     rows = np.column_stack([E * scale, e]) / row_sizes[:, None]
     terms = np.column_stack([np.abs(E * scale), sizes]) / row_sizes[:, None]
-    rest = list(range(len(rows)))
-    pivots: list[tuple[int, int]] = []
-    while rest:
-        largest = int(np.abs(rows[rest, :n]).argmax())
-        i = rest[largest // n]
-        j = largest % n
-        if rows[i, j] == 0.0:
-            break
-        rest.remove(i)
-        pivots.append((i, j))
-        _clear_column(rows, terms, i, j, rest)
+    solved, bound, rest = reduce_rows(rows, terms, n)
     if rest and (np.abs(rows[rest, n]) > FLAT * terms[rest].sum(axis=1)).any():
         return None
-    solved = [i for i, _ in pivots]
-    bound = [j for _, j in pivots]
     free = np.array([j for j in range(n) if j not in bound], dtype=int)
     basis = np.zeros((n, len(free)))
     basis[free, np.arange(len(free))] = 1.0
@@ -72,8 +60,30 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     )
 
 
-def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) -> None:
-    """Clear column j of all rows but row i, in place."""
+def reduce_rows(rows: Array, terms: Array, n: int) -> tuple[list[int], list[int], list[int]]:
+    """Rows with a pivot, the columns of these, and the rows left, after elimination in place.
+
+    The pivots stand in the first n columns of `rows`; `terms` are the sizes of the terms of every entry.
+    """
+    rest = list(range(len(rows)))
+    solved: list[int] = []
+    bound: list[int] = []
+    while rest:
+        largest = int(np.abs(rows[rest, :n]).argmax())
+        i = rest[largest // n]
+        j = largest % n
+        if rows[i, j] == 0.0:
+            break
+        rest.remove(i)
+        solved.append(i)
+        bound.append(j)
+        _clear_column(rows, terms, (i, j), rest, n)
+    return solved, bound, rest
+
+
+def _clear_column(rows: Array, terms: Array, pivot: tuple[int, int], rest: list[int], n: int) -> None:
+    """Clear the pivot's column of all rows but its own, in place."""
+    i, j = pivot
     terms[i] /= abs(rows[i, j])
     rows[i] /= rows[i, j]
     factors = rows[:, j].copy()
@@ -84,8 +94,27 @@ def _clear_column(rows: Array, terms: Array, i: int, j: int, rest: list[int]) ->
     rows[i, j] = 1.0
     if not rest:
         return
-    left = rows[rest, :-1]
-    rows[rest, :-1] = np.where(np.abs(left) > DEPENDENT * terms[rest, :-1], left, 0.0)
+    left = rows[rest, :n]
+    rows[rest, :n] = np.where(np.abs(left) > DEPENDENT * terms[rest, :n], left, 0.0)
+
+
+def balancing(rows: Array) -> tuple[Array, Array]:
+    """Factors of rows (m,) and of columns (n,) that bring the largest entry of each near to one."""
+    rows = np.abs(rows)
+    by_row = np.ones(len(rows))
+    by_column = np.ones(rows.shape[1])
+    for _ in range(6):
+        size = rows.max(axis=1)
+        factor = 1 / np.where(size > 0, size, 1.0)
+        rows = rows * factor[:, None]
+        by_row = by_row * factor
+        columns = rows.max(axis=0)
+        if (columns[columns > 0] > 0.5).all():
+            break
+        factor = 1 / np.where(columns > 0, columns, 1.0)
+        rows = rows * factor
+        by_column = by_column * factor
+    return by_row, by_column
 
 
 def starting_scale(stated: Stated) -> tuple[Array, Array]:
@@ -100,22 +129,13 @@ def starting_scale(stated: Stated) -> tuple[Array, Array]:
     if not len(rows):
         return np.ones(A.shape[1]), np.zeros(0, bool)
     sign = np.sign(rows)
-    scale = np.ones(rows.shape[1])
-    rows = np.abs(rows)
     right = np.concatenate([np.abs(b), np.abs(e)])
     terms = np.concatenate([terms, sizes])
     right = np.where(right > ROUNDING * terms, right, terms)
-    for _ in range(6):
-        size = rows.max(axis=1)
-        rows = rows / size[:, None]
-        right = right / size
-        terms = terms / size
-        columns = rows.max(axis=0)
-        if (columns[columns > 0] > 0.5).all():
-            break
-        factor = 1 / np.where(columns > 0, columns, 1.0)
-        scale = scale * factor
-        rows = rows * factor
+    by_row, scale = balancing(rows)
+    rows = np.abs(rows) * by_row[:, None] * scale
+    right = right * by_row
+    terms = terms * by_row
     m = len(b)
     far = (right[:m] > _middle(terms) / CLOSER) & (b > 0)
     if right.any():  # the far ones tell no length; beside rows through the origin alone nothing is far

@@ -5,8 +5,7 @@ F are the rows of X. In the quotient by that subspace the problem has the same f
 
 References
 ----------
-Paige (1981), Properties of numerical algorithms related to computing controllability, IEEE TAC 26(1): the staircase
-by singular values.
+Kalman (1963), Mathematical description of linear dynamical systems: what outputs see, and the quotient.
 """
 
 from __future__ import annotations
@@ -14,42 +13,49 @@ from __future__ import annotations
 import numpy as np
 
 from invariant_sets.engine.local_problem import left_inverse
+from invariant_sets.equalities import balancing, reduce_rows
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import LinearSystem
-from invariant_sets.tolerances import CANCELLED, DEPENDENT
 
 Array = np.ndarray
 
 
 def observed_directions(A: Array, X: Polytope) -> Array | None:
-    """Rows Q (k, n) of the observed directions; None if all are."""
+    """Rows Q (k, n) of the observed directions; None if all are.
+
+    Rows F, F A, F A² … are eliminated against one another. An entry counts as zero when it has cancelled beside
+    the terms of its own sum, so that the units of the states decide nothing.
+    """
     F = np.vstack([X.A, X.A_eq])
     if not len(F) or not np.abs(F).max() > 0.0:
         return None
-    from scipy.linalg import matrix_balance
+    n = len(A)
+    units = _units(A, F)
+    A = A * units / units[:, None]
+    Q = np.zeros((0, n))
+    rows = F * units
+    terms = np.abs(rows)
+    while True:
+        sizes = np.abs(rows).max(axis=1, keepdims=True)
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        rows = np.vstack([Q, rows / sizes])
+        solved, _, _ = reduce_rows(rows, np.vstack([np.abs(Q), terms / sizes]), n)
+        if len(solved) == n:
+            return None
+        if len(solved) == len(Q):
+            return Q / units
+        Q = rows[solved]
+        rows, terms = Q @ A, np.abs(Q) @ np.abs(A)
 
-    balanced, scale = matrix_balance(A, permute=False, separate=False)
-    scale = np.diag(scale)  # balanced = scale⁻¹ A scale
-    rows = F * scale
-    norms = np.abs(rows).max(axis=1)
-    Q = _row_space(rows[norms > 0.0] / norms[norms > 0.0, None], 1.0)
-    size = max(float(np.linalg.norm(balanced, 2)), np.finfo(float).tiny)
-    for _ in range(len(A)):  # every pass but the last adds a direction
-        if len(Q) == len(A):
-            break
-        ahead = Q @ balanced
-        more = _row_space(ahead - ahead @ Q.T @ Q, size)
-        if not len(more):
-            Q[np.abs(Q) <= CANCELLED] = 0.0
-            return Q / scale
-        Q = _row_space(np.vstack([Q, more]), 1.0)
-    return None
 
-
-def _row_space(rows: Array, size: float) -> Array:
-    """Orthonormal rows that span the given ones, up to rounding."""
-    _, values, vt = np.linalg.svd(rows, full_matrices=False)
-    return vt[values > DEPENDENT * size]
+def _units(A: Array, F: Array) -> Array:
+    """Units (n,) of the states in which what is seen of them, now and later, is of one size."""
+    seen = [F]
+    for _ in range(len(A) - 1):
+        ahead = seen[-1] @ A
+        largest = np.abs(ahead).max(axis=1, keepdims=True)
+        seen.append(ahead / np.where(largest > 0.0, largest, 1.0))
+    return balancing(np.vstack(seen))[1]
 
 
 def quotient(system: LinearSystem, X: Polytope, Q: Array) -> tuple[LinearSystem, Polytope]:

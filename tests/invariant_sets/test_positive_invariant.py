@@ -57,6 +57,16 @@ def test_an_observable_output_bounds_the_set_and_an_unobservable_one_does_not():
     assert not free.set.is_bounded
 
 
+@pytest.mark.parametrize("decades", [0, 3, 6, 9])
+def test_units_of_the_states_do_not_decide_what_an_output_sees(decades):
+    units = np.array([10.0**decades, 1.0])
+    shift = np.array([[0.0, 2.0], [0.0, 0.0]])  # the output sees the second state at the first step already
+    result = maximal_positively_invariant_set(shift * units[:, None] / units, box([-1], [1]), C=[[0.6, -0.7]] / units)
+    assert result.status is Status.CONVERGED
+    assert result.set.is_bounded
+    assert np.ptp(result.set.vertices / units, axis=0) == pytest.approx([2 / 0.6 + 2 * 0.7 / 0.6 / 1.2, 2 / 1.2])
+
+
 def test_disturbed_set_is_robust_at_every_vertex_of_W_and_smaller():
     W = box([-0.05, -0.05], [0.05, 0.05])
     result = maximal_positively_invariant_set(A, X, W=W)
