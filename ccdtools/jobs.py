@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
+from ccdtools.budgets import REPEAT_INTERRUPT
 from ccdtools.checks import as_count, shown
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
-from ccdtools.tolerances import REPEAT_INTERRUPT
 
 _felt: list[int] = []  # signals since the last `insisting` began
 

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask, frozen
+from ccdtools.budgets import STRETCHES
 from ccdtools.checks import as_array, as_floats, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, scaled_rows
 from ccdtools.statistics import mean_interval, paired_difference
-from ccdtools.tolerances import FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART, STRETCHES
+from ccdtools.tolerances import FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
 from invariant_sets import Polytope
 
 

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from ccdtools.tolerances import SECONDS_BETWEEN_LINES
+from ccdtools.budgets import SECONDS_BETWEEN_LINES
 
 Echo = Callable[[str], None]
 Item = TypeVar("Item")

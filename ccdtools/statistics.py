@@ -11,9 +11,10 @@ from scipy import stats
 from scipy.fft import dct
 
 from ccdtools.arrays import Array
+from ccdtools.budgets import BATCHES
 from ccdtools.checks import as_array, as_floats, finite
 from ccdtools.exceptions import InputError
-from ccdtools.tolerances import BATCHES, COSINES, FEWEST_RUNS, INDEPENDENCE_LEVEL, SAME_RETURN, TRANSIENT
+from ccdtools.tolerances import COSINES, FEWEST_RUNS, INDEPENDENCE_LEVEL, SAME_RETURN, TRANSIENT
 
 FEW_DECIDE = "a few runs make most of its spread: others may move it beyond the interval"
 TOO_SHORT = "the run is too short for its own correlation: no interval"

@@ -4,13 +4,9 @@ ON_LIMIT = 1e-9  # A point that is outside a limit by this part of the half-widt
 FLAT_ROW = 1e-9  # X has no width along a row if it is below this part of the row's range over the box around X.
 FURTHER_OUTSIDE = 0.01  # Smaller differences of the peak, in half-widths, or of the part of states outside are ignored.
 FURTHER_OUTSIDE_PART = 0.05  # Differences below this part of the other controller's violation are ignored.
-STRETCHES = 40  # A single long run is cut into at least so many stretches.
 DIVERGENCE_LIMIT = 1e6  # A run has diverged if |x| exceeds this, in units of x, where no limit is given.
-REPEAT_INTERRUPT = 1.0  # An interruption that nobody has felt comes again after this time [s].
-SECONDS_BETWEEN_LINES = 10.0  # Lines of text about the progress are this far apart [s].
 
 # --- statistics ------------------------------------------------------------------------------------------------------
-BATCHES = 20  # The correlation of so many parts of a series decides on its interval, which needs as many samples.
 COSINES = 4  # The variance at frequency zero is estimated from so many frequencies, the degrees of Student's t.
 INDEPENDENCE_LEVEL = 0.99  # The test that the parts of a series are independent has this one-sided level.
 TRANSIENT = 0.05  # This first part of a series counts in the mean but not in its variance, as a transient is no noise.

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from invariant_sets.budgets import MOST_SORTING_FACETS
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import FLAT, GIVEN, MOST_SORTING_FACETS, NEGLIGIBLE, REDUNDANT, TOUCHING
+from invariant_sets.tolerances import FLAT, GIVEN, NEGLIGIBLE, REDUNDANT, TOUCHING
 
 Array = np.ndarray
 

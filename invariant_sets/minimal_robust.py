@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from invariant_sets.budgets import MOST_SUM_TERMS
 from invariant_sets.engine.certificate import control_violation
 from invariant_sets.engine.invariance import Task, largest_invariant_set
 from invariant_sets.engine.recursion import Limits
@@ -23,7 +24,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem, Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
-from invariant_sets.tolerances import CANCELLED, FLAT, GAP, MOST_SUM_TERMS, ROUNDING
+from invariant_sets.tolerances import CANCELLED, FLAT, GAP, ROUNDING
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray

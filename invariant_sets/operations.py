@@ -12,13 +12,14 @@ from typing import Any, Self
 import numpy as np
 
 from invariant_sets.bodies import Body, Stated
+from invariant_sets.budgets import CHEAP_HULL_DIM
 from invariant_sets.exceptions import InputError, TimeLimitError
 from invariant_sets.generators import Generators, generators, rows_of
 from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import body_of, settled, support, tightened
 from invariant_sets.polyhedron import AnySet, Polyhedron, hull_of, nonempty_body, set_of
 from invariant_sets.time_limits import Deadline, LimitReached
-from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FLAT, GIVEN, PLACE
+from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN, PLACE
 from invariant_sets.validation import as_coordinates, as_matrix, as_number, as_vector
 
 Array = np.ndarray

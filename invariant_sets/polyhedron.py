@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 
 from invariant_sets.bodies import Body, Stated
+from invariant_sets.budgets import CHEAP_HULL_DIM
 from invariant_sets.exceptions import EmptySetError, InputError, NumericalError, TimeLimitError, UnboundedError
 from invariant_sets.hulls import (
     cone_volume,
@@ -21,7 +22,7 @@ from invariant_sets.hulls import (
 from invariant_sets.interior_form import body_of, body_of_vertices, hull_about, settled, support
 from invariant_sets.membership import rows_hold
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, MEMBERSHIP, ROUNDING
+from invariant_sets.tolerances import MEMBERSHIP, ROUNDING
 from invariant_sets.validation import as_batch, as_bounds, as_count, as_matrix, as_vector, check_tolerance, frozen
 
 Array = np.ndarray

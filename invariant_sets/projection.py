@@ -14,10 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from invariant_sets.bodies import row_norms
+from invariant_sets.budgets import CHEAP_HULL_DIM, FEW_ROWS, MOST_ROWS
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CANCELLED, CHEAP_HULL_DIM, FEW_ROWS, FLAT, MOST_ROWS, ROUNDING, THIN
+from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING, THIN
 
 Array = np.ndarray
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from invariant_sets.budgets import EXACT_SHARE
 from invariant_sets.engine.steps import Step, backward_step, forward_step
 from invariant_sets.engine.trajectories import inner_hull
 from invariant_sets.exceptions import NumericalError
@@ -24,7 +25,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem, Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached
-from invariant_sets.tolerances import EXACT_SHARE, LOOSE
+from invariant_sets.tolerances import LOOSE
 from invariant_sets.validation import as_count
 
 Array = np.ndarray

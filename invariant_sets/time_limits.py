@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ccdtools_ground.door import as_number
+from invariant_sets.budgets import MOST_HULL_FACETS, SECONDS_PER_FACET
 from invariant_sets.exceptions import InvariantSetsError
-from invariant_sets.tolerances import MOST_HULL_FACETS, SECONDS_PER_FACET
 
 
 class LimitReached(InvariantSetsError):

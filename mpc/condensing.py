@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mpc.budgets import MOST_MATRIX_ENTRIES
 from mpc.checks import Array
 from mpc.exceptions import InputError, NotConvexError
 from mpc.feedback import along_horizon, block_lengths, stabilising_feedback
 from mpc.parametric_qp import Constraint, ParametricQP, places
 from mpc.problem import MPCProblem
-from mpc.tolerances import DEFINITE, MOST_MATRIX_ENTRIES
+from mpc.tolerances import DEFINITE
 
 
 def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> ParametricQP:

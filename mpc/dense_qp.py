@@ -10,9 +10,10 @@ from typing import Any
 import daqp
 import numpy as np
 
+from mpc.budgets import DAQP_ITERATIONS
 from mpc.checks import Array
 from mpc.plan import Residuals
-from mpc.tolerances import DAQP_ITERATIONS, EPS, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
+from mpc.tolerances import EPS, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,6 @@ INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt a
 # well above what the LP and QP solvers themselves accept on scaled rows
 FEASIBLE = KKT_REPORTED
 NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
-DAQP_ITERATIONS = 10_000  # DAQP stops after so many iterations.
-MOST_MATRIX_ENTRIES = 2e8  # A condensed QP with more matrix entries, 1.6 GB, is refused.
 # Part of the bounds below which forces and steps count as zero in the residuals, part of an extent, of a size or of the
 # largest change below which a bound, an unknown or a change says nothing of sizes, and weight of an aim that only
 # settles what the others leave open [-]
@@ -147,57 +145,38 @@ SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets o
 # Difference of two laws of one input, relative to the values that input takes, below which they are one [-]
 EQUAL_LAW = 1e-9
 FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
-POINTS_OF_REGION = 64  # Points that stand for a region at most: as many as a word has bits.
-TRIES = 64  # Hyperplanes tried at most at a node before it becomes a leaf
-LEAF_ENTRIES = 200  # Entries of leaves, for each region of the partition, at which a tree stops growing
-TESTS_AT_ONCE = 20_000  # Regions tested between two looks at the clock
 
 # ---- explicit laws: exploration and the search for holes ----
-LAWS_AT_ONCE = 4096  # Laws checked at once, which bounds the memory
 CLEARANCE = 0.1  # Distance from the other facets that a point behind a facet keeps where it can, scaled parameters [-]
 FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
-POINTS_ANYWHERE = 4  # Random parameters, and as many near the border, at which holes are looked for
-POINTS_BETWEEN = 100  # Points between facets at which holes are looked for
-POINTS_BEHIND = 500  # Points behind facets that led to a region, at which holes are looked for
-REGIONS_PER_POINT = 8  # Regions of a large law for which each way of looking for holes takes one more point
-QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are checked against the new regions
 
 # ---- optimal control: solving ----
 OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipliers or terms, of an optimum [-]
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
 # Negative cost, in sizes of the cost at the guess, and scaled unknown from which on they have no bound [-]
 BOTTOMLESS = 1e12
-USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says otherwise
-LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
 SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
 IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
 # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
 AT_BOUND = 1e-6
-NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
 SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
 # Part of a merit, or of the squared costs of scenarios, that is rounding [-]: added to the variance of equal costs it
 # gives their spread a slope
 COST_DIGITS = 1e-12
 
 # ---- optimal control: meshes ----
-HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
 LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a solution may have [-]
-OBSTACLE_DOUBLINGS = 11  # Doublings of its depth beyond which an obstacle must go on: 1/1000 of a radius [-]
 COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
 COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
 # Error or gain of the cost, and difference from a reference, in sizes of the cost or of its slope, that is rounding [-]
 COST_ROUNDING = 1e-6
-LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violation, at which limits are checked
-CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
 LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
 MESH_SAFETY = 0.05  # Part of the tolerance that new intervals aim at [-]
-MOST_PARTS = 6  # Parts at most that an interval is cut into at once
 JUMP_PLACE = 0.1  # Precision to which the place of a jump is known, in roots of the tolerance [-]
 JUMP_SHARE = 0.5  # Part of an input's range that, crossed within one interval, makes a jump [-]
 LEAST_INTERVAL = 1e-9  # Part of the phase below which no interval is cut [-]
 SHARPER = 1e-3  # Factor of the solver's tolerance where inputs may jump: short intervals weigh little in the cost [-]
 MESH_GAIN = 0.8  # Part of what the mesh before missed below which a finer mesh has helped [-]
-MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after which none is made
 JUMPED_LIMIT = 1e-2  # Relative violation that a finer mesh does not lower where the trajectory jumps over a limit [-]
 
 # ---- optimal control: sensitivities of a solution ----

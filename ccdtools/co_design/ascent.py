@@ -25,6 +25,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.budgets import FEW_PARAMETERS, QUIET_BLOCKS, QUIET_BLOCKS_LIMITED
 from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
@@ -38,13 +39,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import (
-    FEW_PARAMETERS,
-    FINER_STEPS,
-    QUIET_BLOCKS,
-    QUIET_BLOCKS_LIMITED,
-    WORTHWHILE_VIOLATION,
-)
+from ccdtools.co_design.tolerances import FINER_STEPS, WORTHWHILE_VIOLATION
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic

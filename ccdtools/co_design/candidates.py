@@ -21,9 +21,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, Indices, Mask
+from ccdtools.co_design.budgets import ABORT, CANDIDATES_PER_START, FEWEST_DESIGNS, SET_WORK
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import ABORT, ACCEPTED_SHARE, CANDIDATES_PER_START, FEWEST_DESIGNS, SET_WORK
+from ccdtools.co_design.tolerances import ACCEPTED_SHARE
 from ccdtools.design_limits import DesignLimits, Limits, bounds_at
 from ccdtools.exceptions import InputError
 from ccdtools.progress import counted

@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from ccdtools.co_design.budgets import HELD_SAMPLES, LONGEST_SEGMENT
 from ccdtools.co_design.differentiable_model import Stepper, to_design
-from ccdtools.co_design.tolerances import HELD_SAMPLES, LONGEST_SEGMENT
 from learning.networks import ActorCritic, scaled
 
 if TYPE_CHECKING:

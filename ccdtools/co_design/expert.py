@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
+from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
 from ccdtools.co_design.expert_loops import expert_law, follow
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED, SET_SECONDS
+from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model

@@ -9,11 +9,12 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.budgets import VALUE_TAIL, VISITS
 from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import LED_BACK, VALUE_TAIL, VISITS
+from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
 

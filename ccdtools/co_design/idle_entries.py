@@ -17,14 +17,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.tolerances import (
-    ACT_TOGETHER,
-    DISTURBED_RUNS,
-    IDLE_PART,
-    MAGNITUDES,
-    TERM_POINTS,
-    TERM_ROUNDING,
-)
+from ccdtools.co_design.budgets import DISTURBED_RUNS, TERM_POINTS
+from ccdtools.co_design.tolerances import ACT_TOGETHER, IDLE_PART, MAGNITUDES, TERM_ROUNDING
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ccdtools.co_design.budgets import MPC_RUNS
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper, to_design
 from ccdtools.co_design.episodes import Episode, fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MEASURED_NEARBY, MPC_RUNS, TOLERANCE_STEP
+from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE, MEASURED_NEARBY, TOLERANCE_STEP
 from mpc import NotStabilisableError
 
 BY_MPC = f"a quarter more than MPC of the same design does, N = {HORIZON}"

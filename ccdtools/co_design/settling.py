@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
@@ -36,7 +37,7 @@ from ccdtools.co_design.risk import measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, MPC_RUNS, SETTLED_LOSS, SETTLING_RUNS
+from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, SETTLED_LOSS
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError

@@ -10,7 +10,6 @@ UNRESOLVED_SLOPE = 0.05  # A slope says nothing if its error over `SLOPE_AHEAD` 
 FINER_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # Central differences of a return try these half steps in the unit box in turn.
 COST_STEP = 1e-4  # Central differences of a cost have this half step in the unit box.
 POLICY_STEPS = (1e-2, 1e-3)  # Differences of a policy have these half steps, in parts of what it does.
-FEW_PARAMETERS = 6  # For at most so many parameters differences may take the place of the gradient through the model.
 TRUSTED_SLOPE = 0.2  # Adam does not mind this relative error of a gradient's length and direction.
 SAME_SENSITIVITY = 0.1  # The slopes to both sides of an optimum may differ by this part of the slope.
 SMALL_SENSITIVITY = 0.01  # They may also differ by this part of the unit box per change of the value by itself.
@@ -29,7 +28,6 @@ STABLE = 1e-6  # Eigenvalues are stable if they are this far inside the unit cir
 # --- state limits and their multipliers -------------------------------------------------------------------------------
 LEAST_TOLERANCE = 0.002  # A tolerance is never less than this part of the states, or this many half-widths.
 BESIDE_MPC = 1.25  # The tolerance is this multiple of what MPC violates: a network in its place has a resolution.
-MPC_RUNS = 32  # Violation and return of MPC are measured on so many episodes of 100 steps.
 MEASURED_NEARBY = 0.1  # A design further away than this in the unit box has MPC measured again.
 TOLERANCE_STEP = 0.05  # The change of the tolerance with the design is found by this step in the unit box.
 EXCESS_ERRORS = 2.0  # A measure may exceed its tolerance by so many standard errors.
@@ -41,8 +39,6 @@ LEAST_PRICE = 0.001  # A smaller multiplier is zero.
 GROWTH = 0.4  # A multiplier grows by exp(0.4) at an evaluation where X is left by twice the tolerance.
 LARGEST_EXCESS = 1.0  # A multiplier grows no faster where the relative excess is larger than this.
 PRICE_GROWTH = 2.0  # A round outside the limits multiplies their price by this, beside its usual growth.
-ROUNDS_WITHOUT_GAIN = 2  # The rounds end after so many without a gain at designs that keep the limits.
-ROUNDS_AT_ONE_DESIGN = 6  # The rounds end after so many at one design that does not keep the limits.
 NEGLIGIBLE_GAIN = 1e-3  # A gain of a round below this part of the return that control makes has no consequence.
 WORTHWHILE_VIOLATION = 0.9  # A block of iterations was worth it if it leaves at most this part of a violation.
 VIOLATION_COST = 0.05  # Exceeding the tolerance by `LEAST_TOLERANCE` costs a global search this part of the cost.
@@ -59,48 +55,28 @@ LOST_VALUE = 1e9 * PER_UNIT  # A climb has this value where the cost is not fini
 # L-BFGS stops at these relative tolerances.
 CLIMB_OPTIONS = {"maxcor": 20, "ftol": 1e-7, "gtol": 1e-5 / UNIT_OF_Z}
 GAINED = 1e-7  # A local search has gained if the cost falls by more than this part of it.
-SIZE_EVALUATIONS = 20  # The first evaluations of a global search, so many, say how large costs are.
 BETTER_SHARE = 0.25  # Only this quantile of them counts: designs that lose their runs say nothing.
-POLICY_ITERATIONS = 40  # A policy is trained so many iterations at every design.
 CMA_SETTLED = 1e-3  # CMA-ES has converged at this spread in the unit box.
 SATURATION = 1e-3  # A saturation is rounded off within this part of the range of the input from its bound.
-# So many blocks without a gain end an ascent; PPO's first may only train V.
-QUIET_BLOCKS = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}
-QUIET_BLOCKS_LIMITED = 3  # So many blocks without a gain end it while multipliers of the state limits move.
 
 # --- starts and the landscape -----------------------------------------------------------------------------------------
 # No climb starts at a local optimum worse than the best by this part of its return without design cost.
 WORTH_A_START = 0.2
-MAP_POINTS = {1: 32, 2: 64, 3: 128}  # The first map has so many designs, by the number of parameters.
-MOST_CLIMBED = 6  # At most so many local optima of the first map are climbed.
 COMPASS_LAST_STEP = 0.01  # A climb of the landscape ends at this step in the unit box.
-CLIMBED_COMBINATIONS = 8  # The best combinations of whole numbers, so many, are climbed with.
 RIDGE = 2e-3  # Local optima are one if they are parted by less than this part of the return without the design's cost.
 
 # --- the expert and its sets ------------------------------------------------------------------------------------------
-SET_SECONDS = 60.0  # The invariant set of a design has this time [s]; what is invariant by then is taken.
-SET_WORK = 50_000  # A usual processor does so many steps times squared facets in a second, or more.
-FEWEST_DESIGNS = 64  # Candidates share at least so many designs.
-ABORT = 4.0  # After this multiple of the limit, in processor time, no further set is computed.
 NEARLY_LINEAR = 0.1  # A linearisation is trusted in this part of its ellipsoid.
 EDGE_OF_SET = 1e-3  # An input leads to the edge of a set within this part of the set's range along a row.
 IMITATED = 2.0  # No state is imitated beyond so many half-widths of X: a run that is being lost teaches nothing.
 LED_BACK = 0.1  # A state outside a set by at most this part of its range along a row is led back.
-VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # The states after so many steps of each closed loop join the data.
-VALUE_TAIL = 400  # Values look ahead so many further steps; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated.
 ACCEPTED_SHARE = 0.25  # If a smaller share of the candidates is accepted, the others are moved into their sets.
-CANDIDATES_PER_START = 4  # One loop in so many candidates begins where the episodes begin.
 
 # --- episodes and previews --------------------------------------------------------------------------------------------
-LONGEST_SEGMENT = 100  # The intermediate values of so many steps are held at once.
-HELD_SAMPLES = 256 * 2 * LONGEST_SEGMENT  # All runs together may hold so many samples, however many steps.
 # A disturbance may be this multiple of the largest drawn: an active limit would make an MPC infeasible.
 PREVIEW_ROOM = 3.0
-DEPTH_TIME = {"time_limit": 2.0}  # One program has this time [s]; where it is not enough, nothing is claimed.
 
 # --- entries of the design without effect -----------------------------------------------------------------------------
-TERM_POINTS = (8, 500)  # A term is evaluated at so many points, a few, and where nothing changes many.
-DISTURBED_RUNS = 20  # So many scenarios tell a disturbance that is always zero.
 MAGNITUDES = (-5.0, 1.0)  # States, inputs and disturbances have these powers of ten beside their extents.
 TERM_ROUNDING = 1e-12  # A change below this part of the largest value or slope of a term is rounding.
 ACT_TOGETHER = 1e-6  # Entries act together below this singular value of slopes with rows and columns of norm one.
@@ -110,8 +86,6 @@ IDLE_PART = 1e-3  # An entry with less than this in a unit direction that change
 SECANT_GAIN = 5e-3  # A smaller gain, in parts of the return, is not worth a search without exact slopes.
 EXCITATION = 0.3  # Inputs of the first fit have this standard deviation, in parts of half the input's range.
 SETTLED_LOSS = 5e-3  # A settled controller may lose to a baseline by this part of the return that control makes.
-# Nested LQR and checks of a policy have so many scenarios of 100 steps, its gradient twice as many.
-SETTLING_RUNS = 256
 BLIND_SHARE = 0.5  # A policy without a gradient in a larger share of the runs is not led by it.
 NO_GRADIENT = 1e-9  # A run whose gradient is smaller than this part of the return has none.
 LEAST_ACTION = 1e-3  # A policy is taken to do at least this part of the range of an input.

@@ -19,8 +19,9 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array
+from ccdtools.plants.budgets import ALLOWED_STARTS, BOX_SAMPLES, MAX_CORNERS, TRIED_COMBINATIONS
 from ccdtools.plants.design_constraints import UnitConstraints
-from ccdtools.plants.tolerances import ALLOWED_STARTS, BOX_SAMPLES, EXACT, MAX_CORNERS, NEAREST, TRIED_COMBINATIONS
+from ccdtools.plants.tolerances import EXACT, NEAREST
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.plants.budgets import NEWTON_ITERATIONS
 from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
-from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, NEWTON_ITERATIONS, STAGES, STALLED
+from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, STAGES, STALLED
 
 
 class ImplicitStep:

@@ -13,6 +13,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
+from ccdtools.plants.budgets import MOST_PARTS
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.jumps import SMOOTHER, Jump
 from ccdtools.plants.linear_model import LinearModel
@@ -20,7 +21,7 @@ from ccdtools.plants.matrix_exponential import zero_order_hold
 from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
-from ccdtools.plants.tolerances import ACCURACY, MOST_PARTS
+from ccdtools.plants.tolerances import ACCURACY
 from invariant_sets.system_checks import as_set
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.plants.tolerances import AROUND_WORST, ERROR_POINTS, SAFETY
+from ccdtools.plants.budgets import ERROR_POINTS
+from ccdtools.plants.tolerances import AROUND_WORST, SAFETY
 
 Step = Callable[[Any, Any, Any, Any], Any]
 

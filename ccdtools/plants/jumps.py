@@ -14,9 +14,10 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable
+from ccdtools.plants.budgets import JUMP_LINES
 from ccdtools.plants.casadi_arrays import Operations, Vectorised
 from ccdtools.plants.symbols import elements
-from ccdtools.plants.tolerances import AT_POINT, JUMP_LINES, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
+from ccdtools.plants.tolerances import AT_POINT, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
 
 NAMES = {
     ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
+from ccdtools.plants.budgets import FEW_ROWS
 from ccdtools.plants.casadi_arrays import check_sizes
 from ccdtools.plants.runge_kutta import ExplicitStep
-from ccdtools.plants.tolerances import FEW_ROWS
 
 
 def pathwise(step: ExplicitStep, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:

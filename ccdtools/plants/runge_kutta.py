@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.plants.budgets import FEW_ROWS, KEPT_SIZES, RUNS_AT_ONCE
 from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
-from ccdtools.plants.tolerances import FEW_ROWS, KEPT_SIZES, RUNS_AT_ONCE
 
 
 class ExplicitStep:

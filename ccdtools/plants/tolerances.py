@@ -1,10 +1,6 @@
 """Tolerances of `ccdtools.plants`, relative [-] without a unit."""
 
 # --- allowed designs --------------------------------------------------------------------------------------------------
-BOX_SAMPLES = 256  # A box of designs is searched at so many points of a Sobol sequence, beside centre and corners.
-MAX_CORNERS = 10  # Every combination of the bounds of at most so many parameters is tried.
-ALLOWED_STARTS = 8  # A search for one allowed point, or for the nearest, has so many starts.
-TRIED_COMBINATIONS = 100  # So many combinations of whole numbers are tried, the nearest first.
 SAME_DESIGN = 1e-3  # Two designs are one if they differ by less than this part of the range of every parameter.
 FEASIBLE = 1e-6  # A design keeps a constraint up to this violation, as `DesignSpace.violation` has it.
 EXACT = 1e-10  # A violation this small, as `UnitConstraints.violation` has it, is rounding.
@@ -19,27 +15,20 @@ NEAREST = 1e-5  # A point is the nearest if its distance has at most this part a
 
 # --- discretisation ---------------------------------------------------------------------------------------------------
 ACCURACY = 1e-6  # By default a step is accurate to this part of half the range of each state, a sample.
-MOST_PARTS = 64  # A sample is cut into at most so many parts.
 STAGES = 3  # Radau collocation has so many stages.
-NEWTON_ITERATIONS = 50  # Newton's method has at most so many iterations.
 CLOSE = 1e-7  # A Newton step below this part of a state's size is followed by one last, which doubles the digits.
 FLOOR = 1e-12  # A Newton step below this part of a state's extent is small, however near to 0 the state is.
 STALLED = 1e-9  # A Newton step below this part of a state's extent that no longer shrinks is what rounding leaves.
 CONVERGED = 1e-13  # CasADi's own Newton solver stops at this residual and step, in extents of the states.
 TAYLOR_DEGREE = 14  # The series of ‖M‖₁ ≤ 1/2 ends at this degree: the next term is (1/2)¹⁵/15! ≈ 2e-17.
-ERROR_POINTS = 1024  # A round of the search for the largest error has so many points over limits and designs.
 AROUND_WORST = 0.15  # The second round stays within this part of every range, the third within its square.
 # The stated error is this multiple of the largest seen: 16/15 if smooth, 2 with a kink, and what was missed.
 SAFETY = 3.0
-RUNS_AT_ONCE = 2048  # The numbers of so many runs fit into the processor's cache.
-FEW_ROWS = 192  # Up to so many rows CasADi's machine is the faster one; they are even at 200 to 300.
-KEPT_SIZES = 16  # A function is held ready for so many numbers of rows.
 RESOLVED_SHARE = 0.8  # Oscillations above this part of half the sampling rate have under 2.5 samples a period.
 
 # --- jumps of the dynamics --------------------------------------------------------------------------------------------
 # Without limits jumps are looked for between points of these sizes.
 JUMP_SIZES = (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
-JUMP_LINES = 64  # Each size has so many lines; within limits they are a multiple of it.
 JUMP_WIDTH = 1e-6  # A jump is most of what changes over this part of a line, a kink is not.
 AT_POINT = 1e-9  # A jump is at a point if it is closer than this part of the point.
 NO_JUMP = 1e-12  # A change below this part of the largest rates is no jump.

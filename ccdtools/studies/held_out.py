@@ -16,10 +16,10 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import change_of_level
+from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.names import SOURCES
 from ccdtools.studies.redesign import same_design
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.tolerances import REAL_RUNS
 from ccdtools.studies.trust_region import Trust
 from ccdtools.twin.distributions import START
 

@@ -34,11 +34,11 @@ from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.tolerances import ACCURACY
+from ccdtools.studies.budgets import MODEL_RUNS
 from ccdtools.studies.options import CHOICES
 from ccdtools.studies.plant_checks import check_finite, check_real_step, check_same_plant, extent_of
 from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, accepted_loss
 from ccdtools.studies.real_plant import RealPlant, check_disturbance
-from ccdtools.studies.tolerances import MODEL_RUNS
 from ccdtools.twin.transport import check_disturbance_enters
 from mpc import MPCError, lqr
 

@@ -3,9 +3,7 @@
 from ccdtools.evidence.tolerances import NOT_WORSE
 
 MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
-MODEL_RUNS = 200  # A deployment logs so many runs by default where the real plant is the model itself.
 MOSTLY_OUTSIDE = 0.5  # A recording with a larger part of its samples outside X is not one of this plant.
-REAL_RUNS = 500  # The gains on a real plant of short runs are measured on so many of them.
 WORTH_A_POLICY = 0.001  # A policy costs nothing to build and is replaced for a gain of this part of the return.
 FALSE_ALARM = 0.002  # A prediction that is right is called wrong with this chance in a generation.
 UNATTRIBUTED = 0.1  # A redesign is limited if more than this part of the errors' energy is not known at another design.
@@ -14,13 +12,10 @@ LEAST_RADIUS = 1 / 64  # The radius is never less than this part of the range.
 WHOLE_NUMBER = 1e-9  # Ends of a region that are this close to a whole number are whole.
 CONSTANT_E = 1e-9  # E does not change with the design if it differs over the box by less than this part of itself.
 SETTLED_START = 0.02  # A start may cost or save this part of the return without the cost of the design.
-WARM_UP_WINDOWS = 64  # The warm-up is measured on about so many windows.
-WARM_UP_DESIGNS = 9  # The warm-up is measured at so many designs of the box.
 SMALL_PART = 0.02  # A part of a whole below this goes unmentioned.
 NOT_WORSE_PERCENT = 100 * NOT_WORSE  # Smaller differences of the return do not matter [% of |LQR|].
 EQUAL_PERCENT = 1e-4  # Two returns this close differ by rounding and the tolerances of the solvers [% of |LQR|].
 DIVERGED_RUNS = 0.01  # A design of the landscape is left blank if a larger part of its runs diverges.
-SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
 
 # --- steps of the real plant, errors as parts of half the range of a state in X --------------------------------------
 WRONG_SAMPLE = 0.1  # A sample may be wrong by this without a warning.

@@ -12,7 +12,8 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
-from ccdtools.studies.tolerances import SETTLED_START, WARM_UP_DESIGNS, WARM_UP_WINDOWS
+from ccdtools.studies.budgets import WARM_UP_DESIGNS, WARM_UP_WINDOWS
+from ccdtools.studies.tolerances import SETTLED_START
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import ErrorSplit
 from mpc import MPCError

@@ -15,9 +15,10 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.simulation import simulate
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.residuals import Residuals, block_spans, residuals
-from ccdtools.twin.tolerances import BLOCKS, HELD_OUT, RUNAWAY
+from ccdtools.twin.tolerances import HELD_OUT, RUNAWAY
 from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import DigitalTwin
 

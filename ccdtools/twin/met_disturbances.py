@@ -8,8 +8,9 @@ import torch
 
 from ccdtools.arrays import Array, Indices
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.twin.budgets import DERIVATIVES_AT_ONCE
 from ccdtools.twin.residuals import Residuals
-from ccdtools.twin.tolerances import DERIVATIVES_AT_ONCE, LARGEST_UNTOLD, SETTLED_STEP, TOLD, UNTOLD
+from ccdtools.twin.tolerances import LARGEST_UNTOLD, SETTLED_STEP, TOLD, UNTOLD
 
 
 def met_disturbances(model: SampledModel, log: Residuals, scale: Array) -> Array:

@@ -3,11 +3,9 @@
 RUNAWAY = 1e3  # Draws are stopped where they exceed this many times the largest logged state.
 RANK = 1e-6  # Columns of E, each of length one, are dependent below this part of the largest singular value.
 HELD_OUT = 0.2  # This part of every block of a log is held out by default.
-BLOCKS = 20  # A single long run is cut into so many blocks by default.
 FEWEST_FITTED = 20  # Quantiles are fitted to at least so many samples.
 
 # --- disturbances that were met --------------------------------------------------------------------------------------
-DERIVATIVES_AT_ONCE = 8192  # Derivatives are computed of so many samples at once: those of long steps fill the memory.
 SETTLED_STEP = 1e-9  # A step whose effect is below this part of the error is the last.
 UNTOLD = 1e-6  # A disturbance whose effect is below this part of its largest in the log is not told from the error.
 TOLD = 0.1  # A disturbance whose effect is above this part of its largest in the log says how large disturbances are.

@@ -13,9 +13,10 @@ from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_sha
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantiles
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
-from ccdtools.twin.tolerances import BLOCKS, FEWEST_FITTED, HELD_OUT
+from ccdtools.twin.tolerances import FEWEST_FITTED, HELD_OUT
 from ccdtools.twin.transport import Transport, as_extent, carried
 from learning.quantile import QuantileConfig, fit_quantiles
 

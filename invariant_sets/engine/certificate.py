@@ -10,6 +10,7 @@ import daqp
 import numpy as np
 
 from invariant_sets.bodies import row_norms
+from invariant_sets.budgets import PROGRAMS_PER_CHECK
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import highs, minimise
 from invariant_sets.polyhedron import nonempty_body
@@ -18,17 +19,7 @@ from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import (
-    FLAT,
-    LP_RESIDUAL,
-    LP_SOLVER,
-    MEMBERSHIP,
-    MISSING,
-    PLACE,
-    PROGRAMS_PER_CHECK,
-    ROUNDING,
-    WITNESS,
-)
+from invariant_sets.tolerances import FLAT, LP_RESIDUAL, LP_SOLVER, MEMBERSHIP, MISSING, PLACE, ROUNDING, WITNESS
 
 Array = np.ndarray
 Rows = tuple[Array, Array]

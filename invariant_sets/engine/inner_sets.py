@@ -14,12 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from invariant_sets.budgets import CHEAP_HULL_DIM
 from invariant_sets.engine.local_problem import LocalProblem
 from invariant_sets.engine.recursion import Limits, Outcome, Predecessor, Region, Rows, Shape, iterate
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.projection import eliminate_last, project_rows, unit
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, FLAT, MEMBERSHIP, SHRUNK
+from invariant_sets.tolerances import FLAT, MEMBERSHIP, SHRUNK
 
 Array = np.ndarray
 

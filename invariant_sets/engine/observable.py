@@ -43,7 +43,7 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
         if len(solved) == n:
             return None
         if len(solved) == len(Q):
-            return Q / units
+            return np.asarray(Q / units)
         Q = rows[solved]
         rows, terms = Q @ A, np.abs(Q) @ np.abs(A)
 

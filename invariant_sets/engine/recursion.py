@@ -9,13 +9,14 @@ from enum import Enum
 import numpy as np
 
 from invariant_sets import hulls
+from invariant_sets.budgets import CHEAP_HULL_DIM
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.interior_form import unit_rows
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status, status_of
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CHEAP_HULL_DIM, FLAT, LEAST_RIGHT, REDUNDANT, ROUNDING, SMALL, THIN
+from invariant_sets.tolerances import FLAT, LEAST_RIGHT, REDUNDANT, ROUNDING, SMALL, THIN
 
 Array = np.ndarray
 Rows = tuple[Array, Array]

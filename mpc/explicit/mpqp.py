@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from mpc.budgets import LAWS_AT_ONCE
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.equality_elimination import FlatParameters, ImpliedEqualities, eliminate, implied_equalities
@@ -19,7 +20,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, twins, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
-from mpc.tolerances import EQUALITY, FAR_OPTIMUM, INSIDE, KKT, LAWS_AT_ONCE, PRIMAL, REFINED_ROW, ROUNDED_SUM, THIN
+from mpc.tolerances import EQUALITY, FAR_OPTIMUM, INSIDE, KKT, PRIMAL, REFINED_ROW, ROUNDED_SUM, THIN
 
 ActiveSets = list[tuple[int, ...]]
 

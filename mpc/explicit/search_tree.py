@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
+from mpc.budgets import LEAF_ENTRIES, POINTS_OF_REGION, TESTS_AT_ONCE
 from mpc.checks import Array, Flags, Ints, ReadOnly, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.partition import MPQPStatus, Partition
-from mpc.tolerances import CROSSING, LEAF_ENTRIES, POINTS_OF_REGION, SAME_HYPERPLANE_DIGITS, TESTS_AT_ONCE
+from mpc.tolerances import CROSSING, SAME_HYPERPLANE_DIGITS
 
 Laws = tuple[Array, Ints, Array]  # [gain, offset] of every region, their numbers, and input limits [low, high]
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from mpc.budgets import NAMED_ROWS
 from mpc.checks import Array
 from mpc.optimal_control.pieces import Numbers
 from mpc.optimal_control.program import NonlinearProgram
-from mpc.tolerances import AT_BOUND, IN_THE_WAY, NAMED_ROWS
+from mpc.tolerances import AT_BOUND, IN_THE_WAY
 
 
 def of_phase(program: NonlinearProgram, phase: int) -> str:

@@ -9,11 +9,12 @@ import casadi as ca
 import numpy as np
 
 from ccdtools_ground.door import brief
+from mpc.budgets import USUAL_ITERATIONS
 from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.plan import Residuals
-from mpc.tolerances import BOTTOMLESS, FEASIBLE, USUAL_ITERATIONS
+from mpc.tolerances import BOTTOMLESS, FEASIBLE
 
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mpc.budgets import CLOSER_LOOKS, LIMIT_CHECKS, OBSTACLE_DOUBLINGS
 from mpc.checks import Array
 from mpc.optimal_control.interval import layout_of, times_of
 from mpc.optimal_control.phase import evaluated, signal_along
@@ -14,7 +15,7 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
-from mpc.tolerances import CLOSER_LOOKS, LEAST_LIMIT_SIZE, LIMIT_CHECKS, LIMIT_PASSED, NEGLIGIBLE, OBSTACLE_DOUBLINGS
+from mpc.tolerances import LEAST_LIMIT_SIZE, LIMIT_PASSED, NEGLIGIBLE
 
 
 class Missed(NamedTuple):

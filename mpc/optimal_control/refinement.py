@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from mpc.budgets import LEAST_SECONDS, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, as_count, as_seconds
 from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.phase import Phase
@@ -27,12 +28,9 @@ from mpc.tolerances import (
     JUMP_SHARE,
     JUMPED_LIMIT,
     LEAST_INTERVAL,
-    LEAST_SECONDS,
     LIMIT_PASSED,
     MESH_GAIN,
     MESH_SAFETY,
-    MESHES_WITHOUT_GAIN,
-    MOST_PARTS,
     SHARPER,
 )
 

@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
 
+from mpc.budgets import HIGHEST_DEGREE
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.functions import Statement, wanted
-from mpc.tolerances import HIGHEST_DEGREE
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import brief
+from mpc.budgets import LEAST_SECONDS, USUAL_ITERATIONS
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_share
@@ -23,7 +24,7 @@ from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
-from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, LEAST_SECONDS, OPTIMAL, USUAL_ITERATIONS, WELL_SIZED
+from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SIZED
 
 SAID = {
     "Maximum_Iterations_Exceeded": OptimalControlStatus.STOPPED,

@@ -14,6 +14,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_instance, has_method
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
+from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
@@ -27,7 +28,7 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import History, Valley
 from ccdtools.co_design.risk import check_followed, measure
-from ccdtools.co_design.tolerances import CLIMBED_COMBINATIONS, SAME_PLACE, WORTH_A_START
+from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace

@@ -17,12 +17,12 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.budgets import POLICY_ITERATIONS
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.differentiable_model import ScenarioTensors
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.learned import Learned
-from ccdtools.co_design.tolerances import POLICY_ITERATIONS
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from learning.networks import ActorCritic

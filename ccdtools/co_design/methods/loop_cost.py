@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.budgets import ROUNDS_AT_ONE_DESIGN, ROUNDS_WITHOUT_GAIN
 from ccdtools.co_design.descent import DesignPoint, descend
 from ccdtools.co_design.design_controllers import LQR, DesignLaw
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
@@ -22,14 +23,7 @@ from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_kept_runs
-from ccdtools.co_design.tolerances import (
-    COST_STEP,
-    NEGLIGIBLE_GAIN,
-    PRICE_GROWTH,
-    ROUNDS_AT_ONE_DESIGN,
-    ROUNDS_WITHOUT_GAIN,
-    USED_SHARE,
-)
+from ccdtools.co_design.tolerances import COST_STEP, NEGLIGIBLE_GAIN, PRICE_GROWTH, USED_SHARE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError

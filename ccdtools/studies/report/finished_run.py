@@ -10,9 +10,9 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.studies.budgets import SET_SECONDS
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
-from ccdtools.studies.tolerances import SET_SECONDS
 from invariant_sets import ParametricSet
 
 if TYPE_CHECKING:

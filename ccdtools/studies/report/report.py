@@ -17,6 +17,7 @@ from ccdtools.co_design.risk import Mean, measure
 from ccdtools.design_limits import DesignLimits, limits_at
 from ccdtools.evidence.percent import number, share, with_minus
 from ccdtools.plants.sampling_guard import sampling_note
+from ccdtools.studies.budgets import SET_SECONDS
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import (
     axis_label,
@@ -45,7 +46,6 @@ from ccdtools.studies.report.verdicts import (
 )
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.study import Study
-from ccdtools.studies.tolerances import SET_SECONDS
 
 FIGURES = (changes, history, landscape, comparison, feasible_set_figure, policy_surface, trajectories, quantiles)
 

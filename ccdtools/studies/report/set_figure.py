@@ -13,9 +13,9 @@ from ccdtools.arrays import Array
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.studies.budgets import SET_SECONDS
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
-from ccdtools.studies.tolerances import SET_SECONDS
 from invariant_sets import Polytope, SetResult, plot_polytope
 from invariant_sets.results import Status
 

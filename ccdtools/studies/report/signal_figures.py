@@ -14,8 +14,9 @@ from ccdtools.evidence.percent import share
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import generation_name
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.residuals import residuals
-from ccdtools.twin.tolerances import BLOCKS, HELD_OUT
+from ccdtools.twin.tolerances import HELD_OUT
 from invariant_sets import plot_polytope
 
 

@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from mpc.budgets import POINTS_OF_REGION, TRIES
 from mpc.checks import Array
 from mpc.explicit.kernels.data import Bits, Ints
 from mpc.explicit.kernels.halfspace import interior_point, project, side
-from mpc.tolerances import POINTS_OF_REGION, PRIMAL, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS, TRIES
+from mpc.tolerances import PRIMAL, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS
 
 NODES, NEXT, POOL, LEAF = range(4)  # positions in `Growth.counts`
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ccdtools.co_design.tolerances import CANDIDATES_PER_START, VISITS
+from ccdtools.co_design.budgets import CANDIDATES_PER_START, VISITS
 
 
 def test_closed_loop_states_join_the_data_near_the_origin(study, expert_data):

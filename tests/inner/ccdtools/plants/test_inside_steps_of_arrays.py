@@ -9,7 +9,7 @@ import torch
 
 from ccdtools import DesignSpace, Plant
 from ccdtools.plants import SampledModel
-from ccdtools.plants.tolerances import FEW_ROWS, KEPT_SIZES
+from ccdtools.plants.budgets import FEW_ROWS, KEPT_SIZES
 
 RUNS = [1, 2, FEW_ROWS, FEW_ROWS + 1, 2500]
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])

@@ -1,0 +1,18 @@
+"""Budgets of `ccdtools.plants`: what an answer may cost, in time [s] and in numbers. None of them judges it."""
+
+# --- allowed designs --------------------------------------------------------------------------------------------------
+BOX_SAMPLES = 256  # A box of designs is searched at so many points of a Sobol sequence, beside centre and corners.
+MAX_CORNERS = 10  # Every combination of the bounds of at most so many parameters is tried.
+ALLOWED_STARTS = 8  # A search for one allowed point, or for the nearest, has so many starts.
+TRIED_COMBINATIONS = 100  # So many combinations of whole numbers are tried, the nearest first.
+
+# --- discretisation ---------------------------------------------------------------------------------------------------
+MOST_PARTS = 64  # A sample is cut into at most so many parts.
+NEWTON_ITERATIONS = 50  # Newton's method has at most so many iterations.
+ERROR_POINTS = 1024  # A round of the search for the largest error has so many points over limits and designs.
+RUNS_AT_ONCE = 2048  # The numbers of so many runs fit into the processor's cache.
+FEW_ROWS = 192  # Up to so many rows CasADi's machine is the faster one; they are even at 200 to 300.
+KEPT_SIZES = 16  # A function is held ready for so many numbers of rows.
+
+# --- jumps of the dynamics --------------------------------------------------------------------------------------------
+JUMP_LINES = 64  # Each size has so many lines; within limits they are a multiple of it.
