@@ -127,7 +127,9 @@ def test_a_point_is_at_a_jump_within_a_billionth(away, refused):
 
 @pytest.mark.parametrize(("moved", "refused"), [(0.3e-9, False), (3e-9, True)])
 def test_a_model_rests_that_moves_by_a_billionth_of_what_a_state_of_one_does(moved, refused):
-    model = discretise(plant(lambda x, u: ca.sin(x) + u + moved, dt=1.0, design=DesignSpace(["p"], [1], [2]), continuous=False))
+    model = discretise(
+        plant(lambda x, u: ca.sin(x) + u + moved, dt=1.0, design=DesignSpace(["p"], [1], [2]), continuous=False)
+    )
     given = {"X": (-1, 1), "U": (-1, 1), "steps": 3, "scenarios": cc.FixedStart([0.5], cc.Gaussian([])),
              "objective": cc.QuadraticObjective([[1.0]], [[1.0]], design_cost=lambda p: p[0])}  # fmt: skip
     if refused:

@@ -35,6 +35,8 @@ def test_further_outside_needs_a_difference_that_is_certain_and_matters(rng):
     noise = rng.uniform(0, 0.2, 60)
     assert further_outside(peaks(noise + 0.05), peaks(noise))
     assert not further_outside(peaks(noise + 0.005), peaks(noise))  # certain, but too small to matter
+    assert not further_outside(peaks(noise / 10 + 0.004), peaks(noise / 10))  # so it is where the other does nothing
+    assert further_outside(peaks(noise / 10 + 0.03), peaks(noise / 10))
     assert not further_outside(peaks(noise + 0.05 + 2 * rng.standard_normal(60)), peaks(noise))  # chance
     assert not further_outside(peaks(noise + 2.05), peaks(noise + 2.0))  # a fortieth of what the other does
     assert further_outside(peaks(noise, 0.2), peaks(noise, 0.1))  # not deeper, but more often

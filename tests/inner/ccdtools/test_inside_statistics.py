@@ -57,6 +57,15 @@ def test_a_mean_whose_spread_a_few_runs_make_says_so():
     assert summarise(calm).warning == summarise(calm[:9]).warning == summarise(np.ones(400)).warning == ""
     assert "a few runs make most of its spread" in summarise(np.where(np.arange(400) < 4, -100.0, calm)).warning
     assert summarise(np.where(np.arange(400) < 40, -100.0, calm)).warning == ""
+    assert "a few runs make" in summarise(np.where(np.arange(90) < 1, -100.0, calm[:90])).warning
+
+
+@pytest.mark.parametrize(("part", "rounding"), [(0.3e-6, True), (3e-6, False)])
+def test_two_runs_within_a_millionth_of_the_return_differ_by_rounding(part, rounding):
+    base = -np.ones((1, 200))
+    moved = part * np.random.default_rng(0).choice([-1.0, 1.0], (1, 200))
+    ends = paired_returns(base + moved, base).ci95
+    assert np.allclose(ends, [-200 * part, 200 * part], rtol=1e-6) == rounding
 
 
 def test_pairs_on_common_random_numbers_see_a_difference_that_the_means_hide():

@@ -206,6 +206,13 @@ def test_a_prediction_that_is_right_is_called_wrong_in_one_deployment_of_five_hu
     assert _agreement(predicted, summarise(rng.standard_normal(100) - 20.5)) is Agreement.LESS
 
 
+@pytest.mark.parametrize(("apart", "agreement"), [(1.95, Agreement.AGREED), (2.2, Agreement.LESS)])
+def test_a_right_prediction_is_called_wrong_with_a_chance_of_two_in_a_thousand(apart, agreement):
+    """Two intervals of ±1 at 1.96 errors each: 2.88 errors are 2.08; at 0.6 % they would be 1.81, at 0.07 % 2.32."""
+    predicted, measured = (Summary(mean, 1.0, mean, 10**6, (mean - 1, mean + 1)) for mean in (apart, 0.0))
+    assert _agreement(predicted, measured) is agreement
+
+
 def test_returns_whose_intervals_are_apart_are_not_said_to_agree():
     """A drive of few degrees of freedom may lie outside the interval of what was predicted, and say little."""
     predicted = Summary(-4585.0, 500.0, -4585.0, 400, (-4620.0, -4550.0))

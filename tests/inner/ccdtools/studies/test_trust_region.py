@@ -21,11 +21,20 @@ from ccdtools import (
 from ccdtools.co_design import LearnedCoDesign
 from ccdtools.co_design.result import History
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.studies.tolerances import LEAST_RADIUS
-from ccdtools.studies.trust_region import ErrorAttribution, Trust, attribute_errors, edges, in_whole_box, within
+from ccdtools.studies.redesign import same_design
+from ccdtools.studies.trust_region import (
+    ErrorAttribution,
+    Trust,
+    _identified,
+    attribute_errors,
+    edges,
+    in_whole_box,
+    within,
+)
 from learning import ActorCritic, NetworkConfig, QuantileConfig
 
 SCALE = np.array([4.0, 4.0])
+SMALLEST = 1 / 64  # radius
 
 
 def mass(*, cubic=0.0, push=0.0):
@@ -107,11 +116,41 @@ def test_the_region_widens_where_the_judge_was_right_and_halves_where_it_was_wro
     assert wrong.limits(known)
     for _ in range(20):
         wrong = wrong.after(False)
-    assert wrong.radius == LEAST_RADIUS
+    assert wrong.radius == SMALLEST
     for _ in range(20):
         wrong = wrong.after(True)
     assert wrong.radius == 1.0
     assert not wrong.limits(ErrorAttribution(1.0, 0.0, False))
+
+
+@pytest.mark.parametrize(("rest", "explained", "limited"), [(0.02, 0.01, False), (0.2, 0.1, True), (0.1, 0.2, True)])
+def test_a_redesign_is_limited_where_a_tenth_of_the_errors_is_not_known_elsewhere(rest, explained, limited):
+    assert ErrorAttribution(rest, explained, True).limits == limited
+
+
+@pytest.mark.parametrize(("part", "same"), [(0.3e-3, True), (3e-3, False)])
+def test_designs_within_a_thousandth_of_every_range_are_one(part, same):
+    space = DesignSpace(["m", "k"], [0.0, 0.0], [1.0, 4.0])
+    assert same_design(space, np.array([0.5, 1.0]), np.array([0.5, 1.0 + 4 * part])) == same
+
+
+@pytest.mark.parametrize(("part", "constant"), [(0.3e-9, True), (3e-9, False)])
+def test_an_E_that_changes_by_a_billionth_is_the_same_everywhere(part, constant):
+    model = discretise(mass())
+    twice = ca.SX(ca.DM([[1.0, 2.0], [1.0, 2.0]])) * (1 + part * (model.symbols - 0.3) / 2.7)  # of rank one
+    assert _identified(DigitalTwin(replace(model, E=twice), scale=SCALE), SCALE) == constant
+
+
+@pytest.mark.parametrize(("angle", "told"), [(0.3e-6, False), (3e-6, True)])
+def test_two_disturbances_are_told_apart_above_a_millionth(angle, told):
+    model = discretise(mass())
+    nearly = ca.SX(ca.DM([[1.0, 1.0], [0.0, 2 * angle]])) * model.symbols
+    assert _identified(DigitalTwin(replace(model, E=nearly), scale=SCALE), SCALE) == told
+
+
+def test_the_first_redesign_moves_a_parameter_by_a_quarter_of_its_range(illustrative):
+    region = within(illustrative.problem(), np.array([1.75]), Trust().radius).design
+    np.testing.assert_allclose([region.lower, region.upper], [[1.75 - 2.5 / 4], [1.75 + 2.5 / 4]])
 
 
 def test_the_box_of_a_redesign_is_narrowed_and_stays_within_the_bounds(illustrative):
@@ -162,11 +201,13 @@ def gears(lower, upper):
 @pytest.mark.parametrize(
     ("box", "centre", "radius", "expected"),
     [
-        ((2, 6), 4, LEAST_RADIUS, (3, 5)),
+        ((2, 6), 4, SMALLEST, (3, 5)),
         ((2, 6), 4, 0.25, (3, 5)),
         ((2, 6), 4, 0.3, (2, 6)),
-        ((2, 6), 2, LEAST_RADIUS, (2, 3)),
+        ((2, 6), 2, SMALLEST, (2, 3)),
         ((2, 6), 6, 0.25, (5, 6)),
+        ((1, 9), 6, 0.375 + 0.3e-9 / 8, (3, 9)),  # 3 but for rounding
+        ((1, 9), 6, 0.375 + 3e-9 / 8, (2, 9)),
         ((1.6, 6.7), 4, 1.0, (2, 6)),
         ((1.6, 6.7), 2, 0.1, (2, 3)),
         ((1, 1001), 500, 0.0101, (489, 511)),
@@ -182,10 +223,10 @@ def test_a_whole_number_may_take_the_next_one_in_the_smallest_region(box, centre
 
 def test_a_whole_number_at_the_edge_of_the_region_is_told_from_one_at_its_bound():
     problem = gears(1.6, 6.7)
-    region = within(problem, np.array([4, 1.5]), LEAST_RADIUS).design
+    region = within(problem, np.array([4, 1.5]), SMALLEST).design
     assert edges(np.array([5, 1.5]), region, problem.design) == {"teeth": "upper"}
     assert edges(np.array([4, 1.5]), region, problem.design) == {}
-    last = within(problem, np.array([5, 1.5]), LEAST_RADIUS).design
+    last = within(problem, np.array([5, 1.5]), SMALLEST).design
     assert problem.design.active_bounds([6, 1.5]) == {"teeth": "upper"}
     assert edges(np.array([6, 1.5]), last, problem.design) == {}
     history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 2)), *(np.zeros(1) for _ in range(3)))

@@ -38,7 +38,8 @@ def test_changes_are_shown_without_false_digits(percent, text):
     [((0.6, 0.8), "better"), ((0.01, 1.2), "better"), ((0.1, 0.2), "equal"), ((-0.4, 0.2), "equal"),
      ((0.01, 0.7), "not worse"), ((-0.4, 0.9), "not worse"), ((-0.7, 0.1), "open"), ((-0.6, -0.2), "open"),
      ((-0.9, -0.6), "worse"), ((None, None), "no pairs"), ((1e-13, 3e-13), "equal"), ((0.0, 0.0), "equal"),
-     ((-2.0, -1e-9), "open")],
+     ((-2.0, -1e-9), "open"), ((-2.0, -3e-5), "open"), ((-2.0, -3e-4), "worse"),
+     ((3e-5, 2.0), "not worse"), ((3e-4, 2.0), "better")],
 )  # fmt: skip
 def test_verdict_takes_what_is_certain_and_matters(ends, expected):
     low, high = ends
@@ -102,6 +103,15 @@ def outcome(start, lqr, learned, *, ends=(0.0, 0.0), accepted=False, moved=False
 )
 def test_the_headline_says_what_came_out(results, sentence):
     assert headline(results) == sentence
+
+
+@pytest.mark.parametrize(
+    ("lqr", "learned", "origin"),
+    [(90.0, 90.07, "all of it from the design"), (90.0, 90.6, "−10 % from the design and +0.6 % from the policy"),
+     (99.93, 90.0, "all of it from the policy"), (99.4, 90.0, "−0.6 % from the design and −9.4 % from the policy")],
+)  # fmt: skip
+def test_a_fiftieth_of_a_change_goes_unmentioned(lqr, learned, origin):
+    assert origin in headline(outcome(100.0, lqr, learned))
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,20 @@ def test_the_disturbances_of_a_log_are_found_and_another_design_meets_them(force
     np.testing.assert_allclose(again.states, there.states, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("effect", "wind", "met"), [(0.3, 5.0, 5.0), (0.03, 5.0, 2.0), (0.03, 1.5, 1.5), (3e-6, 1.5, 1.5), (3e-7, 1.5, 0.0)]
+)
+def test_what_is_hardly_told_is_no_larger_than_twice_what_is_told_and_in_the_end_nothing(effect, wind, met):
+    """x⁺ = x + w x₂: one run with the whole effect and w = 1, the other with a part of it."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    after = ca.vertcat(w * x[1] + 0.0 * x[0], x[1] + u)
+    model = discretise(Plant(x, u, w, p, after, DesignSpace(["k"], [1.0], [5.0]), dt=1.0, continuous=False))
+    log = simulate(model, lambda x: 0 * x[:, :1], x0=[[0.0, 1.0], [0.0, effect]], steps=1, design=SOFT,
+                   disturbance=[[[1.0]], [[wind]]])  # fmt: skip
+    found = ErrorSplit(model, SCALE).disturbances(residuals(model, log))[:, 0, 0]
+    np.testing.assert_allclose(found, [1.0, met], rtol=1e-6)
+
+
 def test_a_replay_at_the_design_of_a_log_is_the_log_whatever_the_errors(model):
     """The real boat has another drag and a leak that the model does not know."""
     real = SampledModel(_leaking(boat()), 0.1, "rk4", 8)
