@@ -5,7 +5,9 @@ import pytest
 import torch
 
 from ccdtools.co_design.climb import SampleAverage, climb
-from ccdtools.co_design.tolerances import COMPRESS_ABOVE, PER_UNIT
+
+COMPRESS_ABOVE = 2.0  # relative costs
+PER_UNIT = 0.03**-2  # the unit of the value where that of weights and design is 0.03
 
 
 def climbed(cost, weights, v=None, *, scale=1.0, length=60):
@@ -64,3 +66,10 @@ def test_the_gradient_is_that_of_the_cost_also_where_it_is_tall(height):
         h[i] = 0.1
         slope = (average(z + h)[0] - average(z - h)[0]) / 0.2
         assert gradient[i] == pytest.approx(slope, rel=0.02)
+
+
+@pytest.mark.parametrize(("slope", "kept"), [(300.0, 300.0), (3000.0, 1000.0)])
+def test_a_gradient_above_a_thousand_is_shortened(slope, kept):
+    weights = torch.zeros(1, requires_grad=True)
+    average = SampleAverage(lambda: 1 + slope * weights[0], weights=[weights], v=None, scale=1.0)
+    assert average(average.first)[1] == pytest.approx([kept / 0.03], rel=1e-5)

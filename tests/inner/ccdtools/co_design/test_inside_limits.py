@@ -12,7 +12,6 @@ from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import Episode
 from ccdtools.co_design.limit_tolerance import Pair, Tolerance, mpc_episodes, tolerance_by_mpc
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
-from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE
 from invariant_sets import Polytope
 
 QUICK = {"iterations": 8, "pathwise_runs": 16, "evaluation_runs": 64, "evaluate_every": 2}
@@ -61,8 +60,8 @@ def test_the_tolerance_is_a_quarter_more_than_what_mpc_does_there():
     v = torch.tensor([0.4])
     allowed = StateLimitPenalty(problem).updated(episodes(0.5, 0.3), v, scenarios)
     by_mpc = mpc_episodes(problem, v, scenarios)
-    assert allowed.tolerance.allowed.depth == pytest.approx(BESIDE_MPC * float(by_mpc.peak.mean()))
-    assert allowed.tolerance.allowed.fraction == pytest.approx(BESIDE_MPC * float(by_mpc.outside.mean()))
+    assert allowed.tolerance.allowed.depth == pytest.approx(1.25 * float(by_mpc.peak.mean()))
+    assert allowed.tolerance.allowed.fraction == pytest.approx(1.25 * float(by_mpc.outside.mean()))
     assert "MPC of the same design" in allowed.tolerance.source
     idle = StateLimitPenalty(problem).updated(episodes(0.001, 0.001), v, scenarios)
     assert idle.tolerance.v is None
@@ -87,7 +86,27 @@ def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_des
 def test_an_mpc_that_loses_every_run_grants_no_more_than_a_network_resolves():
     lost = replace(rail(), scenarios=cc.FixedStart([-1.5, 0.4], cc.Gaussian([1e9])))
     allowed = tolerance_by_mpc(lost, torch.tensor([0.3]), scenario_tensors(lost, 40, np.random.default_rng(0)))
-    assert allowed.allowed == Pair(LEAST_TOLERANCE, LEAST_TOLERANCE)
+    assert allowed.allowed == Pair(0.002, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("before", "depth", "after"),
+    [(0.0, 0.87, 0.0), (0.0, 0.95, 0.02 * np.exp(0.4 * 0.05)), (0.0, 1.4, 0.02 * np.exp(0.4 * 0.5)),
+     (0.0, 9.9, 0.02 * np.exp(0.4)), (0.5, 9.9, 0.5 * np.exp(0.4)), (0.01, 0.0, 0.01 * np.exp(-0.4 * 0.9)),
+     (5e-4, 0.0, 0.0)],
+)  # fmt: skip
+def test_a_price_begins_at_a_fiftieth_aims_at_nine_tenths_and_moves_by_up_to_half(before, depth, after):
+    """Of a peak depth of so many tolerances."""
+    penalty = StateLimitPenalty(rail(limit_tolerance=(0.1, 0.05)), multipliers=Pair(0.0, before))
+    found = penalty.updated(episodes(0.0, 0.05 * depth), torch.tensor([0.4]), ())
+    assert found.multipliers.depth == pytest.approx(after)
+
+
+@pytest.mark.parametrize(("mean", "spread"), [(0.3e-4, 0.01), (3e-4, 3e-4)])
+def test_a_violation_of_a_ten_thousandth_says_how_far_the_states_outside_are(mean, spread):
+    penalty = StateLimitPenalty(rail(limit_tolerance=(0.1, 0.05)))
+    found = penalty.updated(episodes(1.0, 10 * mean), torch.tensor([0.4]), ())
+    assert found.spread == pytest.approx(spread)
 
 
 def test_multipliers_grow_while_the_limits_are_broken_and_fall_to_zero_once_kept():
