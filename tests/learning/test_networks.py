@@ -130,3 +130,10 @@ def test_actions_fill_bounds_that_depend_on_the_observation():
     torch.testing.assert_close(slope, torch.tensor([[0.0, -2.0, -0.5]] * 2))
     with pytest.raises(InputError, match="observations"):
         net.action(torch.zeros(2, 2))
+
+
+@pytest.mark.parametrize(("wanted", "given"), [(1e-4, np.exp(-7)), (0.01, 0.01), (2.0, 2.0), (20.0, np.e)])
+def test_a_network_explores_between_e_to_the_minus_seven_and_e(wanted, given):
+    config = NetworkConfig((3,), initial_std=wanted, std_network=True)
+    agent = ActorCritic([-1.0], [1.0], [-1.0], [1.0], config=config, seed=0)
+    assert agent.std(torch.zeros(1, 1)).item() == pytest.approx(given, rel=1e-5)

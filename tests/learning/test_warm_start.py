@@ -111,3 +111,11 @@ def test_cloning_leaves_the_data_and_the_global_generator_alone():
 def test_bad_data_is_refused_in_one_line(change, message):
     with pytest.raises(InputError, match=message):
         cloned(*change(*data(10)))
+
+
+@pytest.mark.parametrize(("width", "scale"), [(0.3e-9, 1.0), (3e-9, 1.5e-9)])
+def test_a_feature_is_constant_that_varies_by_less_than_a_billionth(width, scale):
+    x = 1 + width * np.linspace(0, 1, 40)[:, None]
+    agent = fit_actor_critic(x, 0 * x, x[:, 0], action_bounds=([-1.0], [1.0]), rng=np.random.default_rng(0),
+                             config=CloningConfig(steps=1))  # fmt: skip
+    assert agent.observation_scale.item() == pytest.approx(scale, rel=1e-3)

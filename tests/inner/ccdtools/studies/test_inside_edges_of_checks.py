@@ -71,7 +71,7 @@ def test_a_recording_is_refused_that_keeps_the_plant_outside_for_half_of_its_sam
     )  # fmt: skip
     evaluation = Evaluation(study, replace(configuration(study), model_runs=20), 0)
     if refused:
-        with pytest.raises(InputError, match="is outside X in 8.% of the samples"):
+        with pytest.raises(InputError, match=r"is outside X in 8.% of the samples"):
             evaluation.check_recording()
     else:
         evaluation.check_recording()
