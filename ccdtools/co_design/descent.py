@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, INSIDE_EDGES, LOST_COST
+from ccdtools.co_design.tolerances import AT_BOUND, COMPRESS_ABOVE, GAINED, LOST_COST
 from ccdtools.plants.tolerances import EXACT
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def descend(cost: Cost, space: DesignSpace, v: Array, *, size: float, evaluation
     free = space.allowed.free
     watched = _Watched(cost, space, v, size, evaluations)
     constraints = [] if limits is None else [{
-        "type": "ineq", "fun": lambda z: -limits.values(watched.point(z)) - INSIDE_EDGES,
+        "type": "ineq", "fun": lambda z: -limits.values(watched.point(z)) - EXACT,
         "jac": lambda z: -limits.jacobian(watched.point(z))[:, free],
     }]  # fmt: skip
     if not free.any():

@@ -21,10 +21,11 @@ from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 from ccdtools.arrays import Array, Indices, Mask
 from ccdtools.co_design.design_controllers import lqr_gains
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import NEARLY_LINEAR, ON_LIMIT
+from ccdtools.co_design.tolerances import NEARLY_LINEAR
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.tolerances import ON_LIMIT
 
 
 @dataclass(frozen=True, eq=False)

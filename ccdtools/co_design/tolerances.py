@@ -19,7 +19,6 @@ SAME_PLACE = 0.02  # Designs or starts within this distance in every coordinate 
 SAME_BOUNDS = 1e-5  # Action bounds are those of U if they differ by less than this part of their range: float32 rounds.
 ACTIVE = 1e-3  # A constraint whose edge is closer than this in the unit box is active.
 AT_BOUND = 1e-9  # A point closer to a bound than this in the unit box is on it.
-INSIDE_EDGES = 1e-10  # A local search keeps this far inside the edges of the constraints, in the unit box.
 PULL = 10.0  # A point loses at least ½ · 10 · distance² of the return for its distance from the feasible designs.
 DISTANCE_COST = 10.0  # A global search adds this part of the cost per squared distance from the feasible designs.
 PSD = 1e-9  # A negative eigenvalue below this part of the largest weight is rounding.
@@ -43,7 +42,6 @@ NEGLIGIBLE_GAIN = 1e-3  # A gain of a round below this part of the return that c
 WORTHWHILE_VIOLATION = 0.9  # A block of iterations was worth it if it leaves at most this part of a violation.
 VIOLATION_COST = 0.05  # Exceeding the tolerance by `LEAST_TOLERANCE` costs a global search this part of the cost.
 NO_VIOLATION = 1e-5  # A violation is none below this many half-widths, the linear program's own tolerance.
-ON_LIMIT = 1e-9  # A state is on a limit within this part of the half-widths of X.
 
 # --- costs in searches ------------------------------------------------------------------------------------------------
 COMPRESS_ABOVE = 2.0  # A larger relative cost counts by its logarithm: into lost runs it grows by 1e7 within one step.

@@ -16,7 +16,7 @@ from scipy.linalg import matrix_balance
 
 from ccdtools.arrays import Array
 from ccdtools.plants.design_space import DesignSpace, sample_designs
-from ccdtools.plants.tolerances import TAYLOR_DEGREE, TINY
+from ccdtools.plants.tolerances import TAYLOR_DEGREE
 
 
 def zero_order_hold(
@@ -48,7 +48,7 @@ def balanced(M: ca.SX, *, symbols: ca.SX, design: DesignSpace | None) -> tuple[A
     samples = np.array([np.asarray(function(p), dtype=float) for p in sample_designs(design)])
     _, (scale, _) = matrix_balance(np.max(np.abs(samples), axis=0), permute=False, separate=True)
     norm = max(float(np.linalg.norm(S / scale[:, None] * scale[None, :], 1)) for S in samples)
-    return scale, max(0, math.ceil(math.log2(max(norm, TINY))) + 2)
+    return scale, max(0, math.ceil(math.log2(max(norm, np.finfo(float).tiny))) + 2)
 
 
 def expm(M: ca.SX, *, squarings: int) -> ca.SX:

@@ -3,13 +3,12 @@
 # --- allowed designs --------------------------------------------------------------------------------------------------
 SAME_DESIGN = 1e-3  # Two designs are one if they differ by less than this part of the range of every parameter.
 FEASIBLE = 1e-6  # A design keeps a constraint up to this violation, as `DesignSpace.violation` has it.
-EXACT = 1e-10  # A violation this small, as `UnitConstraints.violation` has it, is rounding.
+EXACT = 1e-10  # A violation this small, see `UnitConstraints.violation`, is rounding; searches keep as far inside.
 EXTENT_QUANTILES = (0.05, 0.95)  # The size of a constraint is that between these quantiles over the box, without poles.
 ON_EDGE = 1e-7  # A constraint whose edge is closer than this in the unit box may be active at a design.
 NEAR_EDGE = 1e-3  # Samples closer to an edge than this in the unit box say nothing of a constraint's size about it.
 BESIDE_LEVEL = 1e-6  # Where a constraint is level on its edge, its normal is taken so far beside it in the unit box.
 LEVEL = 1e-12  # A constraint is level where its slope is below this part of its value.
-TINY = 1e-300  # A divisor that stands for zero has this size.
 CURVED = 0.1  # Constraints' curvature is left out where that of the distance along them would fall below this.
 NEAREST = 1e-5  # A point is the nearest if its distance has at most this part along the constraints.
 

@@ -58,6 +58,12 @@ def test_a_constraint_is_named_active_within_a_thousandth_of_its_edge(away, acti
     assert ("p below 1" in HALF.active_constraints([1 - 2 * away, 1.0])) == active
 
 
+@pytest.mark.parametrize(("slope", "level"), [(0.3e-12, True), (3e-12, False)])
+def test_a_constraint_is_level_where_its_slope_is_a_trillionth_of_its_value(slope, level):
+    space = DesignSpace(["p", "q"], [0, 0], [1, 1], constraints=lambda p: slope * p[0] - 1.0)
+    assert np.isinf(space.allowed.limits.edges(np.array([0.5, 0.5]))[1][0]) == level
+
+
 @pytest.mark.parametrize(("left", "slope"), [(0.3, 1 / 0.3), (0.03, 1.0)])
 def test_the_nearest_point_beside_a_disc_moves_faster_unless_the_centre_is_near(left, slope):
     """From so many radii off the centre the nearest point of the circle moves by 1/left."""

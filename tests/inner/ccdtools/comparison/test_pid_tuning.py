@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from ccdtools import (
+    PID,
     CoDesignProblem,
     DesignSpace,
     FixedStart,
@@ -16,7 +17,7 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
-from ccdtools.comparison.pid_tuning import tuned_pid
+from ccdtools.comparison.pid_tuning import _Trial, tuned_pid
 from ccdtools.controllers import Passive
 from mpc import lqr
 
@@ -88,3 +89,19 @@ def test_a_pid_that_sees_hardly_any_of_the_cost_says_what_part_of_lqr_s_gain_it_
         for law in (pid, saturated_lqr(problem, [1.0]), Passive())
     )
     assert ((own - passive) / (lqr - passive) < 0.05) == hardly == ("of what LQR gains over the passive" in pid.remark)
+
+
+@pytest.mark.parametrize(("gain", "least", "most", "hardly"), [(0.0008, 0.01, 0.03, True), (0.008, 0.1, 0.25, False)])
+def test_a_pid_is_no_baseline_that_recovers_less_than_a_twentieth_of_what_lqr_gains(gain, least, most, hardly):
+    x, u, w, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
+    space = DesignSpace(["p"], lower=[0.9], upper=[1.0])
+    model = discretise(Plant(x, u, w, p, 0.95 * p * x + u + w, space, dt=1.0, continuous=False))
+    problem = CoDesignProblem(
+        model, X=(-50, 50), U=(-9, 9), steps=200, scenarios=FixedStart([9.0], Gaussian([1e-3])),
+        objective=QuadraticObjective([[1.0]], [[1e-3]]),
+    )  # fmt: skip
+    pid = PID([[1.0]], [gain], [0.0], [0.0], dt=1.0, lower=[-9.0], upper=[9.0])
+    trial = _Trial.from_problem(problem, np.array([1.0]), 4, np.random.default_rng(0))
+    passive, lqr, own = ((a**2 + k**2 * 1e-3) / (1 - a**2) for a, k in ((0.95, 0), (0.001, 0.949), (0.95 - gain, gain)))
+    assert least < (passive - own) / (passive - lqr) < most  # costs from a start without noise
+    assert bool(trial.remark(pid)) == hardly
