@@ -1,7 +1,7 @@
 """Tolerances of this folder's modules, relative [-] without a unit."""
 
 ON_LIMIT = 1e-9  # A point that is outside a limit by this part of the half-width is on it.
-FLAT_ROW = 1e-9  # X has no width along a row if it is below this part of the row's range over the box around X.
+FLAT_ROW = 1e-9  # A width of X along a row, or a term of a row, is none below this part of the largest over the box.
 FURTHER_OUTSIDE = 0.01  # Smaller differences of the peak, in half-widths, or of the part of states outside are ignored.
 FURTHER_OUTSIDE_PART = 0.05  # Differences below this part of the other controller's violation are ignored.
 DIVERGENCE_LIMIT = 1e6  # A run has diverged if |x| exceeds this, in units of x, where no limit is given.

@@ -57,7 +57,7 @@ def check_real_step(plant: Plant, X: Polytope, U: Polytope, W: tuple[Array, Arra
     Raises
     ------
     InputError
-        If the difference exceeds half of X even within a tenth of it.
+        If the difference exceeds three half-widths of X even within a tenth of it.
     """
     if not plant.continuous:
         return

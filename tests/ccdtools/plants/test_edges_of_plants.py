@@ -58,6 +58,12 @@ def test_a_constraint_is_named_active_within_a_thousandth_of_its_edge(away, acti
     assert ("p below 1" in HALF.active_constraints([1 - 2 * away, 1.0])) == active
 
 
+def test_the_size_of_a_constraint_is_not_that_of_its_poles():
+    """A violation counts in parts of what g varies by over nine tenths of the box; in 3 % of it g is above 100."""
+    space = DesignSpace(["p"], [0], [1], constraints=lambda p: p[0] - 0.5 + 100.0 * (p[0] > 0.97))
+    assert space.violation([0.6]) == pytest.approx(0.1 / 0.9, rel=0.03)
+
+
 @pytest.mark.parametrize(("slope", "level"), [(0.3e-12, True), (3e-12, False)])
 def test_a_constraint_is_level_where_its_slope_is_a_trillionth_of_its_value(slope, level):
     space = DesignSpace(["p", "q"], [0, 0], [1, 1], constraints=lambda p: slope * p[0] - 1.0)

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from ccdtools import (
     CoDesignProblem,
@@ -18,33 +19,36 @@ from ccdtools import (
     discretise,
 )
 from ccdtools.co_design.agents import check_agent
+from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.closed_loop import ClosedLoopReturns
+from ccdtools.co_design.descent import DesignPoint, _Watched
 from ccdtools.co_design.design_gradients import Differences, Slope
-from ccdtools.co_design.descent import _Watched
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.expert import _leaving
+from ccdtools.co_design.expert_loops import SetFilters
 from ccdtools.co_design.feasible import FeasibleSlope
 from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.landscape import _same_hill
-from ccdtools.co_design.learned_result import GradientCheck
+from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import unavoidable_depth
 from ccdtools.co_design.limit_tolerance import BY_MPC, Pair, Tolerance
 from ccdtools.co_design.limits import LimitsOutcome
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_pairs import MethodRow
+from ccdtools.co_design.method_plots import _returns
 from ccdtools.co_design.methods.black_box import BlackBox, Evaluation
 from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.learned import start_designs
-from ccdtools.co_design.methods.loop_cost import _settled as rounds_settled
+from ccdtools.co_design.methods.loop_cost import LoopCost, _settled as rounds_settled
 from ccdtools.co_design.methods.open_loop import Feedback
 from ccdtools.co_design.methods.sequential import _stands_alone
 from ccdtools.co_design.optimum_sensitivity import OptimumSensitivity
 from ccdtools.co_design.policy_check import _check
 from ccdtools.co_design.preview import _drawn_bounds
-from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.result import Baseline, CoDesignResult, History
 from ccdtools.co_design.secant import Linearisation
-from ccdtools.co_design.settling import _better
+from ccdtools.co_design.settling import Settling, _better
 from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.statistics import PairedDifference
 from invariant_sets import Polytope
@@ -288,7 +292,8 @@ def test_a_saturation_is_rounded_off_within_a_thousandth_of_the_range():
 
 
 def test_a_linearisation_is_trusted_in_a_tenth_of_its_ellipsoid():
-    linear, bent = (scalar(lambda x, u, p: 1.2 * f(x) + (1 + p) * u) for f in (lambda x: x, ca.sin))
+    linear = scalar(lambda x, u, p: 1.2 * x + (1 + p) * u)
+    bent = scalar(lambda x, u, p: 1.2 * ca.sin(x) + (1 + p) * u)
     shapes = [float(LQRRegions.of(problem, np.array([[0.5]])).shapes[0, 0, 0]) for problem in (linear, bent)]
     assert 1 / 0.3 < np.sqrt(shapes[1] / shapes[0]) < 1 / 0.03
 
@@ -348,3 +353,52 @@ def test_what_is_known_ahead_may_be_three_times_the_largest_drawn():
     stated = SimpleNamespace(scenarios=SimpleNamespace(sample=lambda *_: (None, drawn)), steps=2)
     low, high = _drawn_bounds(stated, (0,))
     assert (low[0], high[0]) == (-6.0, 6.0)
+
+
+def test_returns_behind_by_a_quarter_are_drawn_at_the_lower_edge():
+    figure = Figure()
+    ax = figure.add_subplot()
+    _returns(ax, compared(-500.0), compared(-500.0).rows, {"first": ("k", "o"), "other": ("r", "s")})
+    assert -100 - 3 * 25 < ax.get_ylim()[0] < -100 - 25 / 3
+
+
+@pytest.mark.parametrize(("used", "active"), [(0.5, False), (0.95, True)])
+def test_a_limit_of_the_closed_loop_is_active_from_four_fifths_of_its_tolerance_on(used, active):
+    outcome = LimitsOutcome(Pair(used, 0.0), Pair(1.0, 1.0), "asked for", Pair(1.0, 1.0))
+    found = DesignPoint(ONE, 0.0, ONE, penalty=SimpleNamespace(outcome=lambda seen: outcome, active=True))
+    stated = SimpleNamespace(seen=lambda v: None, _differences=lambda *_: (ONE, ONE, ONE), _cost_and_violations=None)
+    assert ("mean violation of the limits" in LoopCost.examined(stated, found).active) == active
+
+
+@pytest.mark.parametrize(("blind", "led"), [(0.2, True), (0.9, False)])
+def test_a_policy_is_not_led_by_a_gradient_that_half_of_its_runs_lack(monkeypatch, blind, led):
+    check = GradientCheck(("direction 1",), 1.0, 1.0, blind=blind)
+    monkeypatch.setattr("ccdtools.co_design.settling.gradient_of_policy", lambda *_: check)
+    monkeypatch.setattr("ccdtools.co_design.settling.better_by_search", lambda *_: None)
+    none = Baseline("retuned", ONE, PairedDifference(0.0, (-1.0, 1.0)))
+    stated = SimpleNamespace(problem=None, _drawn=lambda *_: None, _in_parts=lambda *_: none)
+    agent = ActorCritic([-1, 0], [1, 1], [-1.0], [1.0], config=NetworkConfig((3,)), seed=0)
+    history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 1)), *(np.zeros(1) for _ in range(3)))
+    result = LearnedCoDesign(design=0.5 * ONE, agent=agent, history=history, status=CoDesignStatus.CONVERGED)
+    found = Settling._policy_checked(stated, result, None)
+    assert (found.status is CoDesignStatus.CONVERGED) == led
+
+
+@pytest.mark.parametrize(("left", "worth_it"), [(0.6, True), (0.97, False)])
+def test_a_block_was_worth_it_that_leaves_nine_tenths_of_a_violation(left, worth_it):
+    config = SimpleNamespace(tolerance=1.0, iterations=10)
+    stated = SimpleNamespace(
+        best=SimpleNamespace(lost=0, violation=left), gain=PairedDifference(0.0, (-1.0, 1.0)), quiet=0, iterations=0,
+        task=SimpleNamespace(config=config, method="pathwise", moving=False), limited=True, _size=1.0,
+    )  # fmt: skip
+    Ascent._judge(stated, SimpleNamespace(lost=0, violation=1.0))
+    assert stated.quiet == 1 - worth_it
+
+
+@pytest.mark.parametrize(("beyond", "led_back"), [(0.06, True), (0.6, False)])
+def test_a_state_outside_its_set_by_up_to_a_tenth_is_led_back(beyond, led_back):
+    problem = scalar(lambda x, u, p: x + (1 + p) * u, X=(-9, 9))
+    regions = SimpleNamespace(A=np.ones((1, 1, 1)), B=np.ones((1, 1, 1)))
+    law = SetFilters(problem, SimpleNamespace(regions=regions, sets=[Polytope.from_bounds([-1.0], [1.0])]))
+    law._filter = lambda S, run: SimpleNamespace(project=lambda x, u: (0 * u - 0.5, None))
+    assert law.filtered(np.array([[1 + beyond]]), np.zeros((1, 1))) == (-0.5 if led_back else 0.0)

@@ -2,16 +2,18 @@
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Recorded, Study
+from ccdtools import DesignSpace, Gaussian, InputError, Mean, Plant, QuadraticObjective, RealPlant, Recorded, Study
 from ccdtools.exceptions import SamplingWarning
 from ccdtools.studies import configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.plant_checks import check_real_step
+from ccdtools.studies.report.landscape import landscape
 from invariant_sets import Polytope
 
 UNIT = Polytope.from_bounds([-1.0], [1.0])
@@ -85,3 +87,15 @@ def test_a_deployment_logs_five_hundred_samples_at_least(steps, enough):
     else:
         with pytest.raises(InputError, match="expected at least 500 samples"):
             RealPlant(plant, Gaussian([0.1]), x0=[0.0], runs=1, steps=steps)
+
+
+@pytest.mark.parametrize(("diverged", "blank"), [(0.3e-2, False), (3e-2, True)])
+def test_a_design_of_the_landscape_is_blank_where_a_hundredth_of_its_runs_diverges(monkeypatch, diverged, blank):
+    def returns(run, designs, runs):
+        return np.column_stack([-1 - designs[:, 0], 0 * designs[:, 0], np.where(designs[:, 0] > 1.5, diverged, 0.0)])
+
+    monkeypatch.setattr("ccdtools.studies.report.landscape._returns_over", returns)
+    space = DesignSpace(["p"], [1.0], [2.0])
+    run = SimpleNamespace(problem=SimpleNamespace(design=space, risk=Mean()), histories=[], designs=[np.array([1.2])],
+                          chosen=[], quick=True, describe=space.describe)  # fmt: skip
+    assert ("more than 1 % of the runs diverge the design is left grey" in landscape(run)[0].caption) == blank
