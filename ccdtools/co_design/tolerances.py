@@ -81,9 +81,8 @@ ACT_TOGETHER = 1e-6  # Entries act together below this singular value of slopes 
 IDLE_PART = 1e-3  # An entry with less than this in a unit direction that changes nothing has no part in it.
 
 # --- a fit, a controller given, and the settling baseline -------------------------------------------------------------
-SECANT_GAIN = 5e-3  # A smaller gain, in parts of the return, is not worth a search without exact slopes.
 EXCITATION = 0.3  # Inputs of the first fit have this standard deviation, in parts of half the input's range.
-SETTLED_LOSS = 5e-3  # A settled controller may lose to a baseline by this part of the return that control makes.
+SETTLED_LOSS = 5e-3  # A controller may lose to a baseline by this part of the return that control makes.
 BLIND_SHARE = 0.5  # A policy without a gradient in a larger share of the runs is not led by it.
 NO_GRADIENT = 1e-9  # A run whose gradient is smaller than this part of the return has none.
 LEAST_ACTION = 1e-3  # A policy is taken to do at least this part of the range of an input.

@@ -68,6 +68,18 @@ def test_the_tolerance_is_a_quarter_more_than_what_mpc_does_there():
     assert not idle.active
 
 
+def test_the_tolerance_follows_what_mpc_does_a_twentieth_of_the_box_away(monkeypatch):
+    """By e per box where it is measured in steps of 0.02, and by far more at 0.15 from there."""
+
+    def measured(problem, v, scenarios):
+        away = round((float(v[0]) - 0.5) / 0.02) * 0.02
+        return episodes(0.5, 0.1 * np.exp(away if abs(away) < 0.15 else 9 * away))
+
+    monkeypatch.setattr("ccdtools.co_design.limit_tolerance.mpc_episodes", measured)
+    found = tolerance_by_mpc(None, torch.tensor([0.5], dtype=torch.float64), ())
+    assert found.slopes[1, 0] == pytest.approx(1.0, abs=0.25)
+
+
 @pytest.mark.check
 def test_near_the_design_at_which_mpc_was_measured_the_tolerance_follows_the_design():
     problem = rail()

@@ -120,3 +120,9 @@ def test_a_median_alone_gives_no_bands(illustrative, log):
     with pytest.raises(InputError, match="twin: got one that has learned 1 quantile, from which nothing can be drawn"):
         free_running_bands(alone, log, LAW, rng=np.random.default_rng(0))
     assert held_out_bands(alone, log, LAW, rng=np.random.default_rng(0)) is None
+
+
+def test_draws_that_run_away_are_stopped_at_a_thousand_times_what_was_logged(twin, log):
+    loose = LinearFeedback([[-9.0, -9.0]])
+    bands = free_running_bands(twin, log, loose, rng=np.random.default_rng(0), steps=(100,), windows=3, draws=4)
+    assert 300 < np.abs(bands.upper).max() / np.abs(log.states).max() < 3000
