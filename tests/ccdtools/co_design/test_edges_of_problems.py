@@ -50,3 +50,14 @@ def test_candidates_are_moved_into_their_sets_where_fewer_than_a_quarter_lie_the
     data = cc.expert_dataset(problem, samples=200, sets="lqr", expert="lqr", rng=np.random.default_rng(0))
     assert data.acceptance == pytest.approx(reach, abs=0.1)
     assert (len(np.unique(data.inputs[:, 1])) > 150) == moved  # every candidate has a design of its own
+
+
+@pytest.mark.parametrize(
+    ("acts", "found"), [(lambda x: ca.fmax(1e-3 - ca.fabs(x), 0), True), (lambda x: ca.fmax(ca.fabs(x) - 30, 0), False)]
+)
+def test_entries_are_tried_at_states_from_a_hundred_thousandth_to_ten_times_X(acts, found):
+    if found:
+        assert scalar(lambda x, u, p: x + u + p * x * acts(x)).design.dim == 1
+    else:
+        with pytest.raises(cc.InputError, match="the entry p, which nothing depends on"):
+            scalar(lambda x, u, p: x + u + p * x * acts(x))

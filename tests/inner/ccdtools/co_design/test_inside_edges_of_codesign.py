@@ -21,7 +21,7 @@ from ccdtools import (
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.closed_loop import ClosedLoopReturns
-from ccdtools.co_design.descent import DesignPoint, _Watched
+from ccdtools.co_design.descent import DesignPoint, _Watched, descend
 from ccdtools.co_design.design_gradients import Differences, Slope
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.expert import _leaving
@@ -38,7 +38,7 @@ from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_plots import _returns
 from ccdtools.co_design.methods.black_box import BlackBox, Evaluation
-from ccdtools.co_design.methods.design_search import start_points
+from ccdtools.co_design.methods.design_search import confirmed, start_points
 from ccdtools.co_design.methods.learned import start_designs
 from ccdtools.co_design.methods.loop_cost import LoopCost, _settled as rounds_settled
 from ccdtools.co_design.methods.open_loop import Feedback
@@ -402,3 +402,28 @@ def test_a_state_outside_its_set_by_up_to_a_tenth_is_led_back(beyond, led_back):
     law = SetFilters(problem, SimpleNamespace(regions=regions, sets=[Polytope.from_bounds([-1.0], [1.0])]))
     law._filter = lambda S, run: SimpleNamespace(project=lambda x, u: (0 * u - 0.5, None))
     assert law.filtered(np.array([[1 + beyond]]), np.zeros((1, 1))) == (-0.5 if led_back else 0.0)
+
+
+@pytest.mark.parametrize(("gain", "searches"), [(0.3e-7, 2), (3e-7, 3)])
+def test_searches_follow_one_another_while_they_gain_a_ten_millionth(monkeypatch, gain, searches):
+    begun = []
+
+    def search(value, first, **options):
+        begun.append(first)
+        value(np.array([0.5 + 0.1 * len(begun)]))
+
+    monkeypatch.setattr("ccdtools.co_design.descent.minimize", search)
+    space = DesignSpace(["p"], [0], [1])
+    descend(lambda v: (2 - 20 * gain * v[0], lambda: ONE), space, np.array([0.5]), size=2.0, evaluations=9)
+    assert len(begun) == searches
+
+
+@pytest.mark.parametrize("slope", [1.0, 1.2])
+def test_a_slope_is_confirmed_by_differences_over_a_ten_thousandth_of_the_box(slope):
+    """Of a cost that bends by as much within a thousandth, and has steps of a two-hundred-and-fifty-thousandth."""
+
+    def cost(v):
+        away = v[0] - 0.5
+        return np.round((away + 1e6 * away**3) / 4e-6) * 4e-6, lambda: np.array([slope])
+
+    assert confirmed(cost, DesignSpace(["p"], [0], [1]), np.array([0.5]), size=0.0) == (slope == 1.0)
