@@ -1,0 +1,45 @@
+"""Where a set becomes flat, a row redundant, a point outside: well below each threshold and well above it."""
+
+import numpy as np
+import pytest
+
+from invariant_sets import AdmissibleInputs, Polytope
+
+SQUARE = np.vstack([np.eye(2), -np.eye(2)])
+SLANTED = np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) * np.sqrt(0.5)
+
+
+@pytest.mark.parametrize(("half_width", "dimension"), [(2e-10, 1), (5e-9, 2)])
+def test_a_slanted_strip_is_flat_below_1e_9_of_its_extent(half_width, dimension):
+    assert Polytope(SLANTED, [half_width, half_width, 1, 1]).affine_dim == dimension
+
+
+@pytest.mark.parametrize(("gap", "empty"), [(3e-13, False), (3e-12, True)])
+def test_bounds_that_miss_one_another_by_rounding_leave_a_point(gap, empty):
+    assert Polytope([[1.0], [-1.0]], [1.0, -1.0 - gap]).is_empty is empty
+
+
+@pytest.mark.parametrize(("angle", "dimension"), [(3e-12, 1), (4e-11, 0)])
+def test_an_equality_of_which_1e_11_is_left_depends_on_the_other(angle, dimension):
+    P = Polytope(SQUARE, np.ones(4), [[1, 1], [1 + angle, 1]], [0, 0])
+    assert P.affine_dim == dimension
+
+
+@pytest.mark.parametrize(("depth", "rows"), [(4e-12, 4), (6e-11, 5)])
+def test_a_row_that_cuts_off_less_than_1e_11_of_the_extent_is_redundant(depth, rows):
+    P = Polytope(np.vstack([SQUARE, [[1, 1]]]), [1, 1, 1, 1, 2 - depth])
+    assert len(P.minimal().b) == rows
+
+
+@pytest.mark.parametrize(("beyond", "inside"), [(3e-10, True), (3e-9, False)])
+def test_a_point_is_inside_up_to_1e_9_of_the_range_of_a_row(beyond, inside):
+    P = Polytope.from_bounds([0, 0], [1, 1e3])
+    assert P.contains([1 + beyond, 2.0]) == inside
+    assert P.contains([0.5, 1e3 * (1 + beyond)]) == inside
+
+
+def test_a_far_proposal_is_led_along_its_direction_to_a_million_half_widths():
+    square = Polytope.from_bounds([-1, -1], [1, 1])
+    allowed = AdmissibleInputs(np.zeros((1, 1)), np.zeros((1, 2)), Polytope.from_bounds([-1], [1]), square)
+    np.testing.assert_allclose(allowed.project([0.0], [3e5, 0.3])[0], [1, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(allowed.project([0.0], [4e6, 0.4])[0], [1, 0.1], rtol=1e-6)
