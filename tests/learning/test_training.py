@@ -100,7 +100,7 @@ def test_the_best_agent_is_kept_beside_the_last():
         seen.append((row.mean_return, weights(net)))
 
     start = weights(net)
-    result = short(net, iterations=6, callback=keep, config=PPOConfig(learning_rate=1.0, kl_limit=float("inf")))
+    result = short(net, iterations=6, callback=keep, config=PPOConfig(learning_rate=0.3, kl_limit=float("inf")))
     before = [start, *(w for _, w in seen)]  # the agent that made the rollout of each row
     best = int(np.argmax([value for value, _ in seen]))
     assert best < 5  # these rates spoil it
