@@ -10,7 +10,7 @@ arXiv:1602.07714, 2016, for the running unit of values.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from learning.rollout import Rollout
 from learning.tolerances import LEAST_SPREAD, SCALE_MEMORY
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PPOConfig:
     """Rates and limits of PPO: by default those for a policy that learns from scratch.
 
@@ -90,6 +90,11 @@ class PPOConfig:
         """
         warm = {"passes": 5, "minibatch": 4096, "value_rate": 2e-3, "kl_limit": 0.02, "max_gradient": 1.0}
         return cls(**{**warm, "critic_only": 5, "running_scales": False, **changes})
+
+    def __repr__(self) -> str:
+        values = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
+        changed = [f"{name}={value!r}" for name, (value, default) in values.items() if value != default]
+        return f"PPOConfig({', '.join(changed)})"
 
     def __post_init__(self) -> None:
         check_number(self.gamma, "gamma", 0, 1)  # below one, because time limits are bootstrapped

@@ -43,7 +43,7 @@ class TrainingRow:
     update: UpdateStatistics
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Training:
     """Result of a training.
 
@@ -61,6 +61,9 @@ class Training:
     best: ActorCritic
     config: PPOConfig
     rows: tuple[TrainingRow, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Training({self.describe()})"
 
     def describe(self) -> str:
         """How the training went, in one line."""
