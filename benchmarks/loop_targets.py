@@ -148,8 +148,8 @@ def ppo_alone(seed: int, steps: int = 2_000_000) -> tuple[float, float, float]:
     before = against_lqr(problem, agent, design)
     env = DesignEnv(problem, torch.tensor(design, dtype=torch.float32), runs=128, rng=np.random.default_rng(seed))
     train(
-        env, agent, iterations=steps // (128 * problem.steps), steps=problem.steps, config=PPOConfig(final_std=0.03),
-        generator=torch.Generator().manual_seed(seed),
+        env, agent, iterations=steps // (128 * problem.steps), steps=problem.steps,
+        config=PPOConfig.warm(final_std=0.03), generator=torch.Generator().manual_seed(seed),
     )  # fmt: skip
     return before.learned, against_lqr(problem, agent, design).learned, before.lqr
 

@@ -1,7 +1,9 @@
 from learning.checkpoint import load as load, save as save
 from learning.exceptions import InputError as InputError, LearningError as LearningError
+from learning.gymnasium_envs import GymnasiumEnvs as GymnasiumEnvs
 from learning.networks import ActorCritic as ActorCritic, NetworkConfig as NetworkConfig
-from learning.ppo import PPO as PPO, PPOConfig as PPOConfig, gae as gae, train as train
+from learning.ppo import PPO as PPO, PPOConfig as PPOConfig, UpdateStatistics as UpdateStatistics, gae as gae
 from learning.quantile import QuantileConfig as QuantileConfig, fit_quantiles as fit_quantiles
-from learning.rollout import VectorEnv as VectorEnv, collect as collect
+from learning.rollout import Collector as Collector, VectorEnv as VectorEnv, collect as collect
+from learning.training import Training as Training, TrainingRow as TrainingRow, train as train
 from learning.warm_start import CloningConfig as CloningConfig, fit_actor_critic as fit_actor_critic

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from ccdtools_ground.door import as_floats
 from learning.checks import as_sizes, check_instance, check_number
 from learning.exceptions import InputError
-from learning.tolerances import LOG_STD
+from learning.tolerances import LEAST_SPREAD, LOG_STD
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,9 @@ class NetworkConfig:
         Neurons per hidden layer, tanh after each.
     skip : bool
         Adds a linear map from input to output, so that a linear law costs the hidden layers nothing.
-    initial_std : float
-        Standard deviation of the exploration, in units of half the action range.
+    initial_std : float, optional
+        Standard deviation of the exploration at first, in units of half the action range: by default 1, and 0.1 for a
+        network that imitates an expert.
     std_network : bool
         Exploration from a network of its own (zero weights, constant bias at first) in place of one free number
         per action.
@@ -37,12 +38,13 @@ class NetworkConfig:
 
     hidden: tuple[int, ...] = (64, 64)
     skip: bool = True
-    initial_std: float = 0.1
+    initial_std: float | None = None
     std_network: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hidden", as_sizes(self.hidden, "hidden"))
-        check_number(self.initial_std, "initial_std")
+        if self.initial_std is not None:
+            check_number(self.initial_std, "initial_std")
 
 
 class ActionLimits(Protocol):
@@ -148,6 +150,8 @@ class ActorCritic(nn.Module):
     config : NetworkConfig
     seed : int
         For the initial weights.
+    imitates : bool
+        Whether the network is made to imitate an expert, and is refined from there; else it learns from scratch.
     action_limits : ActionLimits, optional
         Bounds that depend on the observation, in the place of these, which are then the widest of them.
     """
@@ -156,6 +160,7 @@ class ActorCritic(nn.Module):
     observation_scale: Tensor
     action_offset: Tensor
     action_scale: Tensor
+    observations_seen: Tensor
     value_offset: Tensor
     value_scale: Tensor
 
@@ -168,9 +173,11 @@ class ActorCritic(nn.Module):
         *,
         config: NetworkConfig | None = None,
         seed: int = 0,
+        imitates: bool = False,
         action_limits: ActionLimits | None = None,
     ) -> None:
         super().__init__()
+        self.imitates = imitates
         self.action_limits = action_limits
         self.config = check_instance(NetworkConfig() if config is None else config, "config", NetworkConfig)
         for name, low, high in (
@@ -184,6 +191,7 @@ class ActorCritic(nn.Module):
                 raise InputError(names, f"{low} and {high}", "finite lower < upper of one length")
             self.register_buffer(f"{name}_offset", torch.tensor((low + high) / 2, dtype=torch.float32))
             self.register_buffer(f"{name}_scale", torch.tensor((high - low) / 2, dtype=torch.float32))
+        self.register_buffer("observations_seen", torch.zeros((), dtype=torch.float64))
         self.register_buffer("value_offset", torch.zeros(()))
         self.register_buffer("value_scale", torch.ones(()))
         n_obs = len(self.observation_offset)
@@ -194,15 +202,48 @@ class ActorCritic(nn.Module):
             self.mean_network = FeedForward(n_obs, n_act, c.hidden, skip=c.skip)
             self.value_network = FeedForward(n_obs, 1, c.hidden, skip=c.skip)
             self.std_network = FeedForward(n_obs, n_act, c.hidden, skip=False) if c.std_network else None
-        self.log_std = nn.Parameter(torch.full((n_act,), float(np.log(c.initial_std))))
+            if not imitates:
+                first_weights(self.mean_network, 0.01)
+                first_weights(self.value_network, 1.0)
+        std = c.initial_std or (0.1 if imitates else 1.0)
+        self.log_std = nn.Parameter(torch.full((n_act,), float(np.log(std))))
         if self.std_network is not None:
             self.log_std.requires_grad_(False)
             nn.init.zeros_(self.std_network.head.weight)
-            nn.init.constant_(self.std_network.head.bias, float(np.log(c.initial_std)))
+            nn.init.constant_(self.std_network.head.bias, float(np.log(std)))
 
     def normalise(self, observations: Tensor) -> Tensor:
         """Observations mapped to about [−1, 1]."""
         return (observations - self.observation_offset) / self.observation_scale
+
+    @torch.no_grad()
+    def see(self, observations: Tensor) -> None:
+        """Normalise by mean and standard deviation of all observations (..., n_obs) seen so far.
+
+        The ranges that the agent was made with serve until the first ones are seen.
+        """
+        x = observations.reshape(-1, len(self.observation_offset)).double()
+        before = self.observations_seen.item()
+        total = before + len(x)
+        share = len(x) / total
+        gap = x.mean(0) - self.observation_offset
+        variance = (1 - share) * self.observation_scale.double().square() + share * x.var(0, correction=0)
+        variance += (1 - share) * share * gap.square() if before else 0.0
+        self.observation_offset.add_(share * gap)
+        self.observation_scale.copy_(variance.sqrt().clamp(min=LEAST_SPREAD))
+        self.observations_seen.fill_(total)
+
+    @torch.no_grad()
+    def rescale_values(self, offset: Tensor, scale: Tensor) -> None:
+        """Change the unit of the critic's outputs without a change of its values (van Hasselt et al. 2016)."""
+        ratio = self.value_scale / scale
+        head = self.value_network.head
+        head.weight.mul_(ratio)
+        head.bias.mul_(ratio).add_((self.value_offset - offset) / scale)
+        if self.value_network.skip is not None:
+            self.value_network.skip.weight.mul_(ratio)
+        self.value_offset.copy_(offset)
+        self.value_scale.copy_(scale)
 
     def latent(self, observations: Tensor) -> Tensor:
         """Mean latent actions (..., nu), not clipped."""
@@ -244,7 +285,7 @@ class ActorCritic(nn.Module):
     def distribution(self, observations: Tensor) -> torch.distributions.Normal:
         """Policy as a distribution over latent actions."""
         mean = self.latent(observations)
-        return torch.distributions.Normal(mean, self.std(observations).expand_as(mean))
+        return torch.distributions.Normal(mean, self.std(observations).expand_as(mean), validate_args=False)
 
     def actor_parameters(self) -> list[nn.Parameter]:
         """Weights of mean and exploration."""
@@ -261,12 +302,25 @@ class ActorCritic(nn.Module):
         ranges = ((self.observation_offset, self.observation_scale), (self.action_offset, self.action_scale))
         bounds = [(middle + sign * half).tolist() for middle, half in ranges for sign in (-1, 1)]
         limits = {} if self.action_limits is None else {"action_limits": self.action_limits.as_dict()}
-        return {"bounds": bounds, "config": asdict(self.config), **limits}
+        return {"bounds": bounds, "config": asdict(self.config), "imitates": self.imitates, **limits}
 
     @classmethod
     def from_shape(cls, shape: dict[str, Any]) -> ActorCritic:
         """Untrained network of a given `shape()`, without action limits."""
-        return cls(*shape["bounds"], config=NetworkConfig(**shape["config"]))
+        return cls(*shape["bounds"], config=NetworkConfig(**shape["config"]), imitates=shape["imitates"])
+
+
+@torch.no_grad()
+def first_weights(network: FeedForward, gain: float) -> None:
+    """Set orthogonal weights, the last ones of size `gain`, no offsets and no skip (Andrychowicz et al. 2021)."""
+    for layer in network.body:
+        if isinstance(layer, nn.Linear):
+            nn.init.orthogonal_(layer.weight, 2**0.5)
+            nn.init.zeros_(layer.bias)
+    nn.init.orthogonal_(network.head.weight, gain)
+    nn.init.zeros_(network.head.bias)
+    if network.skip is not None:
+        nn.init.zeros_(network.skip.weight)
 
 
 def scaled(latent: Tensor, action_range: tuple[Tensor, Tensor], *, leak: float = 0.0) -> Tensor:

@@ -1,32 +1,33 @@
-"""Proximal policy optimisation: advantages, loss, update and training.
+"""Proximal policy optimisation: advantages, loss and update.
 
 References
 ----------
 Schulman et al., "Proximal policy optimization algorithms", arXiv:1707.06347, 2017, eqs. (7) and (9);
 Schulman et al., "High-dimensional continuous control using generalized advantage estimation",
-arXiv:1506.02438, 2016, eq. (16).
+arXiv:1506.02438, 2016, eq. (16); van Hasselt et al., "Learning values across many orders of magnitude",
+arXiv:1602.07714, 2016, for the running unit of values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from tqdm import trange
 
 from ccdtools_ground.door import as_count
 from learning.checks import check_instance, check_number
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
-from learning.rollout import Rollout, VectorEnv, collect
+from learning.rollout import Rollout
+from learning.tolerances import LEAST_SPREAD, SCALE_MEMORY
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PPOConfig:
-    """Rates and limits of PPO.
+    """Rates and limits of PPO: by default those for a policy that learns from scratch.
 
     Attributes
     ----------
@@ -36,14 +37,20 @@ class PPOConfig:
         Trace decay λ of the advantages.
     clip : float
         ε of the clipped surrogate.
+    value_clip : float or None
+        If given, values are clipped about their old ones, too, at this many value scales.
     passes : int
         Passes over a rollout.
     minibatch : int
         Samples per gradient step.
     learning_rate, value_rate : float
         Adam's rates of actor and critic.
+    final_rate : float
+        Part of these rates that is left at the end of a training; they fall linearly.
     value_coefficient : float
         c_v: weight of the Smooth-L1 value loss (in units of the value scale).
+    entropy_coefficient : float
+        Weight of the policy's entropy, which is added to the objective.
     kl_limit : float
         The passes stop when the policy has moved this far (mean KL divergence).
     max_gradient : float
@@ -52,35 +59,59 @@ class PPOConfig:
         If given, the exploration decays geometrically to this value during a training.
     critic_only : int
         First iterations in which only the critic learns.
+    running_scales : bool
+        Whether observations and values are normalised by what has been seen of them; the scales are saved with the
+        agent.
     """
 
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2
-    passes: int = 5
-    minibatch: int = 4096
+    value_clip: float | None = None
+    passes: int = 10
+    minibatch: int = 256
     learning_rate: float = 1e-3
-    value_rate: float = 2e-3
+    value_rate: float = 1e-3
+    final_rate: float = 0.1
     value_coefficient: float = 0.5
-    kl_limit: float = 0.02
-    max_gradient: float = 1.0
+    entropy_coefficient: float = 0.0
+    kl_limit: float = 0.05
+    max_gradient: float = 0.5
     final_std: float | None = None
-    critic_only: int = 5
+    critic_only: int = 0
+    running_scales: bool = True
+
+    @classmethod
+    def warm(cls, **changes: Any) -> PPOConfig:
+        """Settings for a policy that imitates an expert, with changes.
+
+        Its exploration and its scales come from the expert's data; the critic learns first, so that its errors do not
+        spoil the policy.
+        """
+        warm = {"passes": 5, "minibatch": 4096, "value_rate": 2e-3, "kl_limit": 0.02, "max_gradient": 1.0}
+        return cls(**{**warm, "critic_only": 5, "running_scales": False, **changes})
+
+    def __repr__(self) -> str:
+        values = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
+        changed = [f"{name}={value!r}" for name, (value, default) in values.items() if value != default]
+        return f"PPOConfig({', '.join(changed)})"
 
     def __post_init__(self) -> None:
         check_number(self.gamma, "gamma", 0, 1)  # below one, because time limits are bootstrapped
         check_number(self.lam, "lam", 0, 1, closed=True)
+        check_number(self.final_rate, "final_rate", 0, 1, closed=True)
         check_number(self.clip, "clip", 0, 1)
         for name in ("passes", "minibatch"):
             as_count(name, getattr(self, name))
         as_count("critic_only", self.critic_only, least=0)
-        for name in ("learning_rate", "value_rate", "value_coefficient"):
+        for name in ("learning_rate", "value_rate", "value_coefficient", "entropy_coefficient"):
             check_number(getattr(self, name), name, closed=True)
         check_number(self.max_gradient, "max_gradient")
         if self.kl_limit != float("inf"):  # infinite: no limit
             check_number(self.kl_limit, "kl_limit", closed=True)
-        if self.final_std is not None:
-            check_number(self.final_std, "final_std")
+        for name in ("final_std", "value_clip"):
+            if getattr(self, name) is not None:
+                check_number(getattr(self, name), name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +123,34 @@ class Batch:
     log_probs: Tensor
     advantages: Tensor
     targets: Tensor
+    values: Tensor
 
 
 @dataclass(frozen=True)
 class UpdateStatistics:
-    """KL divergence, critic's explained variance and passes of an update."""
+    """What one update did.
+
+    Attributes
+    ----------
+    kl : float
+        Mean KL divergence of the last pass from the policy that made the rollout.
+    clip_fraction : float
+        Part of the samples of the last pass whose ratio was outside 1 ± ε.
+    explained_variance : float
+        Of the value targets, by the critic before the update.
+    entropy : float
+        Of the policy, mean over the last pass [nat].
+    gradient_norm : float
+        Mean norm of the actor's gradient in the last pass, before it is clipped.
+    passes : int
+        Passes over the rollout until the KL limit.
+    """
 
     kl: float
+    clip_fraction: float
     explained_variance: float
+    entropy: float
+    gradient_norm: float
     passes: int
 
 
@@ -173,20 +224,45 @@ def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
         rollout.log_probs.flatten(),
         advantages.flatten(),
         (raw + values).flatten(),
+        values.flatten(),
     )
 
 
-def ppo_loss(agent: ActorCritic, batch: Batch, config: PPOConfig) -> tuple[Tensor, Tensor, Tensor]:
-    """Clipped surrogate loss, Smooth-L1 value loss and KL divergence estimate."""
-    log_probs = agent.distribution(batch.observations).log_prob(batch.latents).sum(-1)
-    log_ratio = log_probs - batch.log_probs
+@dataclass(frozen=True)
+class Losses:
+    """Terms of PPO's loss on a batch, and what they tell: KL divergence, clipped part and entropy."""
+
+    surrogate: Tensor
+    value: Tensor
+    entropy: Tensor
+    kl: float
+    clip_fraction: float
+
+
+def ppo_losses(agent: ActorCritic, batch: Batch, config: PPOConfig) -> Losses:
+    """Clipped surrogate loss, Smooth-L1 value loss, and entropy."""
+    distribution = agent.distribution(batch.observations)
+    log_ratio = distribution.log_prob(batch.latents).sum(-1) - batch.log_probs
     ratio = log_ratio.exp()
     limited = ratio.clamp(1 - config.clip, 1 + config.clip)
     surrogate = -torch.minimum(ratio * batch.advantages, limited * batch.advantages).mean()
-    error = (agent.value(batch.observations) - batch.targets) / agent.value_scale
-    value_loss = nn.functional.smooth_l1_loss(error, torch.zeros_like(error))
-    kl = ((ratio - 1) - log_ratio).mean().detach()
-    return surrogate, config.value_coefficient * value_loss, kl
+    values = agent.value(batch.observations)
+    value_loss = _value_loss(agent, values, batch.targets)
+    if config.value_clip is not None:
+        limit = config.value_clip * agent.value_scale
+        near = batch.values + (values - batch.values).clamp(-limit, limit)
+        value_loss = torch.maximum(value_loss, _value_loss(agent, near, batch.targets))
+    with torch.no_grad():
+        kl = ((ratio - 1) - log_ratio).mean().item()
+        outside = ((ratio - 1).abs() > config.clip).float().mean().item()
+    entropy = distribution.entropy().sum(-1).mean()
+    return Losses(surrogate, config.value_coefficient * value_loss.mean(), entropy, kl, outside)
+
+
+def _value_loss(agent: ActorCritic, values: Tensor, targets: Tensor) -> Tensor:
+    """Smooth-L1 loss (n,) of values, in units of the value scale."""
+    error = (values - targets) / agent.value_scale
+    return nn.functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
 
 
 class PPO:
@@ -202,8 +278,29 @@ class PPO:
     def __init__(self, agent: ActorCritic, config: PPOConfig) -> None:
         self.agent = check_instance(agent, "agent", ActorCritic)
         self.config = check_instance(config, "config", PPOConfig)
-        self.actor_optimiser = torch.optim.Adam(agent.actor_parameters(), lr=config.learning_rate)
-        self.critic_optimiser = torch.optim.Adam(agent.value_network.parameters(), lr=config.value_rate)
+        self.actor_optimiser = torch.optim.Adam(agent.actor_parameters(), lr=config.learning_rate, fused=True)
+        self.critic_optimiser = torch.optim.Adam(agent.value_network.parameters(), lr=config.value_rate, fused=True)
+        self._rescaled = 0
+
+    def set_rates(self, share: float) -> None:
+        """Let both optimisers step at this share of the configured rates."""
+        config = self.config
+        rates = (self.actor_optimiser, config.learning_rate), (self.critic_optimiser, config.value_rate)
+        for optimiser, rate in rates:
+            for group in optimiser.param_groups:
+                group["lr"] = rate * share
+
+    def state(self) -> dict[str, Any]:
+        """Optimisers and counts, for `restore`."""
+        optimisers = self.actor_optimiser.state_dict(), self.critic_optimiser.state_dict()
+        return {"optimisers": optimisers, "rescaled": self._rescaled}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        actor, critic = state["optimisers"]
+        self.actor_optimiser.load_state_dict(actor)
+        self.critic_optimiser.load_state_dict(critic)
+        self._rescaled = state["rescaled"]
 
     def update(self, rollout: Rollout, *, generator: torch.Generator, actor: bool = True) -> UpdateStatistics:
         """One update on one rollout; `actor=False` trains the critic only."""
@@ -212,74 +309,53 @@ class PPO:
         agent = self.agent
         config = self.config
         batch = prepare(agent, rollout, config)
-        n = len(batch.targets)
-        kl = 0.0
-        passes = 0
         variance = batch.targets.var().item()
-        with torch.no_grad():
-            residual = (batch.targets - agent.value(batch.observations)).var().item()
+        residual = (batch.targets - batch.values).var().item()
+        if config.running_scales:
+            self._rescale_values(batch.targets)
+        rows: list[tuple[float, ...]] = []
+        passes = 0
         for _ in range(config.passes):
-            divergences = []
-            for i in torch.randperm(n, generator=generator).split(config.minibatch):
-                part = Batch(*(getattr(batch, name)[i] for name in Batch.__dataclass_fields__))
-                surrogate, value_loss, divergence = ppo_loss(agent, part, config)
-                divergences.append(divergence.item())
-                if actor and divergences[-1] < 1.5 * config.kl_limit:
-                    self._step(self.actor_optimiser, surrogate, agent.actor_parameters())
-                self._step(self.critic_optimiser, value_loss, list(agent.value_network.parameters()))
-            kl = float(np.mean(divergences))
+            rows = []
+            for i in torch.randperm(len(batch.targets), generator=generator).split(config.minibatch):
+                losses = ppo_losses(agent, _part(batch, i), config)
+                norm = self._step(losses, actor=actor and losses.kl < 1.5 * config.kl_limit)
+                rows.append((losses.kl, losses.clip_fraction, losses.entropy.item(), norm))
             passes += 1
-            if actor and kl > config.kl_limit:
+            if actor and np.mean(rows, axis=0)[0] > config.kl_limit:
                 break
-        return UpdateStatistics(kl, 1.0 - residual / variance if variance > 0 else float("nan"), passes)
+        if config.running_scales:
+            agent.see(rollout.observations)
+        kl, outside, entropy, norm = (float(mean) for mean in np.mean(rows, axis=0))
+        explained = 1.0 - residual / variance if variance > 0 else float("nan")
+        return UpdateStatistics(kl, outside, explained, entropy, norm, passes)
 
-    def _step(self, optimiser: torch.optim.Optimizer, loss: Tensor, parameters: list[nn.Parameter]) -> None:
-        """One step on a loss, its gradient clipped in norm."""
-        optimiser.zero_grad()
+    def _rescale_values(self, targets: Tensor) -> None:
+        """Move the unit of values towards mean and spread of these targets, the less the more came before."""
+        self._rescaled += 1
+        share = max(1.0 / self._rescaled, SCALE_MEMORY)
+        agent = self.agent
+        mean, std = targets.mean(), targets.std().clamp(min=LEAST_SPREAD)
+        agent.rescale_values(agent.value_offset.lerp(mean, share), agent.value_scale.lerp(std, share))
+
+    def _step(self, losses: Losses, *, actor: bool) -> float:
+        """Norm of the actor's gradient, after one step of critic and actor with gradients clipped in norm."""
+        loss = losses.value
+        if actor:
+            loss = loss + losses.surrogate - self.config.entropy_coefficient * losses.entropy
+        self.actor_optimiser.zero_grad()
+        self.critic_optimiser.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(parameters, self.config.max_gradient)
-        optimiser.step()
+        limit = self.config.max_gradient
+        nn.utils.clip_grad_norm_(self.agent.value_network.parameters(), limit)
+        self.critic_optimiser.step()
+        if not actor:
+            return 0.0
+        norm = nn.utils.clip_grad_norm_(self.agent.actor_parameters(), limit)
+        self.actor_optimiser.step()
+        return float(norm)
 
 
-def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:
-    """Set the exploration geometrically between `first` and `final`, at `done` in [0, 1].
-
-    Nothing is set where `final` is None, or where the exploration is a network of its own.
-    """
-    if final is not None and agent.std_network is None:
-        with torch.no_grad():
-            agent.log_std.fill_(float(np.log(first) + done * np.log(final / first)))
-
-
-def train(
-    env: VectorEnv,
-    agent: ActorCritic,
-    *,
-    iterations: int,
-    steps: int,
-    config: PPOConfig | None = None,
-    generator: torch.Generator,
-    callback: Callable[[int, UpdateStatistics], None] | None = None,
-    progress: bool = False,
-) -> ActorCritic:
-    """Train `agent` in place by PPO, with `iterations` rollouts of `steps` steps.
-
-    The rates fall linearly to a tenth, the exploration geometrically to `config.final_std`.
-    """
-    config = check_instance(PPOConfig() if config is None else config, "config", PPOConfig)
-    check_instance(agent, "agent", ActorCritic)
-    as_count("iterations", iterations)
-    as_count("steps", steps)
-    ppo = PPO(agent, config)
-    first_std = agent.log_std.exp().mean().item()
-    for k in trange(iterations, desc="PPO", disable=not progress, leave=False):
-        done = k / max(iterations - 1, 1)
-        for optimiser, rate in ((ppo.actor_optimiser, config.learning_rate), (ppo.critic_optimiser, config.value_rate)):
-            for group in optimiser.param_groups:
-                group["lr"] = rate * (1 - 0.9 * done)
-        decay_exploration(agent, first_std, config.final_std, done)
-        rollout = collect(env, agent, steps=steps, generator=generator)
-        statistics = ppo.update(rollout, generator=generator, actor=k >= config.critic_only)
-        if callback is not None:
-            callback(k, statistics)
-    return agent
+def _part(batch: Batch, i: Tensor) -> Batch:
+    """Samples i of a batch."""
+    return Batch(*(getattr(batch, name)[i] for name in Batch.__dataclass_fields__))

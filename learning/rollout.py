@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -17,7 +17,9 @@ from learning.networks import ActorCritic
 class VectorEnv(Protocol):
     """Environments that step together; finished ones restart.
 
-    Observations are (n, n_obs), actions (n, nu) in the units of the plant.
+    Observations are (n, n_obs), actions (n, nu) in the units of the plant. Tensors of actions lie where those of the
+    observations do. A training that can be resumed needs two methods more: `state()` returns what `restore(state)`
+    takes, in kinds that pickle knows.
     """
 
     def reset(self) -> Tensor:
@@ -43,7 +45,83 @@ class Rollout:
     truncated: Tensor  # (T, n) bool
 
 
-@torch.no_grad()
+class Collector:
+    """Environments in motion: every rollout goes on where the last one ended.
+
+    Parameters
+    ----------
+    env : VectorEnv
+        Reset once, now.
+    agent : ActorCritic
+    generator : torch.Generator
+        Of the exploration, on the CPU, so that a draw is the same on every device.
+
+    Attributes
+    ----------
+    returns : list of float
+        Undiscounted returns of the episodes that have ended, in the order of their ends.
+    """
+
+    def __init__(self, env: VectorEnv, agent: ActorCritic, *, generator: torch.Generator) -> None:
+        if not all(callable(getattr(env, name, None)) for name in ("reset", "step")):
+            raise InputError("env", repr(env)[:60], "an environment with reset() and step(actions)")
+        self.env = env
+        self.agent = check_instance(agent, "agent", ActorCritic)
+        self.generator = check_instance(generator, "generator", torch.Generator)
+        self.returns: list[float] = []
+        self._observation = env.reset()
+        self._sums = torch.zeros(len(self._observation), dtype=torch.float64)
+
+    @torch.no_grad()
+    def rollout(self, steps: int) -> Rollout:
+        """Next `steps` steps of the sampled policy."""
+        as_count("steps", steps)
+        agent = self.agent
+        device = agent.log_std.device
+        columns: list[tuple[Tensor, ...]] = []
+        for _ in range(steps):
+            observation = self._observation.to(device)
+            distribution = agent.distribution(observation)
+            noise = torch.randn(distribution.mean.shape, generator=self.generator).to(device)
+            latent = distribution.mean + distribution.stddev * noise
+            log_prob = distribution.log_prob(latent).sum(-1)
+            actions = agent.action(latent, observation).to(self._observation.device)
+            self._observation, *experience = self.env.step(actions)
+            successor, reward, terminated, truncated = (column.to(device) for column in experience)
+            columns.append((observation, successor, latent, log_prob, reward, terminated, truncated))
+            self._count(reward.cpu(), (terminated | truncated).cpu())
+        return Rollout(*(torch.stack(column) for column in zip(*columns)))
+
+    def state(self) -> dict[str, Any]:
+        """Environments, returns and generator where they stand, for `restore`.
+
+        Raises
+        ------
+        InputError
+            If the environment has no methods `state` and `restore`.
+        """
+        if not all(callable(getattr(self.env, name, None)) for name in ("state", "restore")):
+            expected = "methods state() and restore(state), without which no training can go on exactly"
+            raise InputError("env", repr(self.env)[:60], expected)
+        own = {"observation": self._observation, "sums": self._sums, "returns": self.returns}
+        return {**own, "env": self.env.state(), "generator": self.generator.get_state()}  # type: ignore[attr-defined]
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        self._observation = state["observation"]
+        self._sums = state["sums"]
+        self.returns = state["returns"]
+        self.env.restore(state["env"])  # type: ignore[attr-defined]
+        self.generator.set_state(state["generator"])
+
+    def _count(self, reward: Tensor, ended: Tensor) -> None:
+        """Add a step to the returns."""
+        self._sums += reward
+        if ended.any():
+            self.returns += self._sums[ended].tolist()
+            self._sums[ended] = 0.0
+
+
 def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.Generator) -> Rollout:
     """Rollout of `steps` steps of the sampled policy, from a reset.
 
@@ -52,19 +130,4 @@ def collect(env: VectorEnv, agent: ActorCritic, *, steps: int, generator: torch.
     InputError
         If an argument is of another kind.
     """
-    if not all(callable(getattr(env, name, None)) for name in ("reset", "step")):
-        raise InputError("env", repr(env)[:60], "an environment with reset() and step(actions)")
-    check_instance(agent, "agent", ActorCritic)
-    as_count("steps", steps)
-    check_instance(generator, "generator", torch.Generator)
-    columns: list[tuple[Tensor, ...]] = []
-    observation = env.reset()
-    for _ in range(steps):
-        distribution = agent.distribution(observation)
-        noise = torch.randn(distribution.mean.shape, generator=generator)
-        latent = distribution.mean + distribution.stddev * noise
-        log_prob = distribution.log_prob(latent).sum(-1)
-        following, successor, reward, terminated, truncated = env.step(agent.action(latent, observation))
-        columns.append((observation, successor, latent, log_prob, reward, terminated, truncated))
-        observation = following
-    return Rollout(*(torch.stack(column) for column in zip(*columns)))
+    return Collector(env, agent, generator=generator).rollout(steps)

@@ -91,7 +91,7 @@ def fit_actor_critic(
     limits: Any = action_bounds if hasattr(action_bounds, "as_dict") else None
     least, largest = as_bounds(action_bounds if limits is None else limits.box, "action_bounds", u.shape[1])
     seed = int(rng.integers(2**31))
-    agent = ActorCritic(lower, upper, least, largest, config=shape, seed=seed, action_limits=limits)
+    agent = ActorCritic(lower, upper, least, largest, config=shape, seed=seed, imitates=True, action_limits=limits)
     known = np.isfinite(v)
     agent.value_offset.fill_(float(np.median(v[known])))
     agent.value_scale.fill_(float(spread(v[known])))

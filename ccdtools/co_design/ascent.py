@@ -43,8 +43,9 @@ from ccdtools.co_design.tolerances import FINER_STEPS, WORTHWHILE_VIOLATION
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
-from learning.ppo import PPO, decay_exploration, prepare
+from learning.ppo import PPO, prepare
 from learning.rollout import collect
+from learning.training import decay_exploration
 
 
 @dataclass(frozen=True, eq=False)

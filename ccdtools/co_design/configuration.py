@@ -63,7 +63,7 @@ class CoDesignConfig:
     evaluate_every: int = 10
     evaluation_runs: int = 1000
     ppo: PPOConfig = field(
-        default_factory=lambda: PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=2, final_std=0.02)
+        default_factory=lambda: PPOConfig.warm(learning_rate=1e-4, kl_limit=0.005, passes=2, final_std=0.02)
     )
 
     def __post_init__(self) -> None:

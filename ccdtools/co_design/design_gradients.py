@@ -199,7 +199,7 @@ def check_gradients(
     pathwise = pathwise_by_run(problem, agent, v, scenarios)
     others = {}
     if as_flag("network_input", network_input):
-        found = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig())
+        found = network_input_gradient(problem, agent, v, rng=rng, runs=len(pathwise), config=ppo or PPOConfig.warm())
         others["network_input"] = found.double().numpy()
     with torch.no_grad():
         mean = episode_at(problem, agent, v, scenarios).total.mean()

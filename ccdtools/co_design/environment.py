@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -9,7 +12,7 @@ from torch import Tensor
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from learning.networks import ActorCritic
-from learning.ppo import Batch, PPOConfig, ppo_loss, prepare
+from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
 from learning.rollout import collect
 
 
@@ -47,6 +50,18 @@ class DesignEnv:
         self._k = 0
         return observe(self._x, self._step.p)
 
+    def state(self) -> dict[str, Any]:
+        """Episodes where they stand, for `restore`."""
+        tensors = {name: getattr(self, name) for name in ("_x0", "_w", "_x", "_e")}
+        return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`."""
+        for name, tensor in state["tensors"].items():
+            setattr(self, name, tensor)
+        self._k = state["k"]
+        self._rng.bit_generator.state = state["rng"]
+
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `learning.VectorEnv`."""
         x, e, reward = self._step(self._x, self._e, actions, self._w[:, self._k])
@@ -80,10 +95,9 @@ def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch
     """−∂/∂v of a batch's PPO loss, through its design columns."""
     v = v.detach().clone().requires_grad_(True)
     x = batch.observations[:, : problem.model.nx]
-    moved = Batch(observe(x, to_design(problem, v)), batch.latents, batch.log_probs, batch.advantages, batch.targets)
-    surrogate, value_loss, _ = ppo_loss(agent, moved, config)
+    losses = ppo_losses(agent, replace(batch, observations=observe(x, to_design(problem, v))), config)
     with torch.no_grad():  # the surrogate is that of one step, in standard deviations of the advantages
         size = problem.steps * ((batch.targets - agent.value(batch.observations)).std() + 1e-8)
     paid = problem.objective.cost_of_design(to_design(problem, v), problem.steps) / size
-    (gradient,) = torch.autograd.grad(surrogate + value_loss + paid, v)
+    (gradient,) = torch.autograd.grad(losses.surrogate + losses.value + paid, v)
     return -gradient

@@ -115,7 +115,7 @@ def _paper(config: StudyConfig, study: Study) -> StudyConfig:
     codesign = CoDesignConfig(
         iterations=10_000, block=10_000, starts=1, runs=1, design_gradient="network_input",
         design_rate=rate, policy_rate=0.0,
-        constant_rates=True, evaluate_every=200, ppo=PPOConfig(
+        constant_rates=True, evaluate_every=200, ppo=PPOConfig.warm(
             passes=1, minibatch=32, learning_rate=rate, value_rate=rate, kl_limit=float("inf"),
             critic_only=0,
         ),

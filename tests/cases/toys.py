@@ -17,6 +17,13 @@ class DoubleIntegrator:
         self.x = 2 * torch.rand(self.runs, 2, generator=self.generator) - 1
         return self.x
 
+    def state(self):
+        return {"k": self.k, "x": self.x, "generator": self.generator.get_state()}
+
+    def restore(self, state):
+        self.k, self.x = state["k"], state["x"]
+        self.generator.set_state(state["generator"])
+
     def step(self, actions):
         position, velocity = self.x.unbind(-1)
         x = torch.stack([position + 0.1 * velocity, velocity + 0.1 * actions[:, 0]], dim=-1)

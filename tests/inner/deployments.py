@@ -14,8 +14,9 @@ from learning.quantile import QuantileConfig
 
 DESIGN = np.array([2.0])
 TINY = CoDesignConfig(
-    iterations=1, runs=4, pathwise_runs=8, design_rate=0.0, evaluation_runs=10, ppo=PPOConfig(passes=1, critic_only=1)
-)
+    iterations=1, runs=4, pathwise_runs=8, design_rate=0.0, evaluation_runs=10,
+    ppo=PPOConfig.warm(passes=1, critic_only=1),
+)  # fmt: skip
 ONLINE = OnlineConfig(
     updates=2, window=20, judged=30, training=TINY, quantile=QuantileConfig(hidden=(8,), steps=50, batch=128)
 )

@@ -12,7 +12,7 @@ from learning import PPOConfig
 
 TINY = CoDesignConfig(
     iterations=12, runs=16, pathwise_runs=32, evaluation_runs=100, evaluate_every=3, design_rate=0.1, starts=1,
-    ppo=PPOConfig(learning_rate=1e-4, kl_limit=0.005, passes=1, critic_only=2),
+    ppo=PPOConfig.warm(learning_rate=1e-4, kl_limit=0.005, passes=1, critic_only=2),
 )  # fmt: skip
 
 

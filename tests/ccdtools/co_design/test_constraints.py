@@ -65,7 +65,7 @@ def test_whatever_moves_the_design_every_iterate_keeps_what_holds_it(method, gra
     problem = replace(case.problem(), steps=20)
     config = CoDesignConfig(
         iterations=6, block=3, runs=16, pathwise_runs=16, evaluation_runs=20, evaluate_every=1, design_rate=0.5,
-        starts=1, design_gradient=gradient, ppo=PPOConfig(learning_rate=1e-4, passes=1, critic_only=0),
+        starts=1, design_gradient=gradient, ppo=PPOConfig.warm(learning_rate=1e-4, passes=1, critic_only=0),
     )  # fmt: skip
     found = codesign(
         problem, agent=cloned(problem), design=[3.0, 0.3, 2.0], rng=np.random.default_rng(0), method=method,

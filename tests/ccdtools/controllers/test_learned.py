@@ -16,7 +16,7 @@ CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 
 def agent(**options):
     config = NetworkConfig((9, 7), initial_std=0.05, **options)
-    return ActorCritic([-1, -2, 1e4], [1, 2, 4e4], [-5.0, 0.0], [5.0, 20.0], config=config, seed=3)
+    return ActorCritic([-1, -2, 1e4], [1, 2, 4e4], [-5.0, 0.0], [5.0, 20.0], config=config, imitates=True, seed=3)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.twin.discrepancy import Discrepancy
 from learning import PPOConfig, collect
-from learning.ppo import ppo_loss, prepare
+from learning.ppo import ppo_losses, prepare
 from learning.quantile import QuantileNetwork
 
 INTERIOR = {"illustrative": [1.8], "suspension": [27692.0, 1906.5]}
@@ -161,7 +161,7 @@ def blind(agent, nx, *, value):
 def test_a_policy_that_ignores_the_design_has_no_network_input_gradient(study, clone):
     problem, nx = study.problem(), study.model.nx
     v = torch.tensor(problem.design.to_unit(INTERIOR[study.name]), dtype=torch.float32)
-    options = {"runs": 16, "config": PPOConfig()}
+    options = {"runs": 16, "config": PPOConfig.warm()}
     deaf = network_input_gradient(
         problem, blind(clone(study), nx, value=True), v, rng=np.random.default_rng(0), **options
     )
@@ -173,7 +173,7 @@ def test_a_policy_that_ignores_the_design_has_no_network_input_gradient(study, c
 
 
 def test_the_network_input_gradient_is_that_of_the_loss_with_states_held(illustrative, clone):
-    problem, config = illustrative.problem(), PPOConfig()
+    problem, config = illustrative.problem(), PPOConfig.warm()
     agent = copy.deepcopy(clone(illustrative)).double()
     v = torch.tensor([0.5], dtype=torch.float64)
     env = DesignEnv(problem, to_design(problem, v).float(), runs=16, rng=np.random.default_rng(0))
@@ -186,8 +186,8 @@ def test_the_network_input_gradient_is_that_of_the_loss_with_states_held(illustr
         observations = torch.cat(
             [batch.observations[:, :2], to_design(problem, at).expand(len(batch.targets), 1)], dim=-1
         )
-        surrogate, value_loss, _ = ppo_loss(agent, replace(batch, observations=observations), config)
-        return (surrogate + value_loss).item()
+        losses = ppo_losses(agent, replace(batch, observations=observations), config)
+        return (losses.surrogate + losses.value).item()
 
     h = 1e-6
     np.testing.assert_allclose(own, [-(loss(v + h) - loss(v - h)) / (2 * h)], rtol=1e-3)

@@ -161,9 +161,9 @@ def test_the_papers_design_gradient_weighs_the_price_as_the_steps_it_is_weighed_
     )  # fmt: skip
     env = DesignEnv(own, torch.tensor(P0, dtype=torch.float32), runs=32, rng=np.random.default_rng(1))
     rollout = collect(env, agent, steps=30, generator=torch.Generator().manual_seed(0))
-    batch = prepare(agent, rollout, PPOConfig())
+    batch = prepare(agent, rollout, PPOConfig.warm())
     v = torch.tensor(SPACE.to_unit(P0), dtype=torch.float32)
-    plain, paid = (loss_gradient(one, agent, v, batch, PPOConfig()) for one in (own, priced))
+    plain, paid = (loss_gradient(one, agent, v, batch, PPOConfig.warm()) for one in (own, priced))
     raw = batch.targets - agent.value(batch.observations).detach()
     np.testing.assert_allclose(paid - plain, [-unit * 0.5 * 4.0 / (30 * raw.std()), 0.0], rtol=1e-3, atol=1e-6)
     assert 1e-3 < -float(paid[0] - plain[0]) < 10

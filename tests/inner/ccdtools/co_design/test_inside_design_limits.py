@@ -23,8 +23,8 @@ def untrained(problem, seed=0, gain=3.0):
     """An agent whose inputs saturate now and then."""
     lower, upper = problem.input_bounds
     limits = problem.U if isinstance(problem.U, DesignLimits) else None
-    agent = ActorCritic(*problem.observation_bounds, lower, upper, config=NetworkConfig((8,)), seed=seed,
-                        action_limits=limits)  # fmt: skip
+    agent = ActorCritic(*problem.observation_bounds, lower, upper, config=NetworkConfig((8,)), imitates=True,
+                        seed=seed, action_limits=limits)  # fmt: skip
     with torch.no_grad():
         agent.mean_network.head.weight.mul_(gain)
     return agent

@@ -14,7 +14,7 @@ from learning.quantile import QuantileNetwork
 
 def agent(**options):
     config = NetworkConfig((9, 7), initial_std=0.05, **options)
-    return ActorCritic([-1, -2, 1e4], [1, 2, 4e4], [-5.0, 0.0], [5.0, 20.0], config=config, seed=3)
+    return ActorCritic([-1, -2, 1e4], [1, 2, 4e4], [-5.0, 0.0], [5.0, 20.0], config=config, imitates=True, seed=3)
 
 
 @pytest.mark.parametrize("skip", [True, False])
@@ -30,7 +30,7 @@ def test_the_numpy_forward_equals_the_torch_forward(rng, skip):
 def test_in_casadi_a_policy_keeps_bounds_that_depend_on_the_design(rng):
     space = DesignSpace(["p"], [1.0], [3.0])
     limits = DesignLimits.from_function("U", lambda p: (-p[0], 2 * p[0]), 1, "one per input", space)
-    net = ActorCritic([-1, 1], [1, 3], *limits.box, config=NetworkConfig((5,)), action_limits=limits)
+    net = ActorCritic([-1, 1], [1, 3], *limits.box, config=NetworkConfig((5,)), imitates=True, action_limits=limits)
     policy = LearnedPolicy(net, [1.5])
     x = rng.uniform(-90, 90, (50, 1))
     u = np.array([np.asarray(policy.to_casadi()(row)).ravel() for row in x])

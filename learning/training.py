@@ -1,0 +1,227 @@
+"""Training by PPO, which can be resumed."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import trange
+
+from ccdtools_ground.door import as_count
+from learning.budgets import EPISODES
+from learning.checks import check_instance
+from learning.exceptions import CheckpointError, InputError
+from learning.networks import ActorCritic
+from learning.ppo import PPO, PPOConfig, UpdateStatistics
+from learning.rollout import Collector, VectorEnv
+
+
+@dataclass(frozen=True)
+class TrainingRow:
+    """One update of a training.
+
+    Attributes
+    ----------
+    iteration : int
+        From zero.
+    samples : int
+        Steps of all environments so far.
+    mean_return : float
+        Of the last episodes while exploring, at most 20; NaN before the first has ended.
+    update : UpdateStatistics
+    """
+
+    iteration: int
+    samples: int
+    mean_return: float
+    update: UpdateStatistics
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Training:
+    """Result of a training.
+
+    Attributes
+    ----------
+    agent : ActorCritic
+        The last one, which was trained in place.
+    best : ActorCritic
+        A copy of the one with the largest `mean_return`; of the last one where no episode ended.
+    config : PPOConfig
+    rows : tuple of TrainingRow
+    """
+
+    agent: ActorCritic
+    best: ActorCritic
+    config: PPOConfig
+    rows: tuple[TrainingRow, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Training({self.describe()})"
+
+    def describe(self) -> str:
+        """How the training went, in one line."""
+        how = "refined from a policy that imitates an expert" if self.agent.imitates else "learned from scratch"
+        if not self.rows:
+            return f"PPO, {how}: no update yet"
+        last = self.rows[-1]
+        text = f"PPO, {how}: {last.samples} steps in {len(self.rows)} updates"
+        if np.isnan(last.mean_return):
+            return f"{text}; no episode ended"
+        best = max((row for row in self.rows if not np.isnan(row.mean_return)), key=lambda row: row.mean_return)
+        return (
+            f"{text}; mean return of recent episodes {last.mean_return:.5g} at the end,"
+            f" {best.mean_return:.5g} at best (after update {best.iteration})"
+        )
+
+
+def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:
+    """Set the exploration geometrically between `first` and `final`, at `done` in [0, 1].
+
+    Nothing is set where `final` is None, or where the exploration is a network of its own.
+    """
+    if final is not None and agent.std_network is None:
+        with torch.no_grad():
+            agent.log_std.fill_(float(np.log(first) + done * np.log(final / first)))
+
+
+def train(
+    env: VectorEnv,
+    agent: ActorCritic,
+    *,
+    iterations: int,
+    steps: int,
+    config: PPOConfig | None = None,
+    generator: torch.Generator,
+    device: str | torch.device | None = None,
+    checkpoint: str | Path | None = None,
+    callback: Callable[[TrainingRow], None] | None = None,
+    progress: bool = False,
+) -> Training:
+    """Result of PPO, with `iterations` rollouts of `steps` steps; `agent` is trained in place.
+
+    A rollout goes on where the last one ended. The rates fall linearly to `config.final_rate`, the exploration
+    geometrically to `config.final_std`.
+
+    Parameters
+    ----------
+    env : VectorEnv
+    agent : ActorCritic
+    iterations, steps : int
+    config : PPOConfig, optional
+        By default `PPOConfig.warm()` for an agent that imitates an expert, else `PPOConfig()`.
+    generator : torch.Generator
+        Of the exploration and of the order of samples, on the CPU.
+    device : str or torch.device, optional
+        Where the networks are trained, "cuda" for instance; by default where they are.
+    checkpoint : path, optional
+        The training is kept in this file after every update. Where the file exists the training goes on from it, with
+        the same numbers on a CPU as without a break. It is read by pickle: use files of your own only.
+    callback : callable, optional
+        Gets every `TrainingRow` when its update is done.
+    progress : bool
+
+    Returns
+    -------
+    Training
+
+    Raises
+    ------
+    InputError
+        If an argument is of another kind, the device is none of this machine, or the environment cannot be resumed.
+    CheckpointError
+        If the checkpoint cannot be read or written, or is of another training.
+    """
+    check_instance(agent, "agent", ActorCritic)
+    config = config if config is not None else PPOConfig.warm() if agent.imitates else PPOConfig()
+    check_instance(config, "config", PPOConfig)
+    as_count("iterations", iterations)
+    as_count("steps", steps)
+    if device is not None:
+        _move(agent, device)
+    run = _Run(PPO(agent, config), Collector(env, agent, generator=generator), Training(agent, agent, config))
+    file = None if checkpoint is None else Path(checkpoint)
+    if file is not None and file.exists():
+        run.load(file)
+    for k in trange(len(run.result.rows), iterations, desc="PPO", disable=not progress, leave=False):
+        done = k / max(iterations - 1, 1)
+        row = run.iterate(k, steps, done)
+        if file is not None:
+            run.save(file)
+        if callback is not None:
+            callback(row)
+    return run.result
+
+
+class _Run:
+    """A training in progress."""
+
+    def __init__(self, ppo: PPO, collector: Collector, result: Training) -> None:
+        self.ppo = ppo
+        self.collector = collector
+        self.result = result
+        self.first_std = result.agent.log_std.exp().mean().item()
+
+    def iterate(self, k: int, steps: int, done: float) -> TrainingRow:
+        """Row of one more rollout and update, at the part `done` of the training."""
+        result = self.result
+        agent, config = result.agent, result.config
+        self.ppo.set_rates(1 - (1 - config.final_rate) * done)
+        decay_exploration(agent, self.first_std, config.final_std, done)
+        rollout = self.collector.rollout(steps)
+        returns = self.collector.returns
+        mean_return = float(np.mean(returns[-EPISODES:])) if returns else float("nan")
+        before = max((row.mean_return for row in result.rows if not np.isnan(row.mean_return)), default=-np.inf)
+        best = copy.deepcopy(agent) if mean_return > before else result.best
+        update = self.ppo.update(rollout, generator=self.collector.generator, actor=k >= config.critic_only)
+        samples = rollout.rewards.numel() + (result.rows[-1].samples if result.rows else 0)
+        row = TrainingRow(k, samples, mean_return, update)
+        self.result = replace(result, best=best, rows=(*result.rows, row))
+        return row
+
+    def save(self, file: Path) -> None:
+        """Keep the training; a file is there whole or not at all."""
+        result = self.result
+        weights = {"agent": result.agent.state_dict(), "best": result.best.state_dict()}
+        own = {"config": result.config, "rows": result.rows, "first_std": self.first_std}
+        part = file.with_name(file.name + ".part")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            torch.save({**weights, **own, "ppo": self.ppo.state(), "collector": self.collector.state()}, part)
+            os.replace(part, file)
+        except OSError as error:
+            raise CheckpointError(file, error, "a file that can be written") from None
+
+    def load(self, file: Path) -> None:
+        """Go on from a file."""
+        agent = self.result.agent
+        try:
+            kept = torch.load(file, weights_only=False)
+            if kept["config"] != self.result.config:
+                raise CheckpointError(file, f"a training with {kept['config']}", f"{self.result.config}")
+            best = copy.deepcopy(agent)
+            best.load_state_dict(kept["best"])
+            agent.load_state_dict(kept["agent"])
+            self.ppo.restore(kept["ppo"])
+            self.collector.restore(kept["collector"])
+        except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError) as error:
+            first = str(error).partition("\n")[0]
+            raise CheckpointError(file, first, "a checkpoint of a training of this agent") from None
+        self.first_std = kept["first_std"]
+        self.result = replace(self.result, best=best, rows=kept["rows"])
+
+
+def _move(agent: ActorCritic, device: str | torch.device) -> None:
+    """Move an agent to a device of this machine."""
+    try:
+        agent.to(device)
+    except (RuntimeError, AssertionError) as error:
+        got = f"{device!r}: {str(error).splitlines()[0]}"
+        known = "cpu" + (", cuda" if torch.cuda.is_available() else "")
+        raise InputError("device", got, f"one of this machine: {known}") from None

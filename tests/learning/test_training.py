@@ -1,0 +1,165 @@
+"""Training: from scratch or refined, with running scales, resumed with the same numbers, best and last agent."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from toys import DoubleIntegrator, agent
+
+from learning import ActorCritic, CloningConfig, Collector, PPOConfig, fit_actor_critic, train
+from learning.exceptions import CheckpointError, InputError
+
+
+def generator(seed=1):
+    return torch.Generator().manual_seed(seed)
+
+
+def short(net, env=None, **options):
+    options = {"iterations": 4, "steps": 30, "generator": generator(), **options}
+    return train(DoubleIntegrator() if env is None else env, net, **options)
+
+
+def weights(net):
+    return torch.cat([tensor.double().flatten() for tensor in net.state_dict().values()])
+
+
+def test_a_rollout_goes_on_where_the_last_one_ended():
+    collector = Collector(DoubleIntegrator(horizon=50), agent(), generator=generator())
+    first, second = collector.rollout(20), collector.rollout(20)
+    torch.testing.assert_close(second.observations[0], first.successors[-1])
+    assert not collector.returns
+    collector.rollout(20)
+    assert len(collector.returns) == 8
+
+
+def test_returns_of_episodes_are_the_sums_of_their_rewards():
+    collector = Collector(DoubleIntegrator(horizon=10), agent(), generator=generator())
+    rewards = torch.cat([collector.rollout(5).rewards, collector.rollout(5).rewards])
+    np.testing.assert_allclose(collector.returns, rewards.double().sum(0), rtol=1e-6)
+
+
+def test_observations_seen_in_parts_are_normalised_by_their_mean_and_spread():
+    net = agent()
+    x = torch.randn(7, 11, 2) * torch.tensor([1e4, 1e-3]) + torch.tensor([5e4, 2.0])
+    for part in x.split([1, 2, 4]):
+        net.see(part)
+    z = net.normalise(x).flatten(0, 1)
+    torch.testing.assert_close(z.mean(0), torch.zeros(2), atol=1e-3, rtol=0)
+    torch.testing.assert_close(z.std(0, correction=0), torch.ones(2), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_another_unit_of_values_leaves_the_values_as_they_were(skip):
+    net = agent(skip=skip)
+    x = torch.randn(50, 2)
+    before = net.value(x).detach()
+    net.rescale_values(torch.tensor(-30.0), torch.tensor(12.0))
+    torch.testing.assert_close(net.value(x).detach(), before, atol=1e-5, rtol=1e-5)
+
+
+def test_an_agent_from_scratch_begins_in_the_middle_and_explores_the_whole_range():
+    net = ActorCritic([-1, -1], [1, 1], [0.0], [8.0])
+    x = 2 * torch.rand(200, 2) - 1
+    assert (net(x) - 4.0).abs().max() < 0.2
+    assert net.distribution(x).stddev.unique().item() == pytest.approx(1.0)
+    again = ActorCritic([-1, -1], [1, 1], [0.0], [8.0])
+    assert torch.equal(weights(again), weights(net))
+
+
+def test_settings_are_chosen_by_how_the_agent_was_made():
+    scratch = short(agent())
+    assert scratch.config == PPOConfig()
+    assert "learned from scratch" in scratch.describe()
+    x = np.random.default_rng(0).uniform(-1, 1, (64, 2))
+    options = {"action_bounds": ([-2], [2]), "config": CloningConfig(steps=20), "rng": np.random.default_rng(0)}
+    clone = fit_actor_critic(x, -x[:, :1], np.zeros(64), **options)
+    refined = short(clone)
+    assert refined.config == PPOConfig.warm()
+    assert "imitates an expert" in refined.describe()
+    assert clone.log_std.exp().item() == pytest.approx(0.1)
+
+
+def test_rows_say_what_every_update_did():
+    seen = []
+    result = short(agent(), callback=seen.append)
+    assert tuple(seen) == result.rows
+    assert [row.samples for row in result.rows] == [240, 480, 720, 960]
+    for row in result.rows:
+        update = row.update
+        assert 0 <= update.clip_fraction <= 1
+        assert np.isfinite([update.kl, update.entropy, update.gradient_norm, update.explained_variance]).all()
+    assert result.rows[0].update.entropy == pytest.approx(0.5 * np.log(2 * np.pi * np.e * 0.3**2), abs=0.1)
+
+
+def test_the_best_agent_is_kept_beside_the_last():
+    seen = []
+    net = agent()
+
+    def keep(row):
+        seen.append((row.mean_return, weights(net)))
+
+    start = weights(net)
+    result = short(net, iterations=6, callback=keep, config=PPOConfig(learning_rate=0.3, kl_limit=float("inf")))
+    before = [start, *(w for _, w in seen)]  # the agent that made the rollout of each row
+    best = int(np.argmax([value for value, _ in seen]))
+    assert best < 5  # these rates spoil it
+    assert torch.equal(weights(result.best), before[best])
+    assert torch.equal(weights(result.agent), before[-1])
+    assert result.agent is net
+
+
+def test_a_broken_training_goes_on_with_the_same_numbers(tmp_path):
+    whole, broken = agent(), agent()
+    result = short(whole, iterations=6)
+
+    class Killed(Exception):
+        pass
+
+    def kill(row):
+        if row.iteration == 2:
+            raise Killed
+
+    file = tmp_path / "training.pt"
+    with pytest.raises(Killed):
+        short(broken, iterations=6, checkpoint=file, callback=kill)
+    again = short(agent(seed=3), iterations=6, checkpoint=file, env=DoubleIntegrator(seed=5), generator=generator(9))
+    assert torch.equal(weights(again.agent), weights(whole))
+    assert torch.equal(weights(again.best), weights(result.best))
+    assert again.rows == result.rows
+
+
+def test_a_training_that_cannot_be_resumed_says_why(tmp_path):
+    file = tmp_path / "training.pt"
+
+    class Plain:
+        def __init__(self):
+            env = DoubleIntegrator()
+            self.reset, self.step = env.reset, env.step
+
+    with pytest.raises(InputError, match="expected methods state"):
+        short(agent(), env=Plain(), checkpoint=file)
+    short(agent(), checkpoint=file)
+    with pytest.raises(CheckpointError, match="a training with PPOConfig"):
+        short(agent(), checkpoint=file, config=PPOConfig(clip=0.1))
+    with pytest.raises(CheckpointError, match="a checkpoint of a training of this agent"):
+        short(agent((5,)), checkpoint=file)
+    file.write_bytes(b"no checkpoint")
+    with pytest.raises(CheckpointError, match="a checkpoint of a training of this agent"):
+        short(agent(), checkpoint=file)
+
+
+def test_a_device_that_is_not_there_is_refused():
+    with pytest.raises(InputError, match="device: got 'nowhere'"):
+        short(agent(), device="nowhere")
+
+
+def test_entropy_and_clipped_values_are_options():
+    plain, wide, clipped = agent(), agent(), agent()
+    short(plain, iterations=2)
+    short(wide, iterations=2, config=PPOConfig(entropy_coefficient=0.5))
+    short(clipped, iterations=2, config=PPOConfig(value_clip=1e-3))
+    assert wide.log_std.item() > plain.log_std.item()
+    x = torch.randn(100, 2)
+    start = copy.deepcopy(agent()).value(x)
+    assert (clipped.value(x) - start).abs().mean() < (plain.value(x) - start).abs().mean()
