@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -70,9 +71,7 @@ class DesignEnv(gymnasium.Env[Any, Any]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Observation, reward, terminated, truncated and {"design", "state"} after an action (nu,)."""
-        lower, upper = self.problem.input_bounds_at(self.design)
-        u = (lower + upper) / 2 + (upper - lower) / 2 * np.clip(action, -1.0, 1.0)
-        inputs = torch.tensor(u, dtype=torch.float32)[None]
+        inputs = torch.tensor(self._inputs(action, self.design), dtype=torch.float32)[None]
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[:, self._k])
             terminated = bool(self._stepper.left(self._x))
@@ -86,6 +85,48 @@ class DesignEnv(gymnasium.Env[Any, Any]):
         observation, info = self._seen()
         return observation, reward, terminated, truncated, info
 
+    def controller(self, policy: Callable[[Array], Any], design: ArrayLike | None = None) -> Callable[[Array], Array]:
+        """Controller of states (n, nx) by an agent that was trained here.
+
+        Parameters
+        ----------
+        policy : callable
+            Actions (n, nu) of observations (n, n_obs); of a pair, as Stable-Baselines3 returns, the first:
+            `lambda seen: model.predict(seen, deterministic=True)`.
+        design : (np,) array_like, optional
+            By default the design of every episode.
+
+        Raises
+        ------
+        InputError
+            If the policy cannot be called, or the design is missing or not allowed.
+        """
+        if not callable(policy):
+            raise InputError("policy", repr(policy)[:60], "a function of observations")
+        chosen = self._fixed if design is None else self.problem.design.check_feasible(design)
+        if chosen is None:
+            raise InputError("design", "none", "the design at which the controller acts")
+
+        def controller(states: Array) -> Array:
+            actions = policy(self._observation(np.asarray(states, float), chosen))
+            return self._inputs(np.asarray(actions[0] if isinstance(actions, tuple) else actions, float), chosen)
+
+        return controller
+
+    def _inputs(self, actions: Array, design: Array) -> Array:
+        """Inputs (..., nu) in the units of the plant."""
+        lower, upper = self.problem.input_bounds_at(design)
+        return np.asarray((lower + upper) / 2 + (upper - lower) / 2 * np.clip(actions, -1.0, 1.0))
+
+    def _observation(self, states: Array, design: Array) -> Array:
+        """Observations (..., n_obs) of states (..., nx)."""
+        limit = self.problem.divergence
+        seen = np.clip(np.nan_to_num(states / self.problem.state_scale, nan=limit), -limit, limit)
+        if self._fixed is None:
+            unit = np.broadcast_to(2 * self.problem.design.to_unit(design) - 1, (*seen.shape[:-1], len(design)))
+            seen = np.concatenate([seen, unit], axis=-1)
+        return np.asarray(seen, np.float32)
+
     def _drawn(self) -> Array:
         """A feasible design (np,) by chance."""
         space = self.problem.design
@@ -94,8 +135,4 @@ class DesignEnv(gymnasium.Env[Any, Any]):
     def _seen(self) -> tuple[Array, dict[str, Any]]:
         """Observation and information."""
         state = self._x[0].double().numpy()
-        limit = self.problem.divergence
-        seen = np.clip(np.nan_to_num(state / self.problem.state_scale, nan=limit), -limit, limit)
-        if self._fixed is None:
-            seen = np.r_[seen, 2 * self.problem.design.to_unit(self.design) - 1]
-        return seen.astype(np.float32), {"design": self.design.copy(), "state": state}
+        return self._observation(state, self.design), {"design": self.design.copy(), "state": state}

@@ -70,6 +70,26 @@ def test_every_reset_draws_a_design_that_is_seen_and_one_can_be_given(problem):
     assert observation[2] == pytest.approx(-0.5)
 
 
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize("pair", [True, False])
+def test_an_agent_is_a_controller_that_does_as_in_its_environment(problem, drawn, pair):
+    design = problem.design.from_unit([0.3])
+    env = DesignEnv(problem, None if drawn else design)
+
+    def agent(seen):
+        actions = np.tanh(seen @ np.linspace(-3, 2, seen.shape[-1]))[..., None]
+        return (actions, None) if pair else actions
+
+    observation, _ = env.reset(seed=0, options={"design": design})
+    total, ended = 0.0, False
+    while not ended:
+        action = agent(observation[None])
+        observation, reward, *flags, _ = env.step((action[0] if pair else action)[0])
+        total, ended = total + reward, any(flags)
+    returns = closed_loop_returns(problem, env.controller(agent, design), design, rng=np.random.default_rng(0))
+    assert total == pytest.approx(returns.values[0] + problem.cost_of_design(design), rel=1e-5)
+
+
 def test_states_that_run_away_end_the_episode(problem):
     problem = replace(problem, divergence=1.5)
     _, steps, terminated = episode(DesignEnv(problem, problem.design.centre), lambda x, p: np.sign(x[:1]))
@@ -82,5 +102,9 @@ def test_wrong_calls_name_their_argument(problem):
         DesignEnv(3)
     with pytest.raises(InputError, match="design"):
         DesignEnv(problem, problem.design.upper + 1)
+    with pytest.raises(InputError, match="policy: got 3"):
+        DesignEnv(problem).controller(3)
+    with pytest.raises(InputError, match="design: got none"):
+        DesignEnv(problem).controller(len)
     with pytest.raises(InputError, match="options: got the keys"):
         DesignEnv(problem).reset(options={"speed": 1})
