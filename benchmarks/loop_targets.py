@@ -19,7 +19,7 @@ import torch
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.environment import EpisodeEnv
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import LearnedPolicy
@@ -146,7 +146,7 @@ def ppo_alone(seed: int, steps: int = 2_000_000) -> tuple[float, float, float]:
     design = np.array([2.45])
     agent = half_gain(cloned("illustrative", seed))
     before = against_lqr(problem, agent, design)
-    env = DesignEnv(problem, torch.tensor(design, dtype=torch.float32), runs=128, rng=np.random.default_rng(seed))
+    env = EpisodeEnv(problem, torch.tensor(design, dtype=torch.float32), runs=128, rng=np.random.default_rng(seed))
     train(
         env, agent, iterations=steps // (128 * problem.steps), steps=problem.steps,
         config=PPOConfig.warm(final_std=0.03), generator=torch.Generator().manual_seed(seed),

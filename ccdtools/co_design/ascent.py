@@ -30,7 +30,7 @@ from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
-from ccdtools.co_design.environment import DesignEnv, loss_gradient
+from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
 from ccdtools.co_design.learned_result import Convergence
@@ -144,7 +144,7 @@ class Ascent:
             if task.moving else None
         )  # fmt: skip
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
-        self.env = DesignEnv(problem, self._p(), runs=fewer_runs(config.runs, problem.steps), rng=rng)
+        self.env = EpisodeEnv(problem, self._p(), runs=fewer_runs(config.runs, problem.steps), rng=rng)
         self.first_std = agent.log_std.exp().mean().item()
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
             decay_exploration(agent, self.first_std, config.ppo.final_std, 1.0)

@@ -16,7 +16,7 @@ from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
 from learning.rollout import collect
 
 
-class DesignEnv:
+class EpisodeEnv:
     """Environment of `runs` episodes with observations (x, p) and actions u.
 
     Episodes end together at the problem's time limit: truncated, or terminated where the objective has a terminal cost.
@@ -85,7 +85,7 @@ def network_input_gradient(
     problem: CoDesignProblem, agent: ActorCritic, v: Tensor, *, rng: np.random.Generator, runs: int, config: PPOConfig
 ) -> Tensor:
     """−∂/∂v (np,) of the PPO loss through design inputs, with constant states."""
-    env = DesignEnv(problem, to_design(problem, v), runs=runs, rng=rng)
+    env = EpisodeEnv(problem, to_design(problem, v), runs=runs, rng=rng)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     rollout = collect(env, agent, steps=problem.steps, generator=generator)
     return loss_gradient(problem, agent, v, prepare(agent, rollout, config), config)

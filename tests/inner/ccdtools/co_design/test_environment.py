@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.co_design.environment import DesignEnv
+from ccdtools.co_design.environment import EpisodeEnv
 
 
 @pytest.fixture
 def env(illustrative):
     problem = replace(illustrative.problem(), steps=4)
-    return DesignEnv(problem, torch.tensor([2.0]), runs=3, rng=np.random.default_rng(0))
+    return EpisodeEnv(problem, torch.tensor([2.0]), runs=3, rng=np.random.default_rng(0))
 
 
 def test_observations_are_states_and_design(env):

@@ -12,7 +12,7 @@ from small_plants import clone_of, mass
 from ccdtools import CoDesignConfig, InputError, QuadraticObjective
 from ccdtools.co_design.design_gradients import Differences, check_gradients, pathwise_by_run
 from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
-from ccdtools.co_design.environment import DesignEnv, loss_gradient, network_input_gradient
+from ccdtools.co_design.environment import EpisodeEnv, loss_gradient, network_input_gradient
 from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.twin.discrepancy import Discrepancy
@@ -176,7 +176,7 @@ def test_the_network_input_gradient_is_that_of_the_loss_with_states_held(illustr
     problem, config = illustrative.problem(), PPOConfig.warm()
     agent = copy.deepcopy(clone(illustrative)).double()
     v = torch.tensor([0.5], dtype=torch.float64)
-    env = DesignEnv(problem, to_design(problem, v).float(), runs=16, rng=np.random.default_rng(0))
+    env = EpisodeEnv(problem, to_design(problem, v).float(), runs=16, rng=np.random.default_rng(0))
     rollout = collect(env, clone(illustrative), steps=100, generator=torch.Generator().manual_seed(0))
     batch = prepare(clone(illustrative), rollout, config)
     batch = type(batch)(*(getattr(batch, name).double() for name in batch.__dataclass_fields__))

@@ -22,7 +22,7 @@ from ccdtools import (
 )
 from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
-from ccdtools.co_design.environment import DesignEnv, loss_gradient
+from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
 from ccdtools.co_design.episodes import simulated
 from learning import PPOConfig, collect, fit_actor_critic
 from learning.ppo import prepare
@@ -113,7 +113,7 @@ def test_one_design_for_every_run_is_one_design_for_all():
 
 def test_the_environment_of_ppo_earns_the_same_but_for_the_price():
     own = problem(CustomObjective(stage, lambda x, p: p[1] * x[0] ** 2, design_cost=price), steps=5)
-    env = DesignEnv(own, torch.tensor(P0, dtype=torch.float32), runs=3, rng=np.random.default_rng(4))
+    env = EpisodeEnv(own, torch.tensor(P0, dtype=torch.float32), runs=3, rng=np.random.default_rng(4))
     x0, drawn = scenario_tensors(own, 3, np.random.default_rng(4))
     seen = env.reset()
     total = torch.zeros(3)
@@ -159,7 +159,7 @@ def test_the_papers_design_gradient_weighs_the_price_as_the_steps_it_is_weighed_
         data.inputs, data.actions, data.values, rng=np.random.default_rng(0), action_bounds=own.input_bounds,
         input_bounds=own.observation_bounds,
     )  # fmt: skip
-    env = DesignEnv(own, torch.tensor(P0, dtype=torch.float32), runs=32, rng=np.random.default_rng(1))
+    env = EpisodeEnv(own, torch.tensor(P0, dtype=torch.float32), runs=32, rng=np.random.default_rng(1))
     rollout = collect(env, agent, steps=30, generator=torch.Generator().manual_seed(0))
     batch = prepare(agent, rollout, PPOConfig.warm())
     v = torch.tensor(SPACE.to_unit(P0), dtype=torch.float32)

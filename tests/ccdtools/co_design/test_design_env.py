@@ -1,0 +1,110 @@
+"""A co-design problem as an environment of Gymnasium: its returns are those of the closed loop."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ccdtools import FixedStart, Gaussian, InputError, closed_loop_returns, saturated_lqr
+from ccdtools.co_design import DesignEnv
+
+pytest.importorskip("gymnasium")
+from gymnasium.utils.env_checker import check_env
+
+
+@pytest.fixture
+def problem(illustrative):
+    """Return the illustrative problem without a disturbance, from one start."""
+    return replace(illustrative.problem(), scenarios=FixedStart([-1.0, 1.5], Gaussian([0.0, 0.0])))
+
+
+def episode(env, policy, **options):
+    _, info = env.reset(seed=3, **options)
+    total = 0.0
+    for k in range(10**6):
+        _, reward, terminated, truncated, info = env.step(policy(info["state"], info["design"]))
+        total += reward
+        if terminated or truncated:
+            return total, k + 1, terminated
+    return None
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_the_checker_of_gymnasium_has_nothing_to_say(illustrative, suspension, drawn):
+    for study in (illustrative, suspension):
+        problem = study.problem()
+        env = DesignEnv(problem, None if drawn else problem.design.centre)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            check_env(env, skip_render_check=True)
+
+
+def test_an_episode_has_the_return_of_the_closed_loop(problem):
+    design = problem.design.from_unit([0.3])
+    law = saturated_lqr(problem, design)
+    lower, upper = problem.input_bounds
+
+    def policy(x, p):
+        return (2 * law(x[None])[0] - upper - lower) / (upper - lower)
+
+    total, steps, terminated = episode(DesignEnv(problem, design), policy)
+    expected = closed_loop_returns(problem, law, design, rng=np.random.default_rng(0)).values[0]
+    assert total == pytest.approx(expected + problem.cost_of_design(design), rel=1e-5)
+    assert (steps, terminated) == (problem.steps, False)
+
+
+def test_every_reset_draws_a_design_that_is_seen_and_one_can_be_given(problem):
+    env = DesignEnv(problem)
+    seen = []
+    for seed in range(20):
+        observation, info = env.reset(seed=seed)
+        assert problem.design.feasible(info["design"])
+        np.testing.assert_allclose(observation[:2], info["state"] / problem.state_scale, rtol=1e-6)
+        np.testing.assert_allclose(observation[2:], 2 * problem.design.to_unit(info["design"]) - 1, atol=1e-6)
+        seen.append(observation[2])
+    assert np.ptp(seen) > 1.0
+    given = problem.design.from_unit([0.25])
+    observation, info = env.reset(options={"design": given})
+    np.testing.assert_allclose(info["design"], given)
+    assert observation[2] == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize("pair", [True, False])
+def test_an_agent_is_a_controller_that_does_as_in_its_environment(problem, drawn, pair):
+    design = problem.design.from_unit([0.3])
+    env = DesignEnv(problem, None if drawn else design)
+
+    def agent(seen):
+        actions = np.tanh(seen @ np.linspace(-3, 2, seen.shape[-1]))[..., None]
+        return (actions, None) if pair else actions
+
+    observation, _ = env.reset(seed=0, options={"design": design})
+    total, ended = 0.0, False
+    while not ended:
+        action = agent(observation[None])
+        observation, reward, *flags, _ = env.step((action[0] if pair else action)[0])
+        total, ended = total + reward, any(flags)
+    returns = closed_loop_returns(problem, env.controller(agent, design), design, rng=np.random.default_rng(0))
+    assert total == pytest.approx(returns.values[0] + problem.cost_of_design(design), rel=1e-5)
+
+
+def test_states_that_run_away_end_the_episode(problem):
+    problem = replace(problem, divergence=1.5)
+    _, steps, terminated = episode(DesignEnv(problem, problem.design.centre), lambda x, p: np.sign(x[:1]))
+    assert terminated
+    assert steps < problem.steps
+
+
+def test_wrong_calls_name_their_argument(problem):
+    with pytest.raises(InputError, match="problem: got 3"):
+        DesignEnv(3)
+    with pytest.raises(InputError, match="design"):
+        DesignEnv(problem, problem.design.upper + 1)
+    with pytest.raises(InputError, match="policy: got 3"):
+        DesignEnv(problem).controller(3)
+    with pytest.raises(InputError, match="design: got none"):
+        DesignEnv(problem).controller(len)
+    with pytest.raises(InputError, match="options: got the keys"):
+        DesignEnv(problem).reset(options={"speed": 1})
