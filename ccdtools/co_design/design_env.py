@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -15,13 +15,18 @@ from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.exceptions import InputError
 
-try:
-    import gymnasium
-except ImportError:
-    raise InputError("DesignEnv", "no Gymnasium", "pip install ccdtools[gymnasium]") from None
+if TYPE_CHECKING:
+    from gymnasium import Env, spaces
+
+    Base = Env[Any, Any]
+else:
+    try:
+        from gymnasium import Env as Base, spaces
+    except ImportError:  # the name is there all the same, and says what is missing when it is called
+        Base, spaces = object, None
 
 
-class DesignEnv(gymnasium.Env[Any, Any]):
+class DesignEnv(Base):
     """Episodes of a problem's scenarios, one at a time, for agents of any library.
 
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
@@ -45,14 +50,16 @@ class DesignEnv(gymnasium.Env[Any, Any]):
     metadata = {"render_modes": []}  # noqa: RUF012  (the attribute that Gymnasium reads)
 
     def __init__(self, problem: CoDesignProblem, design: ArrayLike | None = None) -> None:
+        if spaces is None:
+            raise InputError("DesignEnv", "no Gymnasium", "it installed: pip install ccdtools[gymnasium]")
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
         self._fixed = None if design is None else problem.design.check_feasible(design)
         n = problem.model.nx
         largest = np.full(n, problem.divergence, np.float32)
         if self._fixed is None:
             largest = np.r_[largest, np.ones(problem.design.dim, np.float32)]
-        self.observation_space = gymnasium.spaces.Box(-largest, largest, dtype=np.float32)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (problem.model.nu,), np.float32)
+        self.observation_space = spaces.Box(-largest, largest, dtype=np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (problem.model.nu,), np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """First observation of a new episode, and {"design", "state"}."""
