@@ -61,9 +61,10 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
 
 
 def reduce_rows(rows: Array, terms: Array, n: int) -> tuple[list[int], list[int], list[int]]:
-    """Rows with a pivot, the columns of these, and the rows left, after elimination in place.
+    """Rows with pivots, their columns, and the rows left.
 
-    The pivots stand in the first n columns of `rows`; `terms` are the sizes of the terms of every entry.
+    The elimination is in place. The pivots stand in the first n columns of `rows`; `terms` are the sizes of the terms
+    of every entry.
     """
     rest = list(range(len(rows)))
     solved: list[int] = []
@@ -99,7 +100,7 @@ def _clear_column(rows: Array, terms: Array, pivot: tuple[int, int], rest: list[
 
 
 def balancing(rows: Array) -> tuple[Array, Array]:
-    """Factors of rows (m,) and of columns (n,) that bring the largest entry of each near to one."""
+    """Factors (m,) and (n,) that balance rows and columns."""
     rows = np.abs(rows)
     by_row = np.ones(len(rows))
     by_column = np.ones(rows.shape[1])

@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 class GymnasiumEnvs:
-    """Environments of Gymnasium that step together, one after the other in this process.
+    """Environments of Gymnasium that step together in this process.
 
     Parameters
     ----------

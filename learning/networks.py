@@ -218,9 +218,10 @@ class ActorCritic(nn.Module):
 
     @torch.no_grad()
     def see(self, observations: Tensor) -> None:
-        """Normalise by mean and standard deviation of all observations (..., n_obs) seen so far.
+        """Normalise by mean and spread of all observations so far.
 
-        The ranges that the agent was made with serve until the first ones are seen.
+        `observations` (..., n_obs) are added to them. The ranges that the agent was made with serve until the first
+        ones are seen.
         """
         x = observations.reshape(-1, len(self.observation_offset)).double()
         before = self.observations_seen.item()
@@ -235,7 +236,7 @@ class ActorCritic(nn.Module):
 
     @torch.no_grad()
     def rescale_values(self, offset: Tensor, scale: Tensor) -> None:
-        """Change the unit of the critic's outputs without a change of its values (van Hasselt et al. 2016)."""
+        """Change the unit of values, not the values (van Hasselt et al. 2016)."""
         ratio = self.value_scale / scale
         head = self.value_network.head
         head.weight.mul_(ratio)
@@ -312,7 +313,7 @@ class ActorCritic(nn.Module):
 
 @torch.no_grad()
 def first_weights(network: FeedForward, gain: float) -> None:
-    """Set orthogonal weights, the last ones of size `gain`, no offsets and no skip (Andrychowicz et al. 2021)."""
+    """Set orthogonal weights, the last of size `gain` (Andrychowicz et al. 2021)."""
     for layer in network.body:
         if isinstance(layer, nn.Linear):
             nn.init.orthogonal_(layer.weight, 2**0.5)

@@ -27,7 +27,7 @@ from learning.tolerances import LEAST_SPREAD, SCALE_MEMORY
 
 @dataclass(frozen=True, repr=False)
 class PPOConfig:
-    """Rates and limits of PPO: by default those for a policy that learns from scratch.
+    """Rates and limits of PPO, by default for learning from scratch.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
 
 @dataclass(frozen=True)
 class Losses:
-    """Terms of PPO's loss on a batch, and what they tell: KL divergence, clipped part and entropy."""
+    """Terms of PPO's loss, and what they tell."""
 
     surrogate: Tensor
     value: Tensor
@@ -283,7 +283,7 @@ class PPO:
         self._rescaled = 0
 
     def set_rates(self, share: float) -> None:
-        """Let both optimisers step at this share of the configured rates."""
+        """Step at this share of the configured rates."""
         config = self.config
         rates = (self.actor_optimiser, config.learning_rate), (self.critic_optimiser, config.value_rate)
         for optimiser, rate in rates:
@@ -331,7 +331,7 @@ class PPO:
         return UpdateStatistics(kl, outside, explained, entropy, norm, passes)
 
     def _rescale_values(self, targets: Tensor) -> None:
-        """Move the unit of values towards mean and spread of these targets, the less the more came before."""
+        """Move the unit of values towards that of these targets."""
         self._rescaled += 1
         share = max(1.0 / self._rescaled, SCALE_MEMORY)
         agent = self.agent
@@ -339,7 +339,7 @@ class PPO:
         agent.rescale_values(agent.value_offset.lerp(mean, share), agent.value_scale.lerp(std, share))
 
     def _step(self, losses: Losses, *, actor: bool) -> float:
-        """Norm of the actor's gradient, after one step of critic and actor with gradients clipped in norm."""
+        """Norm of the actor's gradient, after one clipped step."""
         loss = losses.value
         if actor:
             loss = loss + losses.surrogate - self.config.entropy_coefficient * losses.entropy

@@ -46,7 +46,7 @@ class Rollout:
 
 
 class Collector:
-    """Environments in motion: every rollout goes on where the last one ended.
+    """Environments whose rollouts go on where the last ended.
 
     Parameters
     ----------

@@ -82,9 +82,10 @@ class Training:
 
 
 def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:
-    """Set the exploration geometrically between `first` and `final`, at `done` in [0, 1].
+    """Set the exploration between `first` and `final`.
 
-    Nothing is set where `final` is None, or where the exploration is a network of its own.
+    It is geometric in `done`, from 0 to 1. Nothing is set where `final` is None, or where the exploration is a
+    network of its own.
     """
     if final is not None and agent.std_network is None:
         with torch.no_grad():
@@ -104,10 +105,10 @@ def train(
     callback: Callable[[TrainingRow], None] | None = None,
     progress: bool = False,
 ) -> Training:
-    """Result of PPO, with `iterations` rollouts of `steps` steps; `agent` is trained in place.
+    """Result of training an agent in place by PPO.
 
-    A rollout goes on where the last one ended. The rates fall linearly to `config.final_rate`, the exploration
-    geometrically to `config.final_std`.
+    There are `iterations` rollouts of `steps` steps. A rollout goes on where the last one ended. The rates fall
+    linearly to `config.final_rate`, the exploration geometrically to `config.final_std`.
 
     Parameters
     ----------
@@ -169,7 +170,7 @@ class _Run:
         self.first_std = result.agent.log_std.exp().mean().item()
 
     def iterate(self, k: int, steps: int, done: float) -> TrainingRow:
-        """Row of one more rollout and update, at the part `done` of the training."""
+        """Row of one more rollout and update."""
         result = self.result
         agent, config = result.agent, result.config
         self.ppo.set_rates(1 - (1 - config.final_rate) * done)

@@ -27,7 +27,7 @@ else:
 
 
 class DesignEnv(Base):
-    """Episodes of a problem's scenarios, one at a time, for agents of any library.
+    """Problem as an environment of Gymnasium, for any agent.
 
     Actions lie in [−1, 1], the range of U, or of U(p). Observations are the states in units of the largest |x| in X;
     where the design is drawn, it follows, in [−1, 1] over its box. An episode is truncated after `problem.steps` steps,
@@ -77,7 +77,7 @@ class DesignEnv(Base):
         return self._seen()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Observation, reward, terminated, truncated and {"design", "state"} after an action (nu,)."""
+        """Result of an action (nu,), with {"design", "state"}."""
         inputs = torch.tensor(self._inputs(action, self.design), dtype=torch.float32)[None]
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[:, self._k])
@@ -93,7 +93,7 @@ class DesignEnv(Base):
         return observation, reward, terminated, truncated, info
 
     def controller(self, policy: Callable[[Array], Any], design: ArrayLike | None = None) -> Callable[[Array], Array]:
-        """Controller of states (n, nx) by an agent that was trained here.
+        """Controller by an agent that was trained here.
 
         Parameters
         ----------

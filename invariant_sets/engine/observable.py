@@ -49,7 +49,7 @@ def observed_directions(A: Array, X: Polytope) -> Array | None:
 
 
 def _units(A: Array, F: Array) -> Array:
-    """Units (n,) of the states in which what is seen of them, now and later, is of one size."""
+    """Units (n,) in which outputs, now and later, see states alike."""
     seen = [F]
     for _ in range(len(A) - 1):
         ahead = seen[-1] @ A
