@@ -58,6 +58,16 @@ def test_a_mode_is_reached_or_the_message_says_how_far_not():
         lqr(np.diag([1.1, 0.5]), [[1e-9], [1.0]], Q=np.eye(2), R=1.0)
 
 
+@pytest.mark.parametrize(("strength", "reached"), [(1e-8, False), (1e-7, True)])
+def test_an_unstable_mode_needs_some_strength_to_be_reached(strength, reached):
+    try:
+        lqr(np.diag([1.1, 0.5]), [[strength], [1.0]], Q=np.eye(2), R=1.0)
+    except NotStabilisableError:
+        assert not reached
+    else:
+        assert reached
+
+
 def test_limits_that_are_relaxed_by_no_more_than_they_must_leave_a_plan_to_be_found():
     three = np.eye(3) + 0.1 * np.eye(3, k=1)
     regulator = LinearMPC(
