@@ -13,6 +13,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import cases_of
 from ccdtools.exceptions import InputError
 
 if TYPE_CHECKING:
@@ -70,8 +71,9 @@ class DesignEnv(Base):
         design = (options or {}).get("design", self._fixed)
         self.design = self._drawn() if design is None else self.problem.design.check_feasible(design)
         self._stepper = Stepper.at(self.problem, torch.tensor(self.design, dtype=torch.float32))
-        x0, w = scenario_tensors(self.problem, 1, self.np_random)
-        self._x, self._w = x0[:1], w[:1]
+        x0, w = scenario_tensors(self.problem, cases_of(self.problem.scenarios), self.np_random)
+        i = [int(self.np_random.integers(len(x0)))]  # any of the cases, which runs meet in turn
+        self._x, self._w = x0[i], w[i]
         self._e = torch.zeros_like(self._x)
         self._k = 0
         return self._seen()

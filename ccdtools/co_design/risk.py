@@ -138,7 +138,7 @@ class WorstCase:
         InputError
             If they have none.
         """
-        cases = _cases_of(scenarios)
+        cases = cases_of(scenarios)
         if cases == 1:
             raise InputError("risk", "a worst case of scenarios without cases", "a disturbance with Cases",
                              "Such as Stacked((road, Cases.of([-0.2, 0.2]))).")  # fmt: skip
@@ -200,10 +200,10 @@ def fewest_runs(risk: Risk) -> int:
 
 def has_cases(scenarios: Any) -> bool:
     """Whether scenarios, or a disturbance, have cases in turn."""
-    return _cases_of(scenarios) > 1
+    return cases_of(scenarios) > 1
 
 
-def _cases_of(scenarios: Any) -> int:
+def cases_of(scenarios: Any) -> int:
     """Number of runs after which cases of scenarios come again."""
     parts = (scenarios, getattr(scenarios, "disturbance", None), getattr(scenarios, "x0", None))
     return math.lcm(*map(cases_in, parts))

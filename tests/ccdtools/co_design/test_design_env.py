@@ -8,6 +8,7 @@ import pytest
 
 from ccdtools import FixedStart, Gaussian, InputError, closed_loop_returns, saturated_lqr
 from ccdtools.co_design import DesignEnv
+from ccdtools.disturbances import Cases
 
 pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env
@@ -88,6 +89,17 @@ def test_an_agent_is_a_controller_that_does_as_in_its_environment(problem, drawn
         total, ended = total + reward, any(flags)
     returns = closed_loop_returns(problem, env.controller(agent, design), design, rng=np.random.default_rng(0))
     assert total == pytest.approx(returns.values[0] + problem.cost_of_design(design), rel=1e-5)
+
+
+def test_every_case_of_the_scenarios_is_met(problem):
+    winds = [Gaussian([0.0, 0.0], mean=[0.0, mean]) for mean in (-0.1, 0.0, 0.1)]
+    env = DesignEnv(replace(problem, scenarios=FixedStart([0.0, 0.0], Cases(winds))), problem.design.centre)
+    met = set()
+    for seed in range(30):
+        env.reset(seed=seed)
+        _, _, _, _, info = env.step(np.zeros(1))
+        met.add(round(float(info["state"][1]), 6))
+    assert len(met) == 3
 
 
 def test_states_that_run_away_end_the_episode(problem):
