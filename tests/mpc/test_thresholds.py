@@ -68,6 +68,13 @@ def test_an_unstable_mode_needs_some_strength_to_be_reached(strength, reached):
         assert reached
 
 
+@pytest.mark.parametrize(("beyond", "inside"), [(3e-8, True), (4e-7, False)])
+def test_a_parameter_beside_the_regions_of_a_law_by_rounding_is_inside(beyond, inside):
+    for size in (1.0, 1e6):
+        law = LinearMPC([[1.0]], [[1.0]], Q=1.0, R=1.0, horizon=2, X=(-2 * size, 2 * size), U=(-size, size)).explicit()
+        assert (law.locate([2 * size * (1 + beyond)]) >= 0) == inside
+
+
 def test_limits_that_are_relaxed_by_no_more_than_they_must_leave_a_plan_to_be_found():
     three = np.eye(3) + 0.1 * np.eye(3, k=1)
     regulator = LinearMPC(
