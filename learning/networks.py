@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from ccdtools_ground.door import as_floats
 from learning.checks import as_sizes, check_instance, check_number
 from learning.exceptions import InputError
-from learning.tolerances import LEAST_SPREAD, LOG_STD
+from learning.tolerances import LEAST_PART, LEAST_SPREAD, LOG_STD
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,8 @@ class ActorCritic(nn.Module):
         variance = (1 - share) * self.observation_scale.double().square() + share * x.var(0, correction=0)
         variance += (1 - share) * share * gap.square() if before else 0.0
         self.observation_offset.add_(share * gap)
-        self.observation_scale.copy_(variance.sqrt().clamp(min=LEAST_SPREAD))
+        least = (LEAST_PART * self.observation_offset.abs()).clamp(min=LEAST_SPREAD)
+        self.observation_scale.copy_(torch.maximum(variance.sqrt(), least))
         self.observations_seen.fill_(total)
 
     @torch.no_grad()

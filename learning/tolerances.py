@@ -4,4 +4,5 @@ ROUNDING = 1e-9  # A column is constant if its spread is below this part of its 
 LOG_STD = (-7.0, 1.0)  # The logarithm of the exploration [-] that a network of its own gives lies in this range.
 LEAK = 0.01  # While cloning, the clip keeps this slope outside its range, so that a saturated output can come back.
 LEAST_SPREAD = 1e-8  # What is normalised by its standard deviation is divided by this [units of it] or more.
+LEAST_PART = 1e-4  # Observations are divided by this part of their mean or more: single precision rounds the mean.
 SCALE_MEMORY = 0.1  # A rollout moves the unit of values by this part of the way to its own, or more at first.

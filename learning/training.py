@@ -206,9 +206,11 @@ class _Run:
             kept = torch.load(file, weights_only=False)
             if kept["config"] != self.result.config:
                 raise CheckpointError(file, f"a training with {kept['config']}", f"{self.result.config}")
-            best = copy.deepcopy(agent)
-            best.load_state_dict(kept["best"])
             agent.load_state_dict(kept["agent"])
+            best = agent
+            if any(not np.isnan(row.mean_return) for row in kept["rows"]):
+                best = copy.deepcopy(agent)
+                best.load_state_dict(kept["best"])
             self.ppo.restore(kept["ppo"])
             self.collector.restore(kept["collector"])
         except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError) as error:

@@ -49,6 +49,21 @@ def test_observations_seen_in_parts_are_normalised_by_their_mean_and_spread():
     torch.testing.assert_close(z.std(0, correction=0), torch.ones(2), atol=1e-3, rtol=0)
 
 
+def test_an_observation_that_stays_the_same_is_normalised_to_nothing_in_any_precision():
+    net = agent()
+    net.see(torch.stack([torch.randn(100), torch.full((100,), 2.45)], dim=-1))
+    seen = (np.array([0.0, 2.45]) - net.observation_offset.double().numpy()) / net.observation_scale.double().numpy()
+    assert abs(seen[1]) < 1e-3
+
+
+def test_without_an_ended_episode_the_best_agent_is_the_last_after_a_break_too(tmp_path):
+    options = {"checkpoint": tmp_path / "training.pt", "steps": 2}
+    short(agent(), env=DoubleIntegrator(horizon=99), iterations=2, **options)
+    again = short(agent(), env=DoubleIntegrator(horizon=99), iterations=3, **options)
+    assert again.best is again.agent
+    assert "no episode ended" in again.describe()
+
+
 @pytest.mark.parametrize("skip", [True, False])
 def test_another_unit_of_values_leaves_the_values_as_they_were(skip):
     net = agent(skip=skip)
