@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, frozen, shown
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, frozen, shown, weight_faults
 from ccdtools_ground.errors import InputError
+from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 
 if TYPE_CHECKING:
     from ccdtools.arrays import Array
@@ -54,13 +55,13 @@ def as_weight(argument: str, value: Any, size: int | None = None) -> Array:
     if M.shape != (n, n):
         raise InputError(argument, f"shape {M.shape}", "a square matrix" if size is None else f"({n}, {n})")
     finite(argument, M)
-    extent = float(np.abs(M).max(initial=0.0))
-    if (np.abs(M - M.T) > 1e-9 * extent).any():
+    gap, smallest = weight_faults(M)
+    if gap > WEIGHT_ROUNDING:
         raise InputError(argument, "a matrix that is not symmetric", f"{argument} = {argument}ᵀ")
-    smallest = float(np.linalg.eigvalsh(M / extent)[0]) * extent if extent > 0 else 0.0
-    if smallest < -1e-12 * extent:
-        raise InputError(argument, f"smallest eigenvalue {smallest:.3g}", "a positive semidefinite matrix")
-    return frozen(M)
+    if smallest < -WEIGHT_ROUNDING:
+        got = f"smallest eigenvalue {smallest:.3g} at a unit diagonal"
+        raise InputError(argument, got, "a positive semidefinite matrix")
+    return frozen((M + M.T) / 2)
 
 
 def as_positive(argument: str, value: Any, *, unit: str = "") -> float:

@@ -35,6 +35,16 @@ def _one_line(value: Any) -> str:
     return brief(" ".join(repr(value.item() if isinstance(value, np.generic) else value).split()), 60)
 
 
+def weight_faults(weight: Array) -> tuple[float, float]:
+    """Asymmetry of a square matrix, beside its largest entry, and its least eigenvalue at a unit diagonal."""
+    size = max(float(np.abs(weight).max(initial=0.0)), np.finfo(float).tiny)
+    # congruence with the diagonal keeps the test meaningful for entries of very different size
+    d = np.sqrt(np.abs(np.diag(weight)))
+    d[d == 0] = np.sqrt(size)
+    smallest = np.linalg.eigvalsh((weight + weight.T) / 2 / d / d[:, None]).min(initial=0.0)
+    return float(np.abs(weight - weight.T).max(initial=0.0)) / size, float(smallest)
+
+
 def brief(text: str, most: int = 120) -> str:
     """`text` cut to `most` characters."""
     return text if len(text) <= most else text[: most - 1] + "…"

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccdtools_ground import door
-from ccdtools_ground.door import as_floats as as_floats, check_finite, frozen, shown
+from ccdtools_ground.door import as_floats as as_floats, check_finite, frozen, shown, weight_faults
+from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 from mpc.exceptions import InputError, NotConvexError
-from mpc.tolerances import WEIGHT_ROUNDING
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -62,17 +62,13 @@ def as_weight(name: str, value: ArrayLike, n: int) -> Array:
     raw = as_floats(name, value)
     full = raw * np.eye(n) if raw.ndim == 0 else np.diag(raw) if raw.ndim == 1 else raw
     weight = as_array(name, full, (n, n))
-    size = max(float(np.abs(weight).max(initial=0.0)), np.finfo(float).tiny)
-    gap = float(np.abs(weight - weight.T).max(initial=0.0))
-    if gap > WEIGHT_ROUNDING * size:
+    gap, smallest = weight_faults(weight)
+    if gap > WEIGHT_ROUNDING:
+        off = float(np.abs(weight - weight.T).max())
         raise NotConvexError(
-            f"{name}: got max |{name} - {name}'| = {gap:.3g}, expected a symmetric matrix. Pass ({name} + {name}')/2.",
+            f"{name}: got max |{name} - {name}'| = {off:.3g}, expected a symmetric matrix. Pass ({name} + {name}')/2.",
             name,
         )
-    # congruence with the diagonal keeps the test meaningful for entries of very different size
-    d = np.sqrt(np.abs(np.diag(weight)))
-    d[d == 0] = np.sqrt(size)
-    smallest = float(np.linalg.eigvalsh((weight + weight.T) / 2 / d / d[:, None]).min(initial=0.0))
     if smallest < -WEIGHT_ROUNDING:
         raise NotConvexError(
             f"{name}: got a negative direction (scaled eigenvalue {smallest:.3g}), expected {name} ⪰ 0.", name, smallest

@@ -11,20 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgWarning, solve_discrete_are
 
+from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 from mpc.checks import Array, as_cross_weight, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
-from mpc.tolerances import (
-    EPS,
-    GAINED,
-    NEAR_CIRCLE,
-    REACH,
-    RICCATI,
-    ROUNDED_SUM,
-    SETTLED_MARGIN,
-    UNIT_CIRCLE,
-    WEIGHT_ROUNDING,
-)
+from mpc.tolerances import EPS, GAINED, NEAR_CIRCLE, REACH, RICCATI, ROUNDED_SUM, SETTLED_MARGIN, UNIT_CIRCLE
 
 
 def lqr(

@@ -37,9 +37,6 @@ NEGLIGIBLE = 1e-6
 ROUNDED_SUM = 1e-13
 
 # ---- weights and definiteness ----
-# Part of a weight that its user's rounding may be [-]: of its asymmetry beside its largest entry, of a negative
-# eigenvalue or a vanishing one beside a unit diagonal
-WEIGHT_ROUNDING = 1e-9
 # Least eigenvalue of a Hessian with unit diagonal, and inverse of the largest condition of a KKT system [-]
 DEFINITE = 1e-13
 

@@ -108,7 +108,7 @@ class FeasibleSlope(Slope):
         outward, distances = limits.edges(point)
         eye = np.eye(len(point))
         normals = np.vstack([outward[distances <= ACTIVE], -eye[free & (point <= 0)], eye[free & (point >= 1)]]) * free
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
         prices = held(normals, b)
         holding = normals[prices > 0]
         across = np.linalg.pinv(holding) if len(holding) else np.zeros((len(point), 0))
@@ -143,7 +143,7 @@ def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) ->
     """Feasible step (np,) within the distance ahead that rises most."""
     low = np.where(free, np.maximum(-SLOPE_AHEAD, -point), 0.0)
     high = np.where(free, np.minimum(SLOPE_AHEAD, 1.0 - point), 0.0)
-    size = max(float(np.abs(slope).max()), 1e-300)
+    size = max(float(np.abs(slope).max()), np.finfo(float).tiny)
     normals, distances = limits.edges(point)
     near = np.isfinite(distances)
     found = linprog(

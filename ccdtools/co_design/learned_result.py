@@ -70,11 +70,11 @@ class GradientCheck(Immutable):
         """Cosine between a method's gradient and the finite differences."""
         a = getattr(self, method)
         b = self.finite_difference
-        return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+        return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), np.finfo(float).tiny))
 
     def length(self, method: str) -> float:
         """Length of a method's gradient relative to the finite differences'."""
-        reference = max(float(np.linalg.norm(self.finite_difference)), 1e-300)
+        reference = max(float(np.linalg.norm(self.finite_difference)), np.finfo(float).tiny)
         return float(np.linalg.norm(getattr(self, method))) / reference
 
     @property

@@ -16,7 +16,7 @@ from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
-from ccdtools.co_design.tolerances import MORE_LOST, OUTSIDE_SHARE, OWN_OBJECTIVE, SAME_PLACE, SAME_RETURN
+from ccdtools.co_design.tolerances import MORE_LOST, NOT_WORSE_PERCENT, OUTSIDE_SHARE, OWN_OBJECTIVE, SAME_PLACE
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference
 from ccdtools.table import Table, csv_text
@@ -211,7 +211,7 @@ def _percent(comparison: MethodComparison, row: Any) -> tuple[float, float, floa
 
 def _differs(comparison: MethodComparison, row: Any) -> bool:
     """Whether a method and the reference are not equal."""
-    return not abs(_percent(comparison, row)[0]) <= SAME_RETURN
+    return not abs(_percent(comparison, row)[0]) <= NOT_WORSE_PERCENT
 
 
 def _equal(comparison: MethodComparison, rows: list[Any]) -> str:
@@ -223,7 +223,7 @@ def _equal(comparison: MethodComparison, rows: list[Any]) -> str:
     if len(rows) == 1:
         return ""
     if len(same) < 2:
-        return f"No other method is within {SAME_RETURN:g} % of {comparison.reference}."
+        return f"No other method is within {NOT_WORSE_PERCENT:g} % of {comparison.reference}."
     space = comparison.problem.design
     points = space.to_unit(np.array([row.result.design for row in same]))
     spread = float(np.ptp(points, axis=0).max())
@@ -232,7 +232,7 @@ def _equal(comparison: MethodComparison, rows: list[Any]) -> str:
         where = f"at one design, {space.describe(first.design)}"
     else:
         where = f"at designs up to {spread:.0%} of the box apart: the return is flat there"
-    return f"Equal within {SAME_RETURN:g} % of the return of {comparison.reference}: {names}; {where}."
+    return f"Equal within {NOT_WORSE_PERCENT:g} % of the return of {comparison.reference}: {names}; {where}."
 
 
 def _winner(comparison: MethodComparison, rows: list[Any]) -> str:
@@ -241,10 +241,10 @@ def _winner(comparison: MethodComparison, rows: list[Any]) -> str:
     if len(rows) == 1 or comparison[comparison.reference].closed_loop.lost.all():
         return ""
     mean, low, _ = _percent(comparison, best)
-    if best.name == comparison.reference or not mean > SAME_RETURN:
-        better = (row for row in rows if _percent(comparison, row)[0] > SAME_RETURN)
+    if best.name == comparison.reference or not mean > NOT_WORSE_PERCENT:
+        better = (row for row in rows if _percent(comparison, row)[0] > NOT_WORSE_PERCENT)
         kept = " that keeps the limits" if any(leaves_limits(comparison, row) for row in better) else ""
-        return f"No method{kept} is better than {comparison.reference} by more than {SAME_RETURN:g} %."
+        return f"No method{kept} is better than {comparison.reference} by more than {NOT_WORSE_PERCENT:g} %."
     certain = "" if low > 0 else " (the interval holds 0)"
     return f"{best.name} wins: {_said(comparison, best, certain)}."
 
@@ -276,7 +276,7 @@ def _parts(comparison: MethodComparison, row: Any) -> str:
         return made_for
     by_design, by_control = (comparison.percent(part.mean) for part in (row.from_design, row.from_control))
     measured = f"{signed(by_design)} % by its design, {signed(by_control)} % by its controller"
-    if abs(by_design) > SAME_RETURN / 2:
+    if abs(by_design) > NOT_WORSE_PERCENT / 2:
         measured += f" at {comparison.problem.design.describe(result.design)}"
     ended = "" if result.status.settled else result.status.value
     return "; ".join(part for part in (measured, made_for, ended) if part)

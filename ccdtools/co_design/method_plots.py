@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.landscape import Landscape
-from ccdtools.co_design.tolerances import DEEPEST_SHOWN, SAME_RETURN
+from ccdtools.co_design.tolerances import DEEPEST_SHOWN, NOT_WORSE_PERCENT
 from ccdtools.figure_style import BOUND, NOT_WORSE_STRIP, blank, draw_map, label, styled
 from ccdtools.plants.design_space import DesignSpace
 
@@ -53,7 +53,7 @@ def _returns(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, An
     """Reference's return and paired differences to it, against the time of a method."""
     level = comparison[comparison.reference].closed_loop.summary.mean
     size = comparison.size
-    strip = SAME_RETURN / 100 * size
+    strip = NOT_WORSE_PERCENT / 100 * size
     ax.axhspan(level - strip, level + strip, color=NOT_WORSE_STRIP, lw=0, zorder=0)
     ax.annotate(f"within 0.5 % of {comparison.reference}", (0.985, level - strip), (0, -2),
                 xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", va="top", fontsize=7,

@@ -25,8 +25,9 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.tolerances import EXCITATION, SETTLED_LOSS
+from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive
+from ccdtools.evidence.tolerances import NOT_WORSE
 from mpc import NotStabilisableError, lqr
 
 
@@ -55,7 +56,7 @@ class Linearisation(Immutable):
     @property
     def better(self) -> bool:
         """True if the secant's closed-loop return exceeds the tangent's by 0.5 %."""
-        return not self.tangent_return >= self.mean_return - SETTLED_LOSS * self.size
+        return not self.tangent_return >= self.mean_return - NOT_WORSE * self.size
 
     def __str__(self) -> str:
         tangent = "none" if np.isnan(self.tangent_return) else f"{self.tangent_return:.5g}"

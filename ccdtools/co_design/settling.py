@@ -37,9 +37,10 @@ from ccdtools.co_design.risk import measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE, SETTLED_LOSS
+from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
+from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import at
@@ -223,4 +224,4 @@ def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignR
 
 def _better(baseline: Baseline) -> bool:
     """True if a baseline gains more than the allowed loss, beyond chance if known."""
-    return baseline.gain.mean > SETTLED_LOSS and not baseline.gain.ci95[0] <= 0
+    return baseline.gain.mean > NOT_WORSE and not baseline.gain.ci95[0] <= 0

@@ -1,5 +1,7 @@
 """Tolerances of `ccdtools.co_design`, relative [-] unless a unit is named."""
 
+from ccdtools.evidence.tolerances import NOT_WORSE
+
 # --- what a slope or a gain may say -----------------------------------------------------------------------------------
 AGREEING = 0.05  # Slopes that differ by less than this part of themselves agree.
 # A slope below this part of the return that control makes, per unit-box length, is without consequence.
@@ -82,7 +84,6 @@ IDLE_PART = 1e-3  # An entry with less than this in a unit direction that change
 
 # --- a fit, a controller given, and the settling baseline -------------------------------------------------------------
 EXCITATION = 0.3  # Inputs of the first fit have this standard deviation, in parts of half the input's range.
-SETTLED_LOSS = 5e-3  # A controller may lose to a baseline by this part of the return that control makes.
 BLIND_SHARE = 0.5  # A policy without a gradient in a larger share of the runs is not led by it.
 NO_GRADIENT = 1e-9  # A run whose gradient is smaller than this part of the return has none.
 LEAST_ACTION = 1e-3  # A policy is taken to do at least this part of the range of an input.
@@ -93,7 +94,7 @@ FEW_RUNS_DECIDE = 2.0  # A few runs decide where their standard deviation exceed
 UNFORESEEN = 0.5  # An objective that predicts more by this part of the closed loop's return did not see what happens.
 
 # --- comparison of methods --------------------------------------------------------------------------------------------
-SAME_RETURN = 0.5  # Methods are equal if they differ by at most this part of the reference's return [%].
+NOT_WORSE_PERCENT = 100 * NOT_WORSE  # Methods are equal within this part of the reference's return [%].
 MORE_LOST = 1e-3  # A method is not the best if it loses more of the runs than the one that loses fewest by this.
 OWN_OBJECTIVE = 5.0  # A difference between a method's own objective and the closed loop is worth a word above this [%].
 OUTSIDE_SHARE = 1e-3  # A share of states outside the limits is worth a word above twice the reference's and this.

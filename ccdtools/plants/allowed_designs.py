@@ -21,7 +21,7 @@ from scipy.stats import qmc
 from ccdtools.arrays import Array
 from ccdtools.plants.budgets import ALLOWED_STARTS, BOX_SAMPLES, MAX_CORNERS, TRIED_COMBINATIONS
 from ccdtools.plants.design_constraints import UnitConstraints
-from ccdtools.plants.tolerances import EXACT, NEAREST
+from ccdtools.plants.tolerances import EXACT, NEAREST, ON_BOUND
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,14 +182,14 @@ class AllowedDesigns:
         """
         if self.limits is None or self.limits.violation(v) <= EXACT:
             return v
-        same = self.known[(np.abs(self.known - v) <= 1e-9)[:, ~self.free].all(axis=1)]
+        same = self.known[(np.abs(self.known - v) <= ON_BOUND)[:, ~self.free].all(axis=1)]
         known = sorted(same, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         return _nearest(self.limits, v, self.free, [*starts, *known], thorough=thorough)
 
 
 def whole_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
     """Least and largest whole numbers within bounds."""
-    return np.ceil(lower - 1e-9), np.floor(upper + 1e-9)
+    return np.ceil(lower - ON_BOUND), np.floor(upper + ON_BOUND)
 
 
 def _nearest(

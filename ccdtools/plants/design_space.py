@@ -16,7 +16,7 @@ from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_na
 from ccdtools.exceptions import InputError
 from ccdtools.plants.allowed_designs import AllowedDesigns, whole_bounds
 from ccdtools.plants.design_constraints import compiled, constraint_names
-from ccdtools.plants.tolerances import FEASIBLE
+from ccdtools.plants.tolerances import FEASIBLE, ON_BOUND
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -233,7 +233,7 @@ class DesignSpace(Immutable):
     def _outside(self, p: Array) -> Any:
         """Mask of values outside their bounds by more than rounding, same shape."""
         width = self.upper - self.lower
-        slack = 1e-9 * np.where(width > 0, width, np.abs(self.upper))
+        slack = ON_BOUND * np.where(width > 0, width, np.abs(self.upper))
         return ~((p >= self.lower - slack) & (p <= self.upper + slack))
 
     def _broken(self, p: Array) -> str:

@@ -1,6 +1,7 @@
 """Tolerances of `ccdtools.plants`, relative [-] without a unit."""
 
 # --- allowed designs --------------------------------------------------------------------------------------------------
+ON_BOUND = 1e-9  # A design is on a bound, and a number whole, if this close: part of the range, or of one.
 SAME_DESIGN = 1e-3  # Two designs are one if they differ by less than this part of the range of every parameter.
 FEASIBLE = 1e-6  # A design keeps a constraint up to this violation, as `DesignSpace.violation` has it.
 EXACT = 1e-10  # A violation this small, see `UnitConstraints.violation`, is rounding; searches keep as far inside.

@@ -13,7 +13,8 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.evidence.percent import share
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.studies.tolerances import CONSTANT_E, FIRST_RADIUS, LEAST_RADIUS, UNATTRIBUTED, WHOLE_NUMBER
+from ccdtools.plants.tolerances import ON_BOUND
+from ccdtools.studies.tolerances import CONSTANT_E, FIRST_RADIUS, LEAST_RADIUS, UNATTRIBUTED
 from ccdtools.twin.transport import ErrorSplit, full_rank
 from ccdtools.twin.twin import DigitalTwin
 
@@ -86,8 +87,8 @@ def within(problem: CoDesignProblem, centre: Array, radius: float) -> CoDesignPr
     upper = space.from_unit(np.clip(middle + radius, 0, 1))
     whole = space.whole
     least, most = space.outermost
-    lower[whole] = np.maximum(np.floor(np.minimum(lower + WHOLE_NUMBER, centre - 1))[whole], least[whole])
-    upper[whole] = np.minimum(np.ceil(np.maximum(upper - WHOLE_NUMBER, centre + 1))[whole], most[whole])
+    lower[whole] = np.maximum(np.floor(np.minimum(lower + ON_BOUND, centre - 1))[whole], least[whole])
+    upper[whole] = np.minimum(np.ceil(np.maximum(upper - ON_BOUND, centre + 1))[whole], most[whole])
     return replace(problem, model=problem.model.within(replace(space, lower=lower, upper=upper)))
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_triangular
 
+from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 from mpc.checks import Array, ReadOnly, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from mpc.exceptions import InputError
 from mpc.riccati import cost_units, lqr
-from mpc.tolerances import WEIGHT_ROUNDING
 
 
 @dataclass(frozen=True, eq=False, repr=False)

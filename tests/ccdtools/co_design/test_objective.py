@@ -1,5 +1,7 @@
 """The reward, and weights that are none."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import torch
@@ -32,6 +34,16 @@ def test_weights_are_copied_and_read_only():
         objective.Q[0, 0] = 2
 
 
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(("miss", "allowed"), [(3e-10, True), (3e-9, False)])
+def test_a_weight_may_be_asymmetric_or_negative_by_rounding_in_any_unit(size, miss, allowed):
+    units = np.diag([1.0, size])
+    negative = units @ [[1.0, 1.0 + miss], [1.0 + miss, 1.0]] @ units
+    for weight in (negative, [[size, miss * size], [0.0, size]]):
+        with nullcontext() if allowed else pytest.raises(InputError, match="Q: got"):
+            QuadraticObjective(weight, 0.1)
+
+
 def test_a_semidefinite_state_weight_is_allowed():
     assert QuadraticObjective(np.diag([1.0, 0.0]), [[1.0]]).Q[1, 1] == 0
 
@@ -42,8 +54,8 @@ def test_a_semidefinite_state_weight_is_allowed():
         (np.ones((2, 3)), [[1]], r"Q: got shape \(2, 3\), expected a square matrix"),
         ([[np.nan]], [[1]], "Q: got a value that is not finite, expected finite numbers"),
         ([[1, 1], [0, 1]], [[1]], "Q: got a matrix that is not symmetric, expected Q = Qᵀ"),
-        ([[-1]], [[1]], "Q: got smallest eigenvalue -1, expected a positive semidefinite matrix"),
-        ([[1]], [[-1]], "R: got smallest eigenvalue -1, expected a positive semidefinite matrix"),
+        ([[-1]], [[1]], "Q: got smallest eigenvalue -1 at a unit diagonal, expected a positive semidefinite matrix"),
+        ([[1]], [[-1]], "R: got smallest eigenvalue -1 at a unit diagonal, expected a positive semidefinite matrix"),
         ([[1]], np.ones((1, 2)), "R: got shape"),
     ],
 )
