@@ -12,3 +12,4 @@ INDEPENDENCE_LEVEL = 0.99  # The test that the parts of a series are independent
 TRANSIENT = 0.05  # This first part of a series counts in the mean but not in its variance, as a transient is no noise.
 FEWEST_RUNS = 10  # A statistic other than the mean has no interval if fewer runs decide it.
 SAME_RETURN = 1e-6  # Differences below this part of a return are rounding and the tolerances of solvers.
+NOT_WORSE = 0.005  # A loss or a change below this part of the size of a return or a metric does not matter.

@@ -27,7 +27,7 @@ from ccdtools.co_design.episodes import fewer_runs, simulated
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive
-from ccdtools.evidence.tolerances import NOT_WORSE
+from ccdtools.tolerances import NOT_WORSE
 from mpc import NotStabilisableError, lqr
 
 

@@ -40,11 +40,11 @@ from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
-from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference
+from ccdtools.tolerances import NOT_WORSE
 from mpc import MPCError
 
 

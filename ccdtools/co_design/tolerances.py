@@ -1,6 +1,6 @@
 """Tolerances of `ccdtools.co_design`, relative [-] unless a unit is named."""
 
-from ccdtools.evidence.tolerances import NOT_WORSE
+from ccdtools.tolerances import NOT_WORSE
 
 # --- what a slope or a gain may say -----------------------------------------------------------------------------------
 AGREEING = 0.05  # Slopes that differ by less than this part of themselves agree.

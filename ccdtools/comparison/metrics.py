@@ -12,9 +12,9 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_mapping, shown
 from ccdtools.evidence.percent import word_of_change
-from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.tolerances import NOT_WORSE
 from ccdtools.trajectory import Trajectory
 
 Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]

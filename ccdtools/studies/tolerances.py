@@ -1,7 +1,6 @@
 """Tolerances of `ccdtools.studies`, relative [-] without a unit."""
 
-from ccdtools.evidence.tolerances import NOT_WORSE
-from ccdtools.tolerances import SAME_RETURN
+from ccdtools.tolerances import NOT_WORSE, SAME_RETURN
 
 MINIMUM_LOG = 500  # A deployment must log so many samples for its quantiles to mean anything.
 MOSTLY_OUTSIDE = 0.5  # A recording with a larger part of its samples outside X is not one of this plant.

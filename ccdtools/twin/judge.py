@@ -12,8 +12,8 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.evidence.evidence import Evidence, Pairing
-from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.evidence.verdict import Verdict, decide
+from ccdtools.tolerances import NOT_WORSE
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution

@@ -8,9 +8,9 @@ from typing import Any
 from ccdtools.arrays import Immutable
 from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
-from ccdtools.evidence.tolerances import NOT_WORSE
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.statistics import PairedDifference
+from ccdtools.tolerances import NOT_WORSE
 from ccdtools.twin.distributions import UPDATED
 from learning.quantile import QuantileConfig
 
