@@ -2,7 +2,24 @@
 
 from ccdtools_ground.errors import InputError, LearningError
 
-__all__ = ["CheckpointError", "InputError", "LearningError"]
+__all__ = ["CheckpointError", "DivergedError", "InputError", "LearningError"]
+
+
+class DivergedError(LearningError):
+    """An update whose weights or policy are not finite; the agent is as it was before it.
+
+    Attributes
+    ----------
+    iteration : int
+        The update, from zero.
+    """
+
+    def __init__(self, iteration: int) -> None:
+        super().__init__(iteration)
+        self.iteration = iteration
+
+    def __str__(self) -> str:
+        return f"Update {self.iteration} made a policy that is not finite. Try a smaller learning_rate or value_rate."
 
 
 class CheckpointError(LearningError):

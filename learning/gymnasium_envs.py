@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ccdtools_ground.door import as_count
+from ccdtools_ground.door import as_count, as_number, brief
+from learning.budgets import TRIED_STEPS
 from learning.exceptions import InputError
 from learning.networks import ActorCritic, NetworkConfig
+from learning.tolerances import WIDEST
 
 Array = np.ndarray
 
@@ -41,16 +43,22 @@ class GymnasiumEnvs:
         as_count("seed", seed, least=0)
         self.envs = [_made(make) for _ in range(runs)]
         self.seed = seed
-        observations = _box(self.envs[0], "observation_space")
-        actions = _box(self.envs[0], "action_space")
+        if len({id(env.unwrapped) for env in self.envs}) < runs:
+            raise InputError("make", "one environment again and again", "a new one at every call")
+        spaces = [(_box(env, "observation_space"), _box(env, "action_space")) for env in self.envs]
+        if any(pair != spaces[0] for pair in spaces):
+            raise InputError("make", "environments of several spaces", "the same spaces at every call")
+        observations, actions = spaces[0]
         self._lower, self._upper = actions.low, actions.high
         if not (np.isfinite(self._lower) & np.isfinite(self._upper)).all():
             raise InputError("make", f"actions from {self._lower} to {self._upper}", "finite bounds of the actions")
         self._range = np.asarray(observations.low, float), np.asarray(observations.high, float)
         self._type = observations.dtype
-        first, again = (self.envs[0].reset(seed=seed)[0] for _ in range(2))
-        if not np.array_equal(first, again):
-            raise InputError("make", f"{first} and {again} after two resets with seed {seed}", "the same observation")
+        first, again = (self._tried() for _ in range(2))
+        if not np.array_equal(first, again, equal_nan=True):
+            at = int((first != again).any(axis=1).argmax())
+            got = f"{first[at]} and {again[at]} as reward and observation {at} steps after two resets with seed {seed}"
+            raise InputError("make", brief(got, 200), "the same numbers")
 
     def agent(self, *, config: NetworkConfig | None = None, seed: int = 0) -> ActorCritic:
         """Untrained agent for these observations and actions.
@@ -58,51 +66,77 @@ class GymnasiumEnvs:
         Observations without bounds are taken for numbers of about one, until the first are seen.
         """
         lower, upper = self._range
-        known = np.isfinite(lower) & np.isfinite(upper) & (upper - lower < 1e6)
+        known = np.isfinite(lower) & np.isfinite(upper) & (upper > lower) & (upper - lower < WIDEST)
         lower, upper = np.where(known, lower, -1.0), np.where(known, upper, 1.0)
         return ActorCritic(lower, upper, self._lower, self._upper, config=config, seed=seed)
 
     def reset(self) -> Tensor:
         """Fresh observations (runs, n_obs), from the seeds."""
-        return self._tensor([env.reset(seed=self.seed + i)[0] for i, env in enumerate(self.envs)])
+        return torch.stack([self._seen(env.reset(seed=self.seed + i)[0]) for i, env in enumerate(self.envs)])
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `VectorEnv`."""
         following, successors, rewards, terminated, truncated = [], [], [], [], []
         for env, action in zip(self.envs, actions.double().numpy()):
             rounded = action.astype(self._lower.dtype)  # can be beyond a bound
-            successor, reward, over, cut, _ = env.step(np.clip(rounded, self._lower, self._upper))
+            successor, reward, over, cut = self._stepped(env, np.clip(rounded, self._lower, self._upper))
             successors.append(successor)
-            following.append(env.reset()[0] if over or cut else successor)
+            following.append(self._seen(env.reset()[0]) if over or cut else successor)
             rewards.append(reward)
-            terminated.append(bool(over))
-            truncated.append(bool(cut and not over))
-        if not np.isfinite(rewards).all():
-            raise InputError("env", f"the rewards {rewards}", "finite rewards")
+            terminated.append(over)
+            truncated.append(cut and not over)
         flags = torch.tensor(terminated), torch.tensor(truncated)
-        reward = torch.tensor(rewards, dtype=torch.float32)
-        return self._tensor(following), self._tensor(successors), reward, *flags
+        return torch.stack(following), torch.stack(successors), torch.tensor(rewards, dtype=torch.float32), *flags
 
     def state(self) -> bytes:
         """Environments where they stand, for `restore`."""
         if any("EzPickle" in (base.__name__ for base in type(env.unwrapped).__mro__) for env in self.envs):
             expected = "one that pickle keeps where it stands: this one is made anew and could not go on exactly"
             raise InputError("env", repr(self.envs[0].unwrapped)[:60], expected)
-        return pickle.dumps(self.envs)
+        try:
+            return pickle.dumps(self.envs)
+        except (AttributeError, TypeError, pickle.PicklingError) as error:
+            raise InputError("env", str(error), "environments that pickle can keep") from None
 
     def restore(self, state: bytes) -> None:
-        """Go on from a `state`."""
-        self.envs = pickle.loads(state)
+        """Go on from a `state`.
 
-    def _tensor(self, observations: Sequence[Any]) -> Tensor:
-        """Observations as one tensor, of the shape that the space states."""
-        rows = [np.asarray(observation) for observation in observations]
+        Raises
+        ------
+        InputError
+            If its environments are others, as far as their number and spaces tell.
+        """
+        envs = pickle.loads(state)
+        own, kept = ([(env.observation_space, env.action_space) for env in some] for some in (self.envs, envs))
+        if own != kept:
+            raise InputError("state", f"{len(kept)} environments of {kept[0]}", f"{len(own)} of {own[0]}")
+        self.envs = envs
+
+    def _tried(self) -> Array:
+        """Rewards and observations (steps + 1, 1 + n_obs) of a few steps of the first environment."""
+        env = self.envs[0]
+        rows = [[0.0, *self._seen(env.reset(seed=self.seed)[0])]]
+        for share in np.linspace(0.25, 0.75, TRIED_STEPS):
+            action = self._lower + share * (self._upper - self._lower)
+            observation, reward, over, cut = self._stepped(env, action.astype(self._lower.dtype))
+            rows.append([reward, *observation])
+            if over or cut:
+                break
+        return np.array(rows, dtype=float)
+
+    def _stepped(self, env: Any, action: Array) -> tuple[Tensor, float, bool, bool]:
+        """Observation, reward, terminated and truncated of a step."""
+        observation, reward, over, cut, _ = env.step(action)
+        return self._seen(observation), as_number("env", reward, expected="finite rewards"), bool(over), bool(cut)
+
+    def _seen(self, observation: Any) -> Tensor:
+        """Observation (n_obs,) as a tensor, if it is of the kind that the space states."""
+        row = np.array(observation)
         n = len(self._range[0])
-        for row in rows:
-            if row.shape != (n,) or row.dtype != self._type or not np.isfinite(row).all():
-                got = f"an observation of shape {row.shape}, {row.dtype}, {row}"
-                raise InputError("env", got, f"finite ones of shape ({n},), {self._type}, as its space states")
-        return torch.from_numpy(np.stack(rows).astype(np.float32))
+        if row.shape != (n,) or row.dtype != self._type or not np.isfinite(row).all():
+            got = f"an observation of shape {row.shape}, {row.dtype}, {row}"
+            raise InputError("env", got, f"finite ones of shape ({n},), {self._type}, as its space states")
+        return torch.from_numpy(row.astype(np.float32))
 
 
 def _made(make: Any) -> Any:
@@ -125,7 +159,8 @@ def _made(make: Any) -> Any:
 def _box(env: Any, name: str) -> Any:
     """Space of an environment, which must be a box (n,)."""
     space = getattr(env, name)
-    if not hasattr(space, "low") or len(space.shape) != 1:
+    whole = name == "action_space" and not np.issubdtype(space.dtype, np.floating)
+    if not hasattr(space, "low") or len(space.shape) != 1 or whole:
         cure = "For discrete actions use Stable-Baselines3." if name == "action_space" else "Flatten it by a wrapper."
-        raise InputError("make", f"the {name} {space}", "a box of shape (n,)", cure)
+        raise InputError("make", f"the {name} {space}", "a box of shape (n,)" + (" of float" if whole else ""), cure)
     return space

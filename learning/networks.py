@@ -129,6 +129,16 @@ class FeedForward(nn.Module):
         layers = [(W, b + first.bias), *((layer.weight.T, layer.bias) for layer in (*others, self.head))]
         return Layers(tuple(layers), None if self.skip is None else entry(self.skip.weight))
 
+    @torch.no_grad()
+    def rescale_inputs(self, shift: Tensor, ratio: Tensor) -> None:
+        """Change inputs (n_in,) from z to (z − shift)/ratio, not the outputs."""
+        first = next(layer for layer in (*self.body, self.head) if isinstance(layer, nn.Linear))
+        first.bias.add_(first.weight @ shift)
+        first.weight.mul_(ratio)
+        if self.skip is not None:
+            self.head.bias.add_(self.skip.weight @ shift)
+            self.skip.weight.mul_(ratio)
+
     def forward(self, inputs: Tensor) -> Tensor:
         """Outputs (..., n_out)."""
         out: Tensor = self.head(self.body(inputs))
@@ -221,7 +231,7 @@ class ActorCritic(nn.Module):
         """Normalise by mean and spread of all observations so far.
 
         `observations` (..., n_obs) are added to them. The ranges that the agent was made with serve until the first
-        ones are seen.
+        ones are seen. What an agent that imitates has been taught stays as it is.
         """
         x = observations.reshape(-1, len(self.observation_offset)).double()
         before = self.observations_seen.item()
@@ -230,9 +240,16 @@ class ActorCritic(nn.Module):
         gap = x.mean(0) - self.observation_offset
         variance = (1 - share) * self.observation_scale.double().square() + share * x.var(0, correction=0)
         variance += (1 - share) * share * gap.square() if before else 0.0
-        self.observation_offset.add_(share * gap)
-        least = (LEAST_PART * self.observation_offset.abs()).clamp(min=LEAST_SPREAD)
-        self.observation_scale.copy_(torch.maximum(variance.sqrt(), least))
+        offset = (self.observation_offset + share * gap).float()
+        least = (LEAST_PART * offset.abs()).clamp(min=LEAST_SPREAD)
+        scale = torch.maximum(variance.sqrt(), least).float()
+        if self.imitates:
+            shift, ratio = (offset - self.observation_offset) / self.observation_scale, scale / self.observation_scale
+            for network in (self.mean_network, self.value_network, self.std_network):
+                if network is not None:
+                    network.rescale_inputs(shift, ratio)
+        self.observation_offset.copy_(offset)
+        self.observation_scale.copy_(scale)
         self.observations_seen.fill_(total)
 
     @torch.no_grad()

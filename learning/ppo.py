@@ -10,6 +10,7 @@ arXiv:1602.07714, 2016, for the running unit of values.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -56,7 +57,8 @@ class PPOConfig:
     max_gradient : float
         Gradient norms are clipped here, before Adam.
     final_std : float or None
-        If given, the exploration decays geometrically to this value during a training.
+        If given, the exploration decays geometrically to this value during a training. An exploration that is a network
+        of its own is left to learn.
     critic_only : int
         First iterations in which only the critic learns.
     running_scales : bool
@@ -141,7 +143,7 @@ class UpdateStatistics:
     entropy : float
         Of the policy, mean over the last pass [nat].
     gradient_norm : float
-        Mean norm of the actor's gradient in the last pass, before it is clipped.
+        Mean norm of the actor's gradient over the steps of the last pass, before it is clipped; NaN without a step.
     passes : int
         Passes over the rollout until the KL limit.
     """
@@ -186,7 +188,7 @@ def gae(
     gamma = check_number(gamma, "gamma", 0, 1, closed=True)
     lam = check_number(lam, "lam", 0, 1, closed=True)
     ended = terminated | truncated
-    delta = rewards + gamma * successor_values * (~terminated) - values
+    delta = rewards + gamma * successor_values.masked_fill(terminated, 0.0) - values
     advantages = torch.zeros_like(rewards)
     trace = torch.zeros_like(rewards[0])
     for t in reversed(range(len(rewards))):
@@ -217,7 +219,7 @@ def prepare(agent: ActorCritic, rollout: Rollout, config: PPOConfig) -> Batch:
         rollout.rewards, values, successors, rollout.terminated, rollout.truncated,
         gamma=config.gamma, lam=config.lam,
     )  # fmt: skip
-    advantages = ((raw - raw.mean()) / (raw.std() + 1e-8)).clamp(-5.0, 5.0)
+    advantages = ((raw - raw.mean()) / (raw.std(correction=0) + 1e-8)).clamp(-5.0, 5.0)
     return Batch(
         rollout.observations.flatten(0, 1),
         rollout.latents.flatten(0, 1),
@@ -293,7 +295,7 @@ class PPO:
     def state(self) -> dict[str, Any]:
         """Optimisers and counts, for `restore`."""
         optimisers = self.actor_optimiser.state_dict(), self.critic_optimiser.state_dict()
-        return {"optimisers": optimisers, "rescaled": self._rescaled}
+        return {"optimisers": copy.deepcopy(optimisers), "rescaled": self._rescaled}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
@@ -309,8 +311,8 @@ class PPO:
         agent = self.agent
         config = self.config
         batch = prepare(agent, rollout, config)
-        variance = batch.targets.var().item()
-        residual = (batch.targets - batch.values).var().item()
+        variance = batch.targets.var(correction=0).item()
+        residual = (batch.targets - batch.values).var(correction=0).item()
         if config.running_scales:
             self._rescale_values(batch.targets)
         rows: list[tuple[float, ...]] = []
@@ -326,7 +328,9 @@ class PPO:
                 break
         if config.running_scales:
             agent.see(rollout.observations)
-        kl, outside, entropy, norm = (float(mean) for mean in np.mean(rows, axis=0))
+        kl, outside, entropy, _ = (float(mean) for mean in np.mean(rows, axis=0))
+        norms = [norm for *_, norm in rows if not np.isnan(norm)]
+        norm = float(np.mean(norms)) if norms else float("nan")
         explained = 1.0 - residual / variance if variance > 0 else float("nan")
         return UpdateStatistics(kl, outside, explained, entropy, norm, passes)
 
@@ -335,11 +339,11 @@ class PPO:
         self._rescaled += 1
         share = max(1.0 / self._rescaled, SCALE_MEMORY)
         agent = self.agent
-        mean, std = targets.mean(), targets.std().clamp(min=LEAST_SPREAD)
+        mean, std = targets.mean(), targets.std(correction=0).clamp(min=LEAST_SPREAD)
         agent.rescale_values(agent.value_offset.lerp(mean, share), agent.value_scale.lerp(std, share))
 
     def _step(self, losses: Losses, *, actor: bool) -> float:
-        """Norm of the actor's gradient, after one clipped step."""
+        """Norm of the actor's gradient, after one clipped step; NaN if only the critic has made one."""
         loss = losses.value
         if actor:
             loss = loss + losses.surrogate - self.config.entropy_coefficient * losses.entropy
@@ -350,7 +354,7 @@ class PPO:
         nn.utils.clip_grad_norm_(self.agent.value_network.parameters(), limit)
         self.critic_optimiser.step()
         if not actor:
-            return 0.0
+            return float("nan")
         norm = nn.utils.clip_grad_norm_(self.agent.actor_parameters(), limit)
         self.actor_optimiser.step()
         return float(norm)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from ccdtools_ground.door import as_count
+from ccdtools_ground.door import as_count, brief
 from learning.checks import check_instance
 from learning.exceptions import InputError
 from learning.networks import ActorCritic
@@ -17,9 +17,9 @@ from learning.networks import ActorCritic
 class VectorEnv(Protocol):
     """Environments that step together; finished ones restart.
 
-    Observations are (n, n_obs), actions (n, nu) in the units of the plant. Tensors of actions lie where those of the
-    observations do. A training that can be resumed needs two methods more: `state()` returns what `restore(state)`
-    takes, in kinds that pickle knows.
+    Observations are (n, n_obs), actions (n, nu) in the units of the plant, rewards (n,), all finite; ends are Boolean
+    (n,). Tensors of actions lie where those of the observations do. A training that can be resumed needs two methods
+    more: `state()` returns what `restore(state)` takes, in kinds that pickle knows.
     """
 
     def reset(self) -> Tensor:
@@ -60,6 +60,8 @@ class Collector:
     ----------
     returns : list of float
         Undiscounted returns of the episodes that have ended, in the order of their ends.
+    episodes : (n,) tensor of int
+        Number of episodes that have ended, of each environment.
     """
 
     def __init__(self, env: VectorEnv, agent: ActorCritic, *, generator: torch.Generator) -> None:
@@ -69,12 +71,21 @@ class Collector:
         self.agent = check_instance(agent, "agent", ActorCritic)
         self.generator = check_instance(generator, "generator", torch.Generator)
         self.returns: list[float] = []
-        self._observation = env.reset()
+        first = env.reset()
+        n = len(first) if isinstance(first, Tensor) and first.ndim > 0 else 1
+        self._observation = self._taken("observations", first, n, len(agent.observation_offset))
         self._sums = torch.zeros(len(self._observation), dtype=torch.float64)
+        self.episodes = torch.zeros(len(self._observation), dtype=torch.int64)
 
     @torch.no_grad()
     def rollout(self, steps: int) -> Rollout:
-        """Next `steps` steps of the sampled policy."""
+        """Next `steps` steps of the sampled policy.
+
+        Raises
+        ------
+        InputError
+            If the environment gives anything but what `VectorEnv` states.
+        """
         as_count("steps", steps)
         agent = self.agent
         device = agent.log_std.device
@@ -86,11 +97,36 @@ class Collector:
             latent = distribution.mean + distribution.stddev * noise
             log_prob = distribution.log_prob(latent).sum(-1)
             actions = agent.action(latent, observation).to(self._observation.device)
-            self._observation, *experience = self.env.step(actions)
-            successor, reward, terminated, truncated = (column.to(device) for column in experience)
-            columns.append((observation, successor, latent, log_prob, reward, terminated, truncated))
-            self._count(reward.cpu(), (terminated | truncated).cpu())
-        return Rollout(*(torch.stack(column) for column in zip(*columns)))
+            successor, *experience = self._step(actions)
+            columns.append((observation, successor.to(device), latent, log_prob, *(c.to(device) for c in experience)))
+            self._count(*(column.cpu() for column in experience))
+        rollout = Rollout(*(torch.stack(column) for column in zip(*columns)))
+        led_to = rollout.successors.masked_fill(rollout.terminated[..., None], 0.0)  # no value is asked of an end
+        checked = {"observations": rollout.observations, "successors": led_to, "rewards": rollout.rewards}
+        for name, column in checked.items():
+            finite = column.isfinite().reshape(steps, -1).all(dim=1)
+            if not finite.all():
+                k = int(finite.logical_not().nonzero()[0])
+                expected = "finite numbers of single precision"
+                raise InputError("env", brief(f"the {name} {column[k].tolist()} at step {k} of a rollout"), expected)
+        return rollout
+
+    def _step(self, actions: Tensor) -> list[Tensor]:
+        """Successor, reward, terminated and truncated of a step."""
+        n, size = self._observation.shape
+        following, successor, reward, *ends = self.env.step(actions)
+        self._observation = self._taken("observations", following, n, size)
+        numbers = [self._taken("successors", successor, n, size), self._taken("rewards", reward, n)]
+        return numbers + [self._taken("ends of episodes", end, n, kind=torch.bool) for end in ends]
+
+    def _taken(self, name: str, value: Any, *shape: int, kind: torch.dtype = torch.float32) -> Tensor:
+        """A copy of what the environment gave, which may use its own again."""
+        if not isinstance(value, Tensor):
+            raise InputError("env", f"{name} of {type(value).__name__}", "a tensor")
+        if value.shape != shape or (value.dtype is torch.bool) != (kind is torch.bool):
+            got = f"{name} of shape {tuple(value.shape)}, {value.dtype}"
+            raise InputError("env", got, f"a tensor of shape {shape}, {kind}")
+        return value.to(kind, copy=True)
 
     def state(self) -> dict[str, Any]:
         """Environments, returns and generator where they stand, for `restore`.
@@ -103,20 +139,24 @@ class Collector:
         if not all(callable(getattr(self.env, name, None)) for name in ("state", "restore")):
             expected = "methods state() and restore(state), without which no training can go on exactly"
             raise InputError("env", repr(self.env)[:60], expected)
-        own = {"observation": self._observation, "sums": self._sums, "returns": self.returns}
+        own = {"observation": self._observation, "sums": self._sums.clone(), "returns": [*self.returns]}
+        own["episodes"] = self.episodes.clone()
         return {**own, "env": self.env.state(), "generator": self.generator.get_state()}  # type: ignore[attr-defined]
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
-        self._observation = state["observation"]
-        self._sums = state["sums"]
-        self.returns = state["returns"]
         self.env.restore(state["env"])  # type: ignore[attr-defined]
+        self._observation = state["observation"]
+        self._sums = state["sums"].clone()
+        self.returns = [*state["returns"]]
+        self.episodes = state["episodes"].clone()
         self.generator.set_state(state["generator"])
 
-    def _count(self, reward: Tensor, ended: Tensor) -> None:
+    def _count(self, reward: Tensor, terminated: Tensor, truncated: Tensor) -> None:
         """Add a step to the returns."""
+        ended = terminated | truncated
         self._sums += reward
+        self.episodes += ended
         if ended.any():
             self.returns += self._sums[ended].tolist()
             self._sums[ended] = 0.0

@@ -6,3 +6,4 @@ LEAK = 0.01  # While cloning, the clip keeps this slope outside its range, so th
 LEAST_SPREAD = 1e-8  # What is normalised by its standard deviation is divided by this [units of it] or more.
 LEAST_PART = 1e-4  # Observations are divided by this part of their mean or more: single precision rounds the mean.
 SCALE_MEMORY = 0.1  # A rollout moves the unit of values by this part of the way to its own, or more at first.
+WIDEST = 1e6  # A wider range of an observation [its unit] says nothing of its size.

@@ -13,13 +13,16 @@ import numpy as np
 import torch
 from tqdm import trange
 
-from ccdtools_ground.door import as_count
+from ccdtools_ground.door import as_count, as_instance
 from learning.budgets import EPISODES
 from learning.checks import check_instance
-from learning.exceptions import CheckpointError, InputError
+from learning.exceptions import CheckpointError, DivergedError, InputError
 from learning.networks import ActorCritic
 from learning.ppo import PPO, PPOConfig, UpdateStatistics
 from learning.rollout import Collector, VectorEnv
+
+# What reading a file of another kind, of other code or of another agent raises
+UNREADABLE = (OSError, RuntimeError, LookupError, TypeError, ValueError, EOFError, AttributeError, ImportError)
 
 
 @dataclass(frozen=True)
@@ -32,14 +35,21 @@ class TrainingRow:
         From zero.
     samples : int
         Steps of all environments so far.
+    episodes : int
+        Episodes that have ended so far.
     mean_return : float
-        Of the last episodes while exploring, at most 20; NaN before the first has ended.
+        Of the last episodes while exploring, at most 20, or one of each environment if these are more; NaN before the
+        first has ended.
+    judged : bool
+        Whether so many have ended, and one in each environment: the first to end are often those that end early.
     update : UpdateStatistics
     """
 
     iteration: int
     samples: int
+    episodes: int
     mean_return: float
+    judged: bool
     update: UpdateStatistics
 
 
@@ -52,7 +62,7 @@ class Training:
     agent : ActorCritic
         The last one, which was trained in place.
     best : ActorCritic
-        A copy of the one with the largest `mean_return`; of the last one where no episode ended.
+        A copy of the one with the largest `mean_return` that is `judged`; the last one where none is.
     config : PPOConfig
     rows : tuple of TrainingRow
     """
@@ -71,13 +81,17 @@ class Training:
         if not self.rows:
             return f"PPO, {how}: no update yet"
         last = self.rows[-1]
-        text = f"PPO, {how}: {last.samples} steps in {len(self.rows)} updates"
-        if np.isnan(last.mean_return):
-            return f"{text}; no episode ended"
-        best = max((row for row in self.rows if not np.isnan(row.mean_return)), key=lambda row: row.mean_return)
+        critic = sum(np.isnan(row.update.gradient_norm) for row in self.rows)
+        text = f"PPO, {how}: {last.samples} steps, {len(self.rows)} updates" + (
+            f", {critic} of them of the critic alone" if critic else ""
+        )
+        judged = [row for row in self.rows if row.judged]
+        if not judged:
+            return f"{text}; {last.episodes} episodes ended, too few to say how good it is"
+        best = max(judged, key=lambda row: row.mean_return)
         return (
             f"{text}; mean return of recent episodes {last.mean_return:.5g} at the end,"
-            f" {best.mean_return:.5g} at best (after update {best.iteration})"
+            f" {best.mean_return:.5g} at best (after {best.iteration} updates)"
         )
 
 
@@ -135,9 +149,13 @@ def train(
     Raises
     ------
     InputError
-        If an argument is of another kind, the device is none of this machine, or the environment cannot be resumed.
+        If an argument is of another kind, the device is none of this machine, or the environment cannot be resumed or
+        breaks its word, see `VectorEnv`.
     CheckpointError
         If the checkpoint cannot be read or written, or is of another training.
+    DivergedError
+        If an update makes weights or a policy that are not finite. Whatever is raised, agent and checkpoint are those
+        of the last update that was completed.
     """
     check_instance(agent, "agent", ActorCritic)
     config = config if config is not None else PPOConfig.warm() if agent.imitates else PPOConfig()
@@ -147,9 +165,11 @@ def train(
     if device is not None:
         _move(agent, device)
     run = _Run(PPO(agent, config), Collector(env, agent, generator=generator), Training(agent, agent, config))
-    file = None if checkpoint is None else Path(checkpoint)
+    file = None if checkpoint is None else Path(as_instance("checkpoint", checkpoint, (str, os.PathLike), "a path"))
     if file is not None and file.exists():
         run.load(file)
+    elif file is not None:
+        run.collector.state()  # raises before any work is lost
     for k in trange(len(run.result.rows), iterations, desc="PPO", disable=not progress, leave=False):
         done = k / max(iterations - 1, 1)
         row = run.iterate(k, steps, done)
@@ -176,13 +196,20 @@ class _Run:
         self.ppo.set_rates(1 - (1 - config.final_rate) * done)
         decay_exploration(agent, self.first_std, config.final_std, done)
         rollout = self.collector.rollout(steps)
-        returns = self.collector.returns
-        mean_return = float(np.mean(returns[-EPISODES:])) if returns else float("nan")
-        before = max((row.mean_return for row in result.rows if not np.isnan(row.mean_return)), default=-np.inf)
-        best = copy.deepcopy(agent) if mean_return > before else result.best
+        returns, ended = self.collector.returns, self.collector.episodes
+        window = max(EPISODES, len(ended))
+        mean_return = float(np.mean(returns[-window:])) if returns else float("nan")
+        judged = len(returns) >= window and bool(ended.all())
+        before = max((row.mean_return for row in result.rows if row.judged), default=-np.inf)
+        kept = copy.deepcopy(agent)
         update = self.ppo.update(rollout, generator=self.collector.generator, actor=k >= config.critic_only)
+        finite = (tensor.isfinite().all() for tensor in agent.state_dict().values())
+        if not (np.isfinite(update.kl) and all(finite)):
+            agent.load_state_dict(kept.state_dict())
+            raise DivergedError(k)
         samples = rollout.rewards.numel() + (result.rows[-1].samples if result.rows else 0)
-        row = TrainingRow(k, samples, mean_return, update)
+        row = TrainingRow(k, samples, len(returns), mean_return, judged, update)
+        best = kept if judged and mean_return > before else result.best
         self.result = replace(result, best=best, rows=(*result.rows, row))
         return row
 
@@ -196,26 +223,26 @@ class _Run:
             file.parent.mkdir(parents=True, exist_ok=True)
             torch.save({**weights, **own, "ppo": self.ppo.state(), "collector": self.collector.state()}, part)
             os.replace(part, file)
-        except OSError as error:
-            raise CheckpointError(file, error, "a file that can be written") from None
+        except (OSError, RuntimeError) as error:  # torch turns a full disk into the second
+            raise CheckpointError(file, str(error).partition("\n")[0], "a file that can be written") from None
 
     def load(self, file: Path) -> None:
         """Go on from a file."""
         agent = self.result.agent
         try:
-            kept = torch.load(file, weights_only=False)
+            kept = torch.load(file, weights_only=False, map_location="cpu")
             if kept["config"] != self.result.config:
                 raise CheckpointError(file, f"a training with {kept['config']}", f"{self.result.config}")
-            agent.load_state_dict(kept["agent"])
-            best = agent
-            if any(not np.isnan(row.mean_return) for row in kept["rows"]):
-                best = copy.deepcopy(agent)
-                best.load_state_dict(kept["best"])
-            self.ppo.restore(kept["ppo"])
+            last, best = copy.deepcopy(agent), copy.deepcopy(agent)
+            last.load_state_dict(kept["agent"])
+            best.load_state_dict(kept["best"])
             self.collector.restore(kept["collector"])
-        except (OSError, RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError) as error:
+            self.ppo.restore(kept["ppo"])
+        except (*UNREADABLE, pickle.UnpicklingError) as error:
             first = str(error).partition("\n")[0]
             raise CheckpointError(file, first, "a checkpoint of a training of this agent") from None
+        agent.load_state_dict(last.state_dict())
+        best = best if any(row.judged for row in kept["rows"]) else agent
         self.first_std = kept["first_std"]
         self.result = replace(self.result, best=best, rows=kept["rows"])
 

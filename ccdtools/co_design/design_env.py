@@ -10,7 +10,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance
+from ccdtools.checks import as_instance, as_vector, shown
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
@@ -61,15 +61,17 @@ class DesignEnv(Base):
             largest = np.r_[largest, np.ones(problem.design.dim, np.float32)]
         self.observation_space = spaces.Box(-largest, largest, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (problem.model.nu,), np.float32)
+        self._k = problem.steps  # no episode goes on before the first reset
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """First observation of a new episode, and {"design", "state"}."""
         super().reset(seed=seed)
-        unknown = set(options or {}) - {"design"}
-        if unknown:
-            raise InputError("options", f"the keys {sorted(unknown)}", '"design" alone')
-        design = (options or {}).get("design", self._fixed)
-        self.design = self._drawn() if design is None else self.problem.design.check_feasible(design)
+        options = {} if options is None else options
+        if not isinstance(options, dict) or set(options) - {"design"}:
+            raise InputError("options", shown(options), '{"design": p}, or nothing')
+        given = options.get("design")
+        design = self._fixed if given is None else self.problem.design.check_feasible(given)
+        self.design = self._drawn() if design is None else design
         self._stepper = Stepper.at(self.problem, torch.tensor(self.design, dtype=torch.float32))
         x0, w = scenario_tensors(self.problem, cases_of(self.problem.scenarios), self.np_random)
         i = [int(self.np_random.integers(len(x0)))]  # any of the cases, which runs meet in turn
@@ -79,7 +81,16 @@ class DesignEnv(Base):
         return self._seen()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Result of an action (nu,), with {"design", "state"}."""
+        """Result of an action (nu,), with {"design", "state"}.
+
+        Raises
+        ------
+        InputError
+            If the action is no vector of nu finite numbers, or no episode goes on.
+        """
+        action = as_vector("action", action, self.problem.model.nu)
+        if not self._k < self.problem.steps:
+            raise InputError("step", "no episode that goes on", "a reset before it")
         inputs = torch.tensor(self._inputs(action, self.design), dtype=torch.float32)[None]
         with torch.no_grad():
             self._x, self._e, rewards = self._stepper(self._x, self._e, inputs, self._w[:, self._k])
@@ -88,6 +99,8 @@ class DesignEnv(Base):
             truncated = self._k >= self.problem.steps and not terminated
             reward = float(rewards)
             final = self._stepper.final_rewards(self._x)
+        if terminated:
+            self._k = self.problem.steps
         if truncated and final is not None:  # what comes after is paid for
             reward += float(final)
             terminated, truncated = True, False
@@ -100,8 +113,8 @@ class DesignEnv(Base):
         Parameters
         ----------
         policy : callable
-            Actions (n, nu) of observations (n, n_obs); of a pair, as Stable-Baselines3 returns, the first:
-            `lambda seen: model.predict(seen, deterministic=True)`.
+            Actions (n, nu) of observations (n, n_obs), such as an `ActorCritic`; of a pair, as Stable-Baselines3
+            returns, the first: `lambda seen: model.predict(seen, deterministic=True)`.
         design : (np,) array_like, optional
             By default the design of every episode.
 
@@ -117,7 +130,9 @@ class DesignEnv(Base):
             raise InputError("design", "none", "the design at which the controller acts")
 
         def controller(states: Array) -> Array:
-            actions = policy(self._observation(np.asarray(states, float), chosen))
+            seen = self._observation(np.asarray(states, float), chosen)
+            with torch.no_grad():
+                actions = policy(torch.from_numpy(seen)) if isinstance(policy, torch.nn.Module) else policy(seen)
             return self._inputs(np.asarray(actions[0] if isinstance(actions, tuple) else actions, float), chosen)
 
         return controller

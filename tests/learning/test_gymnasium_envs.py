@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from learning import Collector, GymnasiumEnvs, train
-from learning.exceptions import InputError
+from learning.exceptions import CheckpointError, InputError
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -64,24 +64,66 @@ def changed(**parts):
     return make
 
 
-def stepping(change):
-    """Return a `step` whose result is changed."""
+def stepping(change, *, after=0):
+    """Return a `step` whose result is changed after so many steps of one environment."""
 
     def part(env):
-        step = env.step
-        return lambda action: change(*step(action))
+        step, taken = env.step, iter(range(10**6))
+        return lambda action: change(*step(action)) if next(taken) >= after else step(action)
 
     return part
 
 
-DRAWS = iter(np.random.default_rng(0).random((9, 3)))
+def rewarded_by_chance(step):
+    """Return a `step` whose rewards are chance."""
+
+    def stepped(action):
+        observation, _, *rest = step(action)
+        return observation, float(next(DRAWS)[0]), *rest
+
+    return stepped
+
+
+def by_chance(reset):
+    """Return a `reset` whose observations are chance."""
+
+    def begun(**options):
+        reset(**options)
+        return next(DRAWS), {}
+
+    return begun
+
+
+class Sized:
+    """Environment with n observations, which are always the same array."""
+
+    def __init__(self, n):
+        self.observation_space, self.action_space = box(-1.0, 1.0, (n,)), box(-1.0, 1.0, (1,))
+        self.seen, self.unwrapped = np.zeros(n, np.float32), self
+
+    def reset(self, *, seed=None):
+        self.seen[:] = 0.0
+        return self.seen, {}
+
+    def step(self, action):
+        self.seen += 0.01
+        return self.seen, 1.0, False, bool(self.seen[0] > 0.095), {}
+
+
+DRAWS = iter(np.random.default_rng(0).random((99, 3), np.float32))
+SAME = gymnasium.make("Pendulum-v1")
+SIZES = iter((3, 3, 5, 5))
 box = gymnasium.spaces.Box
 REFUSED = {
     "a name nobody knows": ("Nothing-v1", "a registered environment"),
     "no environment": (lambda: 3, "the name of an environment"),
     "discrete actions": ("CartPole-v1", "a box of shape"),
     "endless actions": (changed(action_space=box(-np.inf, np.inf, (1,))), "finite bounds of the actions"),
-    "observations by chance": (changed(reset=lambda env: lambda **_: (next(DRAWS), {})), "the same observation"),
+    "one environment again and again": (lambda: SAME, "a new one at every call"),
+    "several spaces": (lambda: Sized(next(SIZES)), "the same spaces at every call"),
+    "rewards by chance": (changed(step=lambda env: rewarded_by_chance(env.step)), "the same numbers"),
+    "whole numbers as actions": (changed(action_space=box(0, 5, (1,), np.int64)), "of float"),
+    "observations by chance": (changed(reset=lambda env: by_chance(env.reset)), "the same numbers"),
 }
 
 
@@ -94,6 +136,8 @@ def test_what_no_policy_can_be_trained_in_is_refused(name):
 
 
 FAILING = {
+    "a reward beyond single precision": (lambda o, r, *rest: (o, 1e39, *rest), "rewards .* single precision"),
+    "a list of rewards": (lambda o, r, *rest: (o, [r], *rest), "finite rewards"),
     "a reward that is no number": (lambda o, r, *rest: (o, float("nan"), *rest), "finite rewards"),
     "another shape": (lambda o, *rest: (o[:2], *rest), "shape"),
     "another type": (lambda o, *rest: (o.astype(np.float64), *rest), "float64"),
@@ -104,7 +148,31 @@ FAILING = {
 @pytest.mark.parametrize("name", FAILING)
 def test_an_environment_that_breaks_its_word_is_named(name):
     change, message = FAILING[name]
-    env = GymnasiumEnvs(changed(step=stepping(change)))
+    env = GymnasiumEnvs(changed(step=stepping(change, after=30)))
     with pytest.raises(InputError, match=message) as caught:
-        Collector(env, env.agent(), generator=generator()).rollout(3)
+        Collector(env, env.agent(), generator=generator()).rollout(40)
     assert caught.value.argument == "env"
+
+
+def test_an_environment_may_use_its_own_array_again():
+    env = GymnasiumEnvs(lambda: Sized(3), runs=2)
+    rollout = Collector(env, env.agent(), generator=generator()).rollout(20)
+    np.testing.assert_allclose(rollout.successors[9, :, 0], 0.1, rtol=1e-5)
+    np.testing.assert_allclose(rollout.observations[10], 0.0)
+
+
+def test_what_pickle_cannot_keep_is_refused_before_the_first_step(tmp_path):
+    env = GymnasiumEnvs(changed(step=stepping(lambda *result: result)))
+    with pytest.raises(InputError, match="environments that pickle can keep"):
+        train(env, env.agent(), iterations=1, steps=2, generator=generator(), checkpoint=tmp_path / "a.pt",
+              callback=lambda row: pytest.fail("trained"))  # fmt: skip
+
+
+def test_a_checkpoint_of_other_environments_is_refused(tmp_path):
+    def trained(runs, **options):
+        env = GymnasiumEnvs("Pendulum-v1", runs=runs)
+        return train(env, env.agent(), steps=8, generator=generator(), checkpoint=tmp_path / "a.pt", **options)
+
+    trained(2, iterations=1)
+    with pytest.raises(CheckpointError, match="2 environments"):
+        trained(3, iterations=2)

@@ -7,8 +7,8 @@ import pytest
 import torch
 from toys import DoubleIntegrator, agent
 
-from learning import ActorCritic, CloningConfig, Collector, PPOConfig, fit_actor_critic, train
-from learning.exceptions import CheckpointError, InputError
+from learning import ActorCritic, CloningConfig, Collector, NetworkConfig, PPOConfig, fit_actor_critic, train
+from learning.exceptions import CheckpointError, DivergedError, InputError
 
 
 def generator(seed=1):
@@ -61,7 +61,90 @@ def test_without_an_ended_episode_the_best_agent_is_the_last_after_a_break_too(t
     short(agent(), env=DoubleIntegrator(horizon=99), iterations=2, **options)
     again = short(agent(), env=DoubleIntegrator(horizon=99), iterations=3, **options)
     assert again.best is again.agent
-    assert "no episode ended" in again.describe()
+    assert "0 episodes ended, too few" in again.describe()
+
+
+@pytest.mark.parametrize("skip", [True, False])
+def test_new_scales_leave_an_agent_that_imitates_as_it_was(skip):
+    net = ActorCritic([-1, -1], [1, 1], [-2], [2], config=NetworkConfig(skip=skip, std_network=True), imitates=True)
+    torch.nn.init.normal_(net.std_network.head.weight)
+    x = torch.randn(50, 2) * torch.tensor([30.0, 1e-3]) + torch.tensor([70.0, 2.0])
+    answers = (net.latent, net.value, net.std)
+    before = [answer(x).detach() for answer in answers]
+    for part in x[:20], x[20:]:
+        net.see(part)
+    for answer, same in zip(answers, before):
+        torch.testing.assert_close(answer(x).detach(), same, atol=1e-3, rtol=1e-3)
+
+
+def test_the_episodes_that_end_first_do_not_say_which_agent_is_best():
+    class Costly(DoubleIntegrator):
+        """Every step costs 1, and two of eight environments end early."""
+
+        def step(self, actions):
+            *_, ends = result = super().step(actions)
+            early = torch.arange(8) < 2
+            return (*result[:2], torch.full((8,), -1.0), early & (self.k % 5 == 0), ends)
+
+    result = short(agent(), env=Costly(horizon=60), iterations=9, steps=15)
+    assert [row.judged for row in result.rows][:3] == [False] * 3
+    assert all(row.mean_return < -10 for row in result.rows if row.judged)
+    assert result.rows[0].mean_return == pytest.approx(-5)
+
+
+BROKEN = {
+    "a reward that is no number": (2, lambda r: r * float("nan"), "rewards"),
+    "rewards of another shape": (2, lambda r: r[:-1], "rewards of shape"),
+    "observations that are endless": (0, lambda x: x * float("inf"), "observations"),
+    "ends that are numbers": (3, lambda e: e.float(), "ends of episodes"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_experience_that_breaks_its_word_changes_nothing(tmp_path, name):
+    part, change, message = BROKEN[name]
+
+    class Breaking(DoubleIntegrator):
+        steps = 0
+
+        def step(self, actions):
+            self.steps += 1
+            result = list(super().step(actions))
+            result[part] = change(result[part]) if self.steps == 40 else result[part]
+            return tuple(result)
+
+    net, file = agent(), tmp_path / "training.pt"
+    seen = []
+    with pytest.raises(InputError, match=f"env: got (the )?{message}"):
+        short(net, env=Breaking(), checkpoint=file, callback=lambda row: seen.append(weights(net)))
+    assert len(seen) == 1
+    assert torch.equal(weights(net), seen[0])
+
+
+def test_an_update_that_is_not_finite_leaves_the_agent_as_it_was():
+    net = agent()
+    start = weights(net)
+    with pytest.raises(DivergedError, match=r"Update 0 .* smaller learning_rate"):
+        short(net, config=PPOConfig(learning_rate=1e30, kl_limit=float("inf")))
+    assert torch.equal(weights(net), start)
+
+
+def test_a_state_stays_as_it_is_while_the_training_goes_on():
+    collector = Collector(DoubleIntegrator(), agent(), generator=generator())
+    collector.rollout(15)
+    state = collector.state()
+    first = collector.rollout(25)
+    collector.restore(state)
+    again = collector.rollout(25)
+    assert torch.equal(first.rewards, again.rewards)
+    collector.restore(state)
+    assert len(collector.returns) == len(state["returns"]) == 0
+
+
+def test_one_sample_is_enough_for_an_update():
+    net = agent()
+    short(net, env=DoubleIntegrator(runs=1), iterations=2, steps=1)
+    assert weights(net).isfinite().all()
 
 
 @pytest.mark.parametrize("skip", [True, False])

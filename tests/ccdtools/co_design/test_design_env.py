@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from ccdtools import FixedStart, Gaussian, InputError, closed_loop_returns, saturated_lqr
 from ccdtools.co_design import DesignEnv
 from ccdtools.disturbances import Cases
+from learning import GymnasiumEnvs
 
 pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env
@@ -118,5 +120,32 @@ def test_wrong_calls_name_their_argument(problem):
         DesignEnv(problem).controller(3)
     with pytest.raises(InputError, match="design: got none"):
         DesignEnv(problem).controller(len)
-    with pytest.raises(InputError, match="options: got the keys"):
+    with pytest.raises(InputError, match="options: got"):
         DesignEnv(problem).reset(options={"speed": 1})
+    env = DesignEnv(problem)
+    with pytest.raises(InputError, match="step: got no episode"):
+        env.step([0.0])
+    env.reset()
+    for action in ([np.nan], [0.0, 0.0], [[0.0]]):
+        with pytest.raises(InputError, match="action"):
+            env.step(action)
+    while not any(env.step([0.0])[2:4]):
+        pass
+    with pytest.raises(InputError, match="step: got no episode"):
+        env.step([0.0])
+
+
+def test_a_fixed_design_stays_where_none_is_given(problem):
+    env = DesignEnv(problem, problem.design.centre)
+    _, info = env.reset(options={"design": None})
+    np.testing.assert_allclose(info["design"], problem.design.centre)
+
+
+def test_an_agent_of_the_library_is_a_controller(problem):
+    env = DesignEnv(problem, problem.design.centre)
+    agent = GymnasiumEnvs(lambda: DesignEnv(problem, problem.design.centre), runs=2).agent(seed=1)
+    observation, info = env.reset(seed=0)
+    action = agent(torch.as_tensor(observation)[None]).detach().numpy()
+    lower, upper = problem.input_bounds
+    expected = (lower + upper) / 2 + action[0] * (upper - lower) / 2
+    np.testing.assert_allclose(env.controller(agent)(info["state"][None])[0], expected, rtol=1e-5)
