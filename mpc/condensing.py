@@ -10,7 +10,7 @@ from mpc.exceptions import InputError, NotConvexError
 from mpc.feedback import along_horizon, block_lengths, stabilising_feedback
 from mpc.parametric_qp import Constraint, ParametricQP, places
 from mpc.problem import MPCProblem
-from mpc.tolerances import DEFINITE
+from mpc.tolerances import ROUNDED_SUM
 
 
 def condense(problem: MPCProblem, parameters: tuple[str, ...] = ()) -> ParametricQP:
@@ -170,10 +170,10 @@ def _check_convex(H: Array) -> None:
     d = np.sqrt(np.abs(np.diag(H)))
     scaled = H / d / d[:, None] if d.all() and np.isfinite(H).all() else None
     smallest = -np.inf if scaled is None else float(np.linalg.eigvalsh(scaled)[0])
-    if smallest < DEFINITE:
+    if smallest < ROUNDED_SUM:
         raise NotConvexError(
             f"the condensed Hessian is not positive definite: got a scaled smallest eigenvalue of {smallest:.3g}, "
-            f"expected > {DEFINITE:.0e}; some input is free of cost. Make R positive definite, or let Q and P see "
+            f"expected > {ROUNDED_SUM:.0e}; some input is free of cost. Make R positive definite, or let Q and P see "
             "every input.",
             "Hessian",
             smallest,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mpc.checks import Array
-from mpc.tolerances import FEEDBACK_ROUNDING, KKT_REPORTED, NEWTON, ROUNDING, SLACK_FLOOR
+from mpc.tolerances import KKT_REPORTED, NEWTON, ROUNDED_SUM
 
 if TYPE_CHECKING:
     from mpc.stages import QPStage
@@ -80,16 +80,16 @@ class _Iteration:
         for k, (st, x, v, s) in enumerate(zip(self.stages, self.states, self.variables, self.slacks)):
             terms = np.abs(st.C) @ np.abs(v) + np.abs(st.D) @ np.abs(x) + np.abs(st.d) + s
             r = st.C @ v + st.D @ x + s - st.d
-            self.residuals.append(np.where(np.abs(r) <= ROUNDING * terms, 0.0, r))
+            self.residuals.append(np.where(np.abs(r) <= ROUNDED_SUM * terms, 0.0, r))
             over = np.maximum(np.abs(r) - np.abs(st.C) @ self.noise(k), 0.0)
             self.violation = max(self.violation, float(np.max(over / np.maximum(terms, 1.0), initial=0.0)))
-        self.open = [s > SLACK_FLOOR for s in self.slacks]  # the others are at their bounds to all digits
+        self.open = [s > ROUNDED_SUM for s in self.slacks]  # the others are at their bounds to all digits
         self.weights = [y / s for y, s in zip(self.multipliers, self.slacks)]
         self._factorise()
 
     def noise(self, k: int) -> Array:
         """Rounding of the variables of stage k through feedback."""
-        return FEEDBACK_ROUNDING * np.abs(self.gains[k]) @ np.abs(self.states[k])
+        return ROUNDED_SUM * np.abs(self.gains[k]) @ np.abs(self.states[k])
 
     def largest_step(self, direction: _Direction) -> float:
         """Largest change of an input in a Newton step, beyond rounding."""
@@ -169,7 +169,7 @@ class _Iteration:
             self.variables[k] = self.variables[k] + length * f + K @ (states[k] - self.states[k])
             states.append(st.A @ states[k] + st.B @ self.variables[k] + st.c)
         self.states = states[:-1]
-        self.slacks = [np.maximum(s + length * ds, SLACK_FLOOR) for s, ds in zip(self.slacks, direction.slacks)]
+        self.slacks = [np.maximum(s + length * ds, ROUNDED_SUM) for s, ds in zip(self.slacks, direction.slacks)]
         self.multipliers = [
             np.maximum(y + length * dy, np.finfo(float).tiny) for y, dy in zip(self.multipliers, direction.multipliers)
         ]
@@ -208,5 +208,5 @@ def solve_stagewise(stages: list[QPStage], start: Array, variables: Arrays) -> S
 def _inverse(M: Array) -> Array:
     """Inverse of a symmetric positive definite matrix, scaled."""
     scale = 1 / np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
-    regular = M * scale * scale[:, None] + ROUNDING * np.eye(len(M))
+    regular = M * scale * scale[:, None] + ROUNDED_SUM * np.eye(len(M))
     return np.asarray(np.linalg.inv(regular) * scale * scale[:, None])

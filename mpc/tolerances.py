@@ -20,8 +20,9 @@ RUNAWAY = KKT / EPS
 # Relative optimality residual, or Newton step in units of the limits, above which a plan is INACCURATE; so a row that
 # is nearer to its bound, and would be passed by less if it did not act, neither acts nor leaves the plan alone [-]
 KKT_REPORTED = 1e-6
-# Violation of a scaled row that counts as none [-]: DAQP accepts it, a row that cuts no deeper into the set of the
-# others is redundant, and a box or a region that reaches no further across a side does not cross it
+# What counts as none on scaled data [-]: a violation of a row (DAQP accepts it; a row that cuts no deeper into the set
+# of the others is redundant; a box or a region that reaches no further across a side does not cross it), a gap between
+# opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws
 PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]: that which a plan may have,
@@ -33,12 +34,9 @@ NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a la
 # settles what the others leave open [-]
 NEGLIGIBLE = 1e-6
 # Part of the terms of a sum that is rounding [-]: of bounds along an axis, costs of a mode, coefficients of laws and
-# rows, rates along a unit row, a row at a projected point, a closed loop's distance from the unit circle
+# rows, rates along a unit row, a row at a projected point, a residual or slack of a row, a feedback, a closed loop's
+# distance from the unit circle, an eigenvalue of a matrix with unit diagonal
 ROUNDED_SUM = 1e-13
-
-# ---- weights and definiteness ----
-# Least eigenvalue of a Hessian with unit diagonal, and inverse of the largest condition of a KKT system [-]
-DEFINITE = 1e-13
 
 # ---- sets ----
 # Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
@@ -80,10 +78,6 @@ STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or
 
 # ---- stage-by-stage solution, in scaled variables ----
 FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs uses [-]
-SLACK_FLOOR = 1e-14  # Least slack of a row in units of its bound: smaller ones are rounding [-]
-# Relative rounding of a state that has come about over a whole horizon [-]: its feedback is no more exact
-FEEDBACK_ROUNDING = 1e-14
-ROUNDING = 1e-15  # Residual of a row, relative to its terms, that is rounding [-]
 
 # ---- targets ----
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]
@@ -101,28 +95,22 @@ INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below wh
 TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its parts, that is rounding [-]
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
-# Normal of a multiplier or slack law, relative to what the size of the variables allows, below which it is zero [-].
-# A tenfold multiple holds for its constant.
-ZERO_ROW = 1e-10
 # Squared distance of a unit row from the span of others below which it depends on them, and no projection moves along
 # it [-]
 DEPENDENT_ROW = 1e-12
 # Squared distance of a unit row from the span of others below which multipliers are refined by their residual, and laws
 # computed by orthogonal directions [-]
 REFINED_ROW = 1e-5
-EXCHANGE = 1e-9  # Least coefficient of a dependent row on a member of the active set that can leave for it [-]
 # Size of the variables, in units of the largest bound, up to which a proof of infeasibility holds though its rows are
 # rounded; and the largest such unit, in units of the bounds [-]
 EXCLUDED = 1e4
 # Distance of the unconstrained optimum from the bounds, in units of their size, beyond which rounding decides which
 # rows hold with equality and which lie in front of others [-]: the problem is a linear program but for its last digits
 FAR_OPTIMUM = 1e8
-EQUALITY = 1e-11  # Distance of two opposite unit rows, in units of the bounds, below which they make an equality [-]
 # Largest slack of a row over a set without interior below which the row holds with equality [-]
 IMPLIED_EQUALITY = 1e-8
 # Size of a bound, in units of the distance to the unconstrained optimum, from which on it is never met [-]
 NOT_NEAR = 10.0
-OPTIMAL_SET = 1e-10  # Violation of a unit row accepted, and relative multiplier dropped, in the QP at one parameter [-]
 # Distances from all constraints tried in turn when a feasible parameter is sought, scaled [-]
 INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 CROSSING = 1e-5  # Distance behind a facet at which the QP is solved to find the neighbour, scaled parameters [-]
@@ -139,8 +127,6 @@ TIE = 1e-8
 INSIDE = 1e-7
 INSIDE_FLOAT = 1e-5  # Distance `INSIDE` in generated code of single precision [-]
 SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets of rows agree that are one
-# Difference of two laws of one input, relative to the values that input takes, below which they are one [-]
-EQUAL_LAW = 1e-9
 FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
 
 # ---- explicit laws: exploration and the search for holes ----

@@ -15,7 +15,7 @@ from mpc.explicit.linear_programs import INFEASIBLE, SOLVED, proves_infeasible, 
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.scaled_qp import ScaledQP, widths, with_parameter_rows
 from mpc.parametric_qp import Constraint
-from mpc.tolerances import FAR_OPTIMUM, IMPLIED_EQUALITY, KKT, ZERO_ROW
+from mpc.tolerances import FAR_OPTIMUM, IMPLIED_EQUALITY, KKT, PRIMAL
 
 Limits = list[tuple[float | None, float | None]]
 _NO_ROWS = np.broadcast_to(np.int64(0), 0)
@@ -79,11 +79,11 @@ def implied_equalities(qp: ScaledQP, deadline: float = np.inf) -> ImpliedEqualit
     rows = tight[tight < len(qp.M)]
     # the slack must not let v move by more than rounding
     sizes_of_rows = np.linalg.svd(qp.M[rows], compute_uv=False) if len(rows) else np.ones(1)
-    least = float(sizes_of_rows[sizes_of_rows > ZERO_ROW * sizes_of_rows[0]].min())
+    least = float(sizes_of_rows[sizes_of_rows > PRIMAL * sizes_of_rows[0]].min())
     exact = float(slack[tight].max(initial=0.0)) * max(1.0, qp.far) <= KKT * least
     wide = widths(qp.gram, np.abs(qp.own).sum(axis=1) * qp.own_unit)[rows]
     # no slab that is only thin beside others
-    exact &= bool((slack[rows] <= np.maximum(KKT * wide, ZERO_ROW)).all())
+    exact &= bool((slack[rows] <= np.maximum(KKT * wide, PRIMAL)).all())
     points += _deepest(J, h, tight, sizes, deadline)
     parameters = np.array([point[:nt] for point in points])
     return ImpliedEqualities(MPQPStatus.COMPLETE, rows, len(rows) < len(tight), parameters, exact)
@@ -124,7 +124,7 @@ def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...
     M = qp.M[equalities]
     D = qp.D[equalities]
     U, s, Vt = np.linalg.svd(M)
-    rank = int((s > ZERO_ROW * s[0]).sum())
+    rank = int((s > PRIMAL * s[0]).sum())
     solution = Vt[:rank].T @ ((U[:, :rank].T @ D) / s[:rank, None])
     gap = float((np.abs(M @ solution - D).max(axis=1) / np.maximum(1.0, np.abs(D).max(axis=1))).max())
     met = gap <= 10 * IMPLIED_EQUALITY
@@ -138,7 +138,7 @@ def eliminate(qp: ScaledQP, equalities: list[int], labels: tuple[Constraint, ...
     M = qp.M @ P
     D = qp.D - qp.M @ solution
     length = np.linalg.norm(M, axis=1)
-    inside = length > ZERO_ROW
+    inside = length > PRIMAL
     beside = D[~inside & (np.abs(D).max(axis=1) > IMPLIED_EQUALITY)]  # these rows restrict the parameter
     TA, Tb = with_parameter_rows(qp.TA, qp.Tb, beside)
     M = np.ascontiguousarray(M[inside] / length[inside, None])

@@ -16,7 +16,7 @@ from mpc.exceptions import InfeasibleError, InputError
 from mpc.explicit.partition import Partition
 from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import build_tree, region_points
-from mpc.tolerances import EQUAL_LAW, ROUNDED_SUM
+from mpc.tolerances import PRIMAL, ROUNDED_SUM
 
 if TYPE_CHECKING:
     from invariant_sets import Polytope
@@ -178,7 +178,7 @@ def _law_numbers(law: Array, partition: Partition, centres: Array) -> Ints:
     scaled[:, :, :-1] *= partition.half
     scaled[:, :, -1] += law[:, :, :-1] @ partition.centre
     values = np.einsum("rij,rj->ri", scaled[:, :, :-1], centres) + scaled[:, :, -1]
-    step = np.maximum(EQUAL_LAW * np.abs(values).max(axis=0), ROUNDED_SUM * np.abs(scaled).max(axis=(0, 2)))
+    step = np.maximum(PRIMAL * np.abs(values).max(axis=0), ROUNDED_SUM * np.abs(scaled).max(axis=(0, 2)))
     step = np.where(step > 0, step, 1.0)
     _, number = np.unique(np.round(scaled / step[:, None] / 2).reshape(len(law), -1) + 0.0, axis=0, return_inverse=True)
     return number.astype(np.int64).ravel()

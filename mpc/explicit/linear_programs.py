@@ -11,7 +11,7 @@ from scipy.optimize import linprog, nnls
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import KKT, LP, LP_OPTIONS, OPTIMAL_SET, TIE
+from mpc.tolerances import KKT, LP, LP_OPTIONS, PRIMAL, TIE
 
 SOLVED, INFEASIBLE = 0, 2  # what `status` says
 
@@ -66,7 +66,7 @@ class OnlineQP:
             return [], False
         if result.infeasible or not result.residuals.primal <= KKT:
             return [], self._has_room(bounds, deadline)
-        taken = tuple(int(i) for i in np.flatnonzero(y > OPTIMAL_SET * y.max(initial=0.0)))
+        taken = tuple(int(i) for i in np.flatnonzero(y > PRIMAL * y.max(initial=0.0)))
         return [taken, self._independent(result.z, bounds)], self._has_room(bounds, deadline)
 
     def _independent(self, v: Array, bounds: Array) -> tuple[int, ...]:

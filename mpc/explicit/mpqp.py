@@ -20,7 +20,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ParameterSet, ScaledQP, scale_parameters, scale_qp, twins, without_far_bounds
 from mpc.parametric_qp import Constraint, ParametricQP
-from mpc.tolerances import EQUALITY, FAR_OPTIMUM, INSIDE, KKT, PRIMAL, REFINED_ROW, ROUNDED_SUM, THIN
+from mpc.tolerances import FAR_OPTIMUM, INSIDE, KKT, PRIMAL, REFINED_ROW, ROUNDED_SUM, THIN
 
 ActiveSets = list[tuple[int, ...]]
 
@@ -90,7 +90,7 @@ def partitioned(
         if answer.status is MPQPStatus.COMPLETE and _satisfies(answer, problem):
             return replace(answer, problem=problem)
     qp = scale_qp(problem, domain)
-    always = twins(qp.M, qp.own, qp.gram, -1.0, EQUALITY)[0].tolist()
+    always = twins(qp.M, qp.own, qp.gram, -1.0, PRIMAL)[0].tolist()
     equalities = qp.origin[always].tolist()
     if always:
         qp = eliminate(qp, always, problem.labels)

@@ -10,7 +10,7 @@ import numpy as np
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, Ints, ReadOnly
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEFINITE
+from mpc.tolerances import ROUNDED_SUM
 
 
 class MPQPStatus(Outcome):
@@ -97,5 +97,5 @@ class Partition(ReadOnly):
             cost = size[:, None] * np.hstack([problem.F, problem.f[:, None]])
             right = right + G @ np.linalg.solve(H, cost)
             # least squares: rows of equalities may repeat each other
-            law[active] = -length * np.linalg.lstsq(G @ np.linalg.solve(H, G.T), right, rcond=DEFINITE)[0]
+            law[active] = -length * np.linalg.lstsq(G @ np.linalg.solve(H, G.T), right, rcond=ROUNDED_SUM)[0]
         return law

@@ -13,7 +13,7 @@ from mpc.checks import Array, Flags, Ints, as_halfspaces
 from mpc.exceptions import InputError, NotConvexError
 from mpc.halfspaces import box_of
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEFINITE, EXCLUDED, FAR_OPTIMUM, NEGLIGIBLE, NOT_NEAR, PRIMAL, ROUNDED_SUM
+from mpc.tolerances import EXCLUDED, FAR_OPTIMUM, NEGLIGIBLE, NOT_NEAR, PRIMAL, ROUNDED_SUM
 
 
 class ParameterSet(NamedTuple):
@@ -197,9 +197,9 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
     size = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     H = problem.H * np.outer(size, size)
     smallest = float(np.linalg.eigvalsh(H)[0]) if (diagonal > 0).all() else -1.0
-    if not smallest >= DEFINITE:
+    if not smallest >= ROUNDED_SUM:
         raise NotConvexError(
-            f"the Hessian H has the smallest scaled eigenvalue {smallest:.3g}, expected > {DEFINITE:g}: "
+            f"the Hessian H has the smallest scaled eigenvalue {smallest:.3g}, expected > {ROUNDED_SUM:g}: "
             "add a cost on every variable.", "H", smallest,
         )  # fmt: skip
     return size, np.asarray(np.linalg.cholesky(H), dtype=np.float64)

@@ -14,7 +14,7 @@ from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
 from mpc.optimal_control.program import NonlinearProgram, PhasePart
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
-from mpc.tolerances import AT_BOUND, BARRIER_BLUR, DEFINITE, LEAST_CURVATURE, SAME_HYPERPLANE_DIGITS
+from mpc.tolerances import AT_BOUND, BARRIER_BLUR, LEAST_CURVATURE, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,7 @@ def _solved(K: Any, right: Array) -> Array | None:
         return None
     probe = np.random.default_rng(0).choice([-1.0, 1.0], K.shape[0])
     size = float(abs(K).sum(axis=0).max()) if K.shape[0] else 0.0
-    if not float(np.abs(factor.solve(probe)).max(initial=0.0)) * size * DEFINITE < 1.0:
+    if not float(np.abs(factor.solve(probe)).max(initial=0.0)) * size * ROUNDED_SUM < 1.0:
         return None
     found = factor.solve(right)
     return np.asarray(found + factor.solve(right - K @ found))

@@ -14,7 +14,7 @@ from mpc.rollout import Given
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
-from mpc.tolerances import ACTIVE, DEFINITE, INDEPENDENT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, TOGETHER
+from mpc.tolerances import ACTIVE, INDEPENDENT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, ROUNDED_SUM, TOGETHER
 
 
 def sensitivity_of(
@@ -181,7 +181,7 @@ class NewtonStep:
         if Z.shape[1]:
             reduced = Z.T @ H @ Z
             reduced = (reduced + reduced.T) / 2
-            if not np.isfinite(reduced).all() or np.linalg.eigvalsh(reduced)[0] < DEFINITE:
+            if not np.isfinite(reduced).all() or np.linalg.eigvalsh(reduced)[0] < ROUNDED_SUM:
                 return None
             first = first + Z @ np.linalg.solve(reduced, Z.T @ (right - H @ first))
         pushes = np.linalg.lstsq(G.T, right - H @ first, rcond=None)[0] if len(G) else np.zeros((0, nt + 1))

@@ -19,7 +19,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEPENDENT_ROW, EXCHANGE, INSETS, INSIDE, PRIMAL, TIE, ZERO_ROW
+from mpc.tolerances import DEPENDENT_ROW, INSETS, INSIDE, PRIMAL, TIE
 
 _SEEDS = 8
 _BOX = 4.0  # linear programs look for parameters in [-4, 4], which holds the set
@@ -145,10 +145,10 @@ def _region(qp: ScaledQP, active: Members) -> tuple[Rows | None, bool, bool]:
     lever = np.linalg.norm(np.linalg.pinv(qp.M[act]), axis=0) if act else np.zeros(0)
     scale = np.concatenate([lever * reach, np.abs(qp.D[rest]).sum(axis=1) + reach])
     norm = np.linalg.norm(rows[:, :-2], axis=1)
-    constant = norm <= ZERO_ROW * scale
-    if (rows[constant, -2] < -10 * ZERO_ROW * scale[constant]).any():
+    constant = norm <= PRIMAL * scale
+    if (rows[constant, -2] < -10 * PRIMAL * scale[constant]).any():
         return None, False, False
-    zero = constant & (rows[:, -2] <= 10 * ZERO_ROW * scale)
+    zero = constant & (rows[:, -2] <= 10 * PRIMAL * scale)
     canonical = bool((rows[zero, -1] > 0).all())
     rows = rows[~constant] / norm[~constant, None]
     region = np.vstack([-rows[:, :-2], qp.TA]), np.concatenate([rows[:, -2], qp.Tb])
@@ -192,5 +192,5 @@ def _neighbours(qp: ScaledQP, active: Members) -> list[Members]:
             found.append(more)
             continue
         coefficient = np.linalg.solve(gram, qp.M[act] @ qp.M[i]) if act else np.zeros(0)
-        found.extend(more - {act[a]} for a in np.flatnonzero(coefficient > EXCHANGE))
+        found.extend(more - {act[a]} for a in np.flatnonzero(coefficient > PRIMAL))
     return found

@@ -1,5 +1,7 @@
 """What counts as rounding and what as data: each threshold lies between two problems."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,21 @@ def test_limits_that_are_relaxed_by_no_more_than_they_must_leave_a_plan_to_be_fo
         three, [[0], [0], [0.1]], Q=np.eye(3), R=0.01, horizon=200, X=(-np.ones(3), np.ones(3)), U=(-1, 1)
     )
     assert regulator.solve([-1.3, -0.4, -1.1]).status is Status.SOFTENED
+
+
+@pytest.mark.parametrize(("inside", "lasts"), [(3e-7, True), (3e-6, False)])
+def test_a_mode_that_costs_nothing_and_hardly_decays_is_on_the_unit_circle(inside, lasts):
+    with pytest.raises(NotStabilisableError, match="on the unit circle") if lasts else nullcontext():
+        lqr(np.diag([1 - inside, 0.5]), [[1.0], [1.0]], Q=np.diag([0.0, 1.0]), R=1.0)
+
+
+@pytest.mark.parametrize(("size", "computed"), [(3e99, True), (3e100, False)])
+def test_states_beyond_what_is_computed_are_not_explained(size, computed):
+    controller = LinearMPC(A, B, Q=np.eye(2), R=0.1, horizon=3, X=([-5, -5], [5, 5]), U=(-1, 1))
+    with nullcontext() if computed else pytest.raises(InputError, match="too large to explain"):
+        assert controller.explain([size, 0.0]).violations[0].amount == pytest.approx(size)
+
+
+def test_the_cost_of_a_target_moves_its_outputs_by_rounding():
+    controller = OffsetFreeMPC(LinearMPC([[0.5]], [[1.0]], Q=1, R=1, horizon=3, U=(-10, 10)), [[1.0]])
+    assert controller.nearest_target([1.0]).state[0] == pytest.approx(1.0, abs=2e-8)

@@ -29,7 +29,7 @@ from mpc.explicit.kernels.data import (
 )
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, region_rows
-from mpc.tolerances import CLEARANCE, EXCHANGE, EXCLUDED, INSIDE
+from mpc.tolerances import CLEARANCE, EXCLUDED, INSIDE, PRIMAL
 
 
 @njit(cache=True)
@@ -158,7 +158,7 @@ def exchange(qp: QPData, graph: Graph, act: Ints, k: int, entering: int, mask: B
         return INFEASIBLE
     kind = FLAT
     for a in range(k):
-        if coefficient[a] > EXCHANGE:
+        if coefficient[a] > PRIMAL:
             swapped[:] = mask
             flip(swapped, entering)
             flip(swapped, act[a])
@@ -181,7 +181,7 @@ def excluded(qp: QPData, act: Ints, k: int, entering: int, coefficient: Array, t
         total += qp.D[entering, j] * theta[j]
     size = 1.0 + abs(total)
     for a in range(k):
-        if coefficient[a] > EXCHANGE:
+        if coefficient[a] > PRIMAL:
             return False
         share = min(coefficient[a], 0.0)
         bound = qp.D[act[a], n]

@@ -22,7 +22,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL, Ints, QPData
 from mpc.explicit.kernels.halfspace import project
-from mpc.tolerances import DEPENDENT_ROW, OPTIMAL_SET, REFINED_ROW, ROUNDED_SUM, ZERO_ROW
+from mpc.tolerances import DEPENDENT_ROW, PRIMAL, REFINED_ROW, ROUNDED_SUM
 
 
 @njit(cache=True)
@@ -147,7 +147,7 @@ def region_rows(qp: QPData, act: Ints, k: int, A: Array, b: Array) -> int:
     for i in range(m):
         a = position[i]
         if a >= 0:
-            zero = ZERO_ROW * lever[a] * reach
+            zero = PRIMAL * lever[a] * reach
             for c in range(n + 2):
                 row[c] = law[a, c]
         else:
@@ -163,7 +163,7 @@ def region_rows(qp: QPData, act: Ints, k: int, A: Array, b: Array) -> int:
                     terms += abs(g) * size[e]
                     for c in range(n + 2):
                         row[c] += g * law[e, c]
-            zero = max(ZERO_ROW * scale, ROUNDED_SUM * terms)
+            zero = max(PRIMAL * scale, ROUNDED_SUM * terms)
         norm = 0.0
         for c in range(n):
             norm += row[c] * row[c]
@@ -212,12 +212,12 @@ def optimal_at(qp: QPData, act: Ints, k: int, theta: Array) -> bool:
         for a in range(k):
             slack += qp.gram[i, act[a]] * lam[a]
         d[i] = slack
-        if slack < -OPTIMAL_SET:
+        if slack < -PRIMAL:
             return False
     loose = 0.0
     for a in range(k):
         loose = max(loose, d[act[a]])
-    return loose <= OPTIMAL_SET
+    return loose <= PRIMAL
 
 
 @njit(cache=True)
@@ -233,7 +233,7 @@ def optimal_set(qp: QPData, theta: Array, shift: float, act: Ints) -> int:
     v = np.empty(nz)
     work = np.empty(nz + 1, np.int64)
     lam = np.empty(nz + 1)
-    k = project(qp.M, d, m, np.zeros(nz), OPTIMAL_SET, v, work, lam)
+    k = project(qp.M, d, m, np.zeros(nz), PRIMAL, v, work, lam)
     if k < 0:
         return k
     largest = 0.0
@@ -241,7 +241,7 @@ def optimal_set(qp: QPData, theta: Array, shift: float, act: Ints) -> int:
         largest = max(largest, lam[a])
     kept = 0
     for a in range(k):
-        if lam[a] > OPTIMAL_SET * largest:
+        if lam[a] > PRIMAL * largest:
             act[kept] = work[a]
             kept += 1
     return kept
