@@ -1,5 +1,10 @@
 from learning.checkpoint import load as load, save as save
-from learning.exceptions import InputError as InputError, LearningError as LearningError
+from learning.exceptions import (
+    CheckpointError as CheckpointError,
+    DivergedError as DivergedError,
+    InputError as InputError,
+    LearningError as LearningError,
+)
 from learning.gymnasium_envs import GymnasiumEnvs as GymnasiumEnvs
 from learning.networks import ActorCritic as ActorCritic, NetworkConfig as NetworkConfig
 from learning.ppo import PPO as PPO, PPOConfig as PPOConfig, UpdateStatistics as UpdateStatistics, gae as gae
