@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 import ccdtools
+from ccdtools.checks import as_choice
 from ccdtools.co_design.method_names import as_method_names
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
@@ -201,6 +202,30 @@ def codesign(
         if ended and folder is not None:
             typer.echo(f"\nTheir table: {folder.path / 'methods.csv'}")
         raise
+
+
+@app.command()
+def export(
+    folder: Annotated[str, typer.Argument(help="Folder of a run, or a saved policy.")],
+    to: Annotated[str, typer.Option(help="c (C99, header and source) or onnx.")] = "c",
+    output: Annotated[str | None, typer.Option(help="Folder for the files. Default: that of the policy.")] = None,
+    scalar: Annotated[str, typer.Option(help="Numbers in C: double or float.")] = "double",
+) -> None:
+    """Write the policy of a run for use outside Python."""
+    as_choice("--to", to, ("c", "onnx"))
+    path = Path(folder, "policy.safetensors") if Path(folder).is_dir() else Path(folder)
+    if not path.is_file():
+        raise InputError("folder", folder, "the folder of a run with a policy, or a saved policy")
+    from ccdtools.controllers.learned import load_policy
+
+    policy = load_policy(path)
+    where = path.parent if output is None else Path(output)
+    if to == "c":
+        report = policy.to_c(where, scalar=scalar)
+        typer.echo(f"{' and '.join(map(str, report.files))}\n{report}")
+    else:
+        where.mkdir(parents=True, exist_ok=True)
+        typer.echo(policy.to_onnx(where / "policy.onnx"))
 
 
 @app.command()

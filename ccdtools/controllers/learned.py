@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_floats, as_generator, as_instance, as_vector, finite, writable_path
+from ccdtools.controllers.policy_code import PolicyCode, write_c
+from ccdtools.controllers.policy_onnx import write_onnx
 from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
@@ -115,6 +117,47 @@ class LearnedPolicy(Immutable):
         middle, half = map(ca.DM, self._range)
         u = middle + half * ca.fmin(ca.fmax(latent, -1), 1)
         return ca.Function("policy", [x], [u], ["x"], ["u"])
+
+    def to_c(self, folder: str | Path, *, name: str = "policy", scalar: str = "double") -> PolicyCode:
+        """Write the mean action in C99 without allocation or libraries, and report its costs.
+
+        `name`.h and `name`.c define `int name_law(const name_real x[], name_real u[])`, which returns 0, or 2 where x
+        is not finite (u is then the input nearest to zero). Normalisation, design and limits are inside.
+
+        Parameters
+        ----------
+        folder : path
+            Created when missing.
+        name : str
+            A C identifier.
+        scalar : "double" or "float"
+            Type of the numbers.
+
+        Raises
+        ------
+        InputError
+            An unknown option, or a folder that cannot be written to.
+        """
+        layers, centre, width = self._normalised()
+        where = Path(as_instance("folder", folder, (str, Path), "the path of a folder"))
+        return write_c(layers, centre, width, self._range, where, name=name, scalar=scalar)
+
+    def to_onnx(self, path: str | Path) -> Path:
+        """Write the mean action as an ONNX model in double precision: x (n, nx) to u (n, nu).
+
+        Raises
+        ------
+        InputError
+            If onnx is not installed, or the folder does not exist.
+        """
+        return write_onnx(*self._normalised(), self._range, writable_path("path", path))
+
+    def _normalised(self) -> tuple[Layers, Array, Array]:
+        """Layers of the mean in states normalised by a centre and half-widths (nx,)."""
+        offset, scale = self.agent.observation_offset.double().clone(), self.agent.observation_scale.double().clone()
+        centre, width = _array(offset[: self.nx]), _array(scale[: self.nx])
+        offset[: self.nx], scale[: self.nx] = 0.0, 1.0
+        return self.agent.mean_network.at(torch.tensor(self.design), offset, scale).of(_array), centre, width
 
     def save(self, path: str | Path, **notes: str) -> None:
         """Save networks, design and notes as one safetensors file for `load_policy`.

@@ -53,7 +53,10 @@ WRONG = [
     (["run", "suspension", "illustrative"], "arguments: got illustrative besides"),
     (["run", "../suspension"], "study: got '../suspension'"),
     # Commands and options that do not exist
-    (["rum", "suspension"], "command: got 'rum', expected run, resume, codesign, new or studies. Did you mean run?"),
+    (
+        ["rum", "suspension"],
+        "command: got 'rum', expected run, resume, codesign, export, new or studies. Did you mean run?",
+    ),
     (["Run", "suspension"], "command: got 'Run'"),
     (["suspension"], "command: got 'suspension'"),
     (["--quick"], "--quick: got an unknown option"),

@@ -1,13 +1,20 @@
-"""C templates of `codegen`, and their tables."""
+"""C templates of `codegen`, their tables, and the files that they fill."""
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mpc.exceptions import InputError
+
+SIZES = {"double": 8, "float": 4, "int16_t": 2, "int32_t": 4}  # [B]
+LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
+
 HEADER = """\
-/* Explicit model predictive control: @summary@. Generated; do not edit. */
+/* @what@: @summary@. Generated; do not edit. */
 #ifndef @NAME@_H
 #define @NAME@_H
 
@@ -17,15 +24,21 @@ HEADER = """\
 typedef @scalar@ @name@_real;
 
 /* Write the input that belongs to theta into u.
-   Returns 0; 1 where theta is outside the partition (u: @outside@);
-   2 where theta is not finite (u: the input nearest to zero). */
+   Returns 0; @outside@2 where theta is not finite (u: the input nearest to zero). */
 int @name@_law(const @name@_real theta[@NAME@_NT], @name@_real u[@NAME@_NU]);
 
 #endif
 """
 
+OUTSIDE = {  # of a partition that is complete, or not
+    True: """1 where theta is outside the partition (u: the input where the straight line to an inner point enters it);
+   """,
+    False: """1 where theta is outside the partition (u: the law of the nearest region, saturated);
+   """,
+}
+
 SOURCE = """\
-/* Explicit model predictive control: @summary@. Generated; do not edit. */
+/* @what@: @summary@. Generated; do not edit. */
 #include "@name@.h"
 
 #include <float.h>
@@ -279,3 +292,40 @@ def table(values: Any, scalar: str) -> str:
         return "{" + ", ".join(real(v, scalar) for v in array) + "}"
     lines = [", ".join(str(int(v)) for v in array[i : i + 20]) for i in range(0, len(array), 20)]
     return "{" + ",\n".join(lines) + "}"
+
+
+def as_name(name: Any) -> str:
+    """Name that is a C identifier."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise InputError("name", repr(name), "a C identifier")
+    return name
+
+
+def as_scalar(scalar: Any) -> str:
+    """Type of the numbers in C."""
+    if scalar not in LARGEST:
+        raise InputError("scalar", repr(scalar), "'double' or 'float'")
+    return str(scalar)
+
+
+def fill(template: str, fields: dict[str, Any]) -> str:
+    """Template with its @fields@ filled in."""
+    return re.sub(r"@(\w+)@", lambda match: str(fields[match[1]]), template)
+
+
+def table_bytes(source: str, scalar: str) -> int:
+    """Bytes of the constant tables in C source."""
+    tables = re.findall(r"^static const (\w+) [^=]*= ([^;]*);", source, re.MULTILINE)
+    return sum(SIZES[scalar if kind == "real" else kind] * (values.count(",") + 1) for kind, values in tables)
+
+
+def written(folder: Path, name: str, header: str, source: str) -> tuple[Path, Path]:
+    """Files `name`.h and `name`.c of a folder, which is created when missing."""
+    files = (folder / f"{name}.h", folder / f"{name}.c")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in zip(files, (header, source)):
+            file.write_text(text)
+    except OSError as error:
+        raise InputError("folder", f"{str(folder)!r} ({error.strerror})", "a folder that can be written to") from error
+    return files

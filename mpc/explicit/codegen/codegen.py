@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from mpc.halfspaces import box_of
 from mpc.tolerances import FAR_AWAY, INSIDE, INSIDE_FLOAT, NO_BOUND
 
 _TOLERANCE = {"double": INSIDE, "float": INSIDE_FLOAT}
-_LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
 
 
 @dataclass(frozen=True)
@@ -85,11 +83,9 @@ def write_c(
     InputError
         An unknown option, a tree for a partition that is incomplete, or a folder that cannot be written to.
     """
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise InputError("name", repr(name), "a C identifier")
+    c.as_name(name)
     scan = is_scan(method)
-    if scalar not in _TOLERANCE:
-        raise InputError("scalar", repr(scalar), "'double' or 'float'")
+    c.as_scalar(scalar)
     complete = law.status is MPQPStatus.COMPLETE
     if not scan and not complete:
         got = f"'tree' for a partition that is incomplete ({law.status.name})"
@@ -98,35 +94,22 @@ def write_c(
     regions, body, planes, rows = _scan(law, scalar) if scan else _tree(law, scalar)
     low, high, nearest = _inputs(law)
     fields = {
-        "name": name, "NAME": name.upper(), "scalar": scalar, "nt": law.nt, "nu": law.nu,
+        "what": "Explicit model predictive control", "name": name, "NAME": name.upper(), "scalar": scalar,
+        "nt": law.nt, "nu": law.nu,
         "border": _border(law, scalar), "regions": regions, "body": body,
         "law": _law_tables(law, scalar), "summary": f"{len(law)} regions, {count} laws, {method} search",
         "low": table(low, scalar), "high": table(high, scalar), "nearest": table(nearest, scalar),
-        "large": real(NO_BOUND, scalar), "largest": _LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
+        "large": real(NO_BOUND, scalar), "largest": c.LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
         "far": real(FAR_AWAY, scalar),
-        "outside": "the input where the straight line to an inner point enters it" if complete
-        else "the law of the nearest region, saturated",
+        "outside": c.OUTSIDE[complete],
     }  # fmt: skip
-    files = (folder / f"{name}.h", folder / f"{name}.c")
-    texts = (_fill(c.HEADER, fields), _fill(c.SOURCE, fields))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, text in zip(files, texts):
-            file.write_text(text)
-    except OSError as error:
-        raise InputError("folder", f"{str(folder)!r} ({error.strerror})", "a folder that can be written to") from error
+    source = c.fill(c.SOURCE, fields)
+    files = c.written(folder, name, c.fill(c.HEADER, fields), source)
     border = len(law.tree.border)
     rows += 2 * border
     operations = law.nt * rows + law.nu * law.nt * (1 if scalar == "double" else 13)  # 13 in twice the precision
-    flash = _table_bytes(texts[1], scalar)
+    flash = c.table_bytes(source, scalar)
     return CodeReport(files, method, scalar, len(law), count, border + planes, flash, operations, rows)
-
-
-def _table_bytes(source: str, scalar: str) -> int:
-    """Bytes of the constant tables in C source."""
-    size = {"real": 8 if scalar == "double" else 4, "int16_t": 2, "int32_t": 4}
-    tables = re.findall(r"^static const (\w+) [^=]*= ([^;]*);", source, re.MULTILINE)
-    return sum(size[kind] * (values.count(",") + 1) for kind, values in tables)
 
 
 def _law_tables(law: PiecewiseLaw, scalar: str) -> str:
@@ -138,14 +121,14 @@ def _law_tables(law: PiecewiseLaw, scalar: str) -> str:
     if scalar == "float":
         rests = laws - laws.astype(np.float32)
         fields = {"nlaws": len(laws), "laws": table(laws, scalar), "rests": table(rests, scalar)}
-        return _fill(c.LAW_FLOAT, fields)
+        return c.fill(c.LAW_FLOAT, fields)
     p = law.partition
     found = region_points(p)
     centres = p.centre + p.half * found.points[found.starts[:-1]]
     points = np.array([centres[law.law_number == n].mean(axis=0) for n in range(len(laws))])
     laws[:, :, -1] += np.einsum("rij,rj->ri", laws[:, :, :-1], points)
     fields = {"nlaws": len(laws), "laws": table(laws, scalar), "points": table(points, scalar)}
-    return _fill(c.LAW_DOUBLE, fields)
+    return c.fill(c.LAW_DOUBLE, fields)
 
 
 def _border(law: PiecewiseLaw, scalar: str) -> str:
@@ -154,7 +137,7 @@ def _border(law: PiecewiseLaw, scalar: str) -> str:
     if not len(border):
         return c.NO_BORDER
     p = law.partition
-    return _fill(c.BORDER, {
+    return c.fill(c.BORDER, {
         "border": table(_unscaled(law, border), scalar), "nborder": len(border),
         "room": table(border[:, -1] - border[:, :-1] @ law.tree.centre, scalar),
         "inner": table(p.centre + p.half * law.tree.centre, scalar), "half": table(p.half, scalar),
@@ -185,13 +168,13 @@ def _tree(law: PiecewiseLaw, scalar: str) -> tuple[str, str, int, int]:
         "root": root, "nlaws": laws, "nlists": len(lists), "list_start": table(list_start, kind),
         "nmembers": len(members), "members": table(renumbered, kind),
     }  # fmt: skip
-    regions = _fill(c.REGIONS, fields)
+    regions = c.fill(c.REGIONS, fields)
     worst = 0
     if lists:
-        regions += _fill(c.LISTS, fields) + "\n" + _scan_text(law, listed, refs, kind, "members[e]", scalar)
+        regions += c.fill(c.LISTS, fields) + "\n" + _scan_text(law, listed, refs, kind, "members[e]", scalar)
         worst = max(int(np.diff(offsets)[part].sum()) for part in lists)
-    fields |= {"lists": "", "leaf": _fill(c.LEAF_LIST if lists else c.LEAF_LAW, fields)}
-    return regions, _fill(c.TREE, fields), len(planes), depth + worst
+    fields |= {"lists": "", "leaf": c.fill(c.LEAF_LIST if lists else c.LEAF_LAW, fields)}
+    return regions, c.fill(c.TREE, fields), len(planes), depth + worst
 
 
 def _compact(law: PiecewiseLaw, laws: int) -> tuple[Ints, int, int, list[Ints]]:
@@ -236,16 +219,16 @@ def _scan(law: PiecewiseLaw, scalar: str) -> tuple[str, str, int, int]:
     fields = {"planes": table(_unscaled(law, planes), scalar), "nplanes": len(planes), "nregions": len(law)}
     every = np.arange(len(law))
     text = _scan_text(law, every, np.where(flipped, -1 - number, number), kind, "e", scalar)
-    return _fill(c.REGIONS, fields) + "\n" + text, _fill(c.SEQUENTIAL, fields), len(planes), len(rows)
+    return c.fill(c.REGIONS, fields) + "\n" + text, c.fill(c.SEQUENTIAL, fields), len(planes), len(rows)
 
 
 def _scan_text(law: PiecewiseLaw, regions: Ints, refs: Ints, kind: str, which: str, scalar: str) -> str:
     """C text that scans some regions; refs: planes of their rows, -1 - i is minus plane i."""
     start = np.concatenate([[0], np.cumsum(np.diff(law.partition.offsets)[regions])])
-    return _fill(c.SCAN, {
+    return c.fill(c.SCAN, {
         "int": kind, "nregions": len(regions), "start": table(start, kind), "nrows": len(refs),
         "rows": table(refs, kind), "law": table(law.law_number[regions], kind), "which": which,
-        "largest": _LARGEST[scalar],
+        "largest": c.LARGEST[scalar],
     })  # fmt: skip
 
 
@@ -269,8 +252,3 @@ def _inputs(law: PiecewiseLaw) -> tuple[Array, Array, Array]:
 def _index_type(largest: int) -> str:
     """C type for indices up to `largest`."""
     return "int16_t" if largest < 2**15 - 1 else "int32_t"
-
-
-def _fill(template: str, fields: dict[str, Any]) -> str:
-    """Template with its @fields@ filled in."""
-    return re.sub(r"@(\w+)@", lambda match: str(fields[match[1]]), template)

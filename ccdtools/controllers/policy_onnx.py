@@ -1,0 +1,108 @@
+"""Policies as ONNX models, out and in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_floats, as_instance, finite
+from ccdtools.exceptions import InputError
+from ccdtools_ground.door import brief
+from learning.networks import Layers
+
+OPSET = 17  # of ONNX 1.12, from July 2022
+
+
+def write_onnx(layers: Layers, centre: Array, width: Array, action_range: tuple[Array, Array], path: Path) -> Path:
+    """Path of an ONNX model, written for layers in normalised states."""
+    onnx = _installed("onnx")
+    helper, numpy_helper = onnx.helper, onnx.numpy_helper
+    numbers: list[Any] = []
+    nodes: list[Any] = []
+
+    def put(operator: str, *inputs: str | Array) -> str:
+        """Name of the result of one more node."""
+        names = []
+        for value in inputs:
+            if isinstance(value, str):
+                names.append(value)
+            else:
+                numbers.append(numpy_helper.from_array(np.asarray(value, float), f"number{len(numbers)}"))
+                names.append(numbers[-1].name)
+        nodes.append(helper.make_node(operator, names, [f"value{len(nodes)}"]))
+        return f"value{len(nodes) - 1}"
+
+    z = put("Div", put("Sub", "x", centre), width)
+    h = z
+    for k, (W, b) in enumerate(layers.maps):
+        h = put("Add", put("MatMul", h, W), b)
+        h = put("Tanh", h) if k < len(layers.maps) - 1 else h
+    if layers.skip is not None:
+        h = put("Add", h, put("Add", put("MatMul", z, layers.skip[0]), layers.skip[1]))
+    middle, half = action_range
+    put("Add", put("Mul", put("Clip", h, np.array(-1.0), np.array(1.0)), half), middle)
+    nodes[-1].output[0] = "u"
+    kind = onnx.TensorProto.DOUBLE
+    ends = [helper.make_tensor_value_info(name, kind, ["n", m]) for name, m in (("x", len(centre)), ("u", len(middle)))]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], numbers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
+    model.ir_version = 8
+    onnx.checker.check_model(model, full_check=True)
+    onnx.save(model, str(path))
+    return path
+
+
+class OnnxPolicy:
+    """Controller of an ONNX model with one input and one output, states to inputs.
+
+    Parameters
+    ----------
+    path : path
+        Of the model: rows of states (n, nx) in, rows of inputs (n, nu) out, in single or double precision.
+
+    Raises
+    ------
+    InputError
+        If onnxruntime is not installed, or the file is no such model or has operators that it does not know.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        as_instance("path", path, (str, Path), "the path of an ONNX model")
+        runtime = _installed("onnxruntime")
+        if not Path(path).is_file():
+            raise InputError("path", repr(str(path)), "a file")
+        try:
+            self._session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        except Exception as error:  # the runtime's own errors have no common base but this
+            reason = brief(str(error).partition("\n")[0])
+            raise InputError("path", reason, "an ONNX model that onnxruntime can run") from None
+        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        kinds = {"tensor(double)": np.float64, "tensor(float)": np.float32}
+        if len(inputs) != 1 or len(outputs) != 1 or inputs[0].type not in kinds or len(inputs[0].shape) != 2:
+            got = f"inputs {[(one.shape, one.type) for one in inputs]} and {len(outputs)} outputs"
+            raise InputError("path", got, "one input (n, nx) of float or double, and one output")
+        self._kind = kinds[inputs[0].type]
+        self._input = inputs[0].name
+        self._rows, self._nx = inputs[0].shape
+
+    def __call__(self, x: ArrayLike) -> Array:
+        """Inputs (n, nu) or (nu,)."""
+        x = finite("x", as_floats("x", x))
+        rows = np.atleast_2d(x).astype(self._kind)
+        if isinstance(self._nx, int) and rows.shape[1] != self._nx:
+            raise InputError("x", f"shape {x.shape}", f"({self._nx},) or (n, {self._nx})")
+        parts = rows[:, None] if self._rows == 1 else rows[None]
+        u = np.concatenate([self._session.run(None, {self._input: part})[0] for part in parts])
+        return np.asarray(u.reshape(*x.shape[:-1], -1), float)
+
+
+def _installed(package: str) -> Any:
+    """Package of the extra `onnx`."""
+    try:
+        return __import__(package)
+    except ImportError:
+        raise InputError(package, "no such package", "it installed: pip install ccdtools[onnx]") from None

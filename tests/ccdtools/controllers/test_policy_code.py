@@ -1,0 +1,177 @@
+"""Policies outside Python: C99 and ONNX give the mean action of the policy that was exported."""
+
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from ccdtools import InputError, LearnedPolicy
+from ccdtools.cli import main
+from ccdtools.controllers import OnnxPolicy
+from learning import ActorCritic, NetworkConfig
+
+CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
+needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
+WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror"]
+WIDE = np.array([0.3, 3.0, 0.6, 3.0])
+
+DRIVER = """
+#include <stdio.h>
+#include "%s.h"
+int main(void)
+{
+    %s_real x[%s_NT], u[%s_NU];
+    while (fread(x, sizeof(x), 1, stdin) == 1) {
+        double row[%s_NU + 1];
+        int i;
+        row[%s_NU] = %s_law(x, u);
+        for (i = 0; i < %s_NU; i++) row[i] = (double)u[i];
+        fwrite(row, sizeof(row), 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def policy(hidden=(16, 16), size=2.0, **options):
+    """A policy of four states and two inputs, whose weights are large enough to saturate."""
+    config = NetworkConfig(hidden, **options)
+    bounds = [-0.2, -2, -0.4, -2, 1e4], [0.2, 2, 0.4, 2.5, 4e4], [-900.0, 0.0], [1000.0, 3.0]
+    agent = ActorCritic(*bounds, config=config, imitates=True, seed=1)
+    for weight in agent.mean_network.parameters():
+        weight.data *= size
+    return LearnedPolicy(agent, [2e4])
+
+
+def compiled(folder, x, scalar, name="policy"):
+    """Inputs and codes of the C code, with warnings as errors and sanitizers."""
+    low = name
+    (folder / "driver.c").write_text(DRIVER % (low, low, *[name.upper()] * 4, low, name.upper()))
+    sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1"]
+    subprocess.run([CC, *WARNINGS, *sanitizers, f"{name}.c", "driver.c", "-o", "run"], cwd=folder, check=True)
+    sent = x.astype(np.float64 if scalar == "double" else np.float32).tobytes()
+    rows = subprocess.run(["./run"], input=sent, cwd=folder, check=True, capture_output=True).stdout
+    return np.split(np.frombuffer(rows).reshape(len(x), -1), [-1], axis=1)
+
+
+@needs_compiler
+@pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-6)])
+@pytest.mark.parametrize("shape", [{}, {"skip": False}, {"hidden": (7,)}, {"hidden": (5, 9, 4), "size": 4.0}], ids=str)
+def test_the_c_code_gives_the_mean_action(tmp_path, rng, scalar, tolerance, shape):
+    law = policy(**shape)
+    report = law.to_c(tmp_path / "new", scalar=scalar)
+    x = rng.uniform(-WIDE, WIDE, (20_000, 4)).astype(np.float32)
+    u, code = compiled(tmp_path / "new", x, scalar)
+    assert not code.any()
+    half = np.array([950.0, 1.5])
+    np.testing.assert_allclose(u / half, law(x) / half, rtol=0, atol=tolerance * max(1.0, shape.get("size", 2.0) / 2))
+    assert 0.01 < (np.abs(law(x) - [50.0, 1.5]) >= half).mean() < 0.99
+    assert report.flash_bytes < 10_000
+    assert report.tangents == sum(shape.get("hidden", (16, 16)))
+
+
+@needs_compiler
+def test_outside_every_range_the_c_code_stays_within_the_limits(tmp_path):
+    policy().to_c(tmp_path, name="law2")
+    large = [1e308, -1e308, 0.0, 1e300]
+    x = np.array([large, [np.nan, 0, 0, 0], [0, 0, 0, -np.inf]])
+    u, code = compiled(tmp_path, x, "double", name="law2")
+    assert code.ravel().tolist() == [0, 2, 2]
+    np.testing.assert_array_equal(u[1:], np.zeros((2, 2)))
+    assert ((u >= [-900, 0]) & (u <= [1000, 3])).all()
+
+
+@needs_compiler
+def test_inputs_that_a_design_limits_are_limited_in_c(tmp_path, rng):
+    class Stronger:
+        """Inputs within ± 3p."""
+
+        entries = 1
+        box = (np.array([-6.0]), np.array([6.0]))
+
+        def bounds(self, p):
+            return -3 * p, 3 * p
+
+    agent = ActorCritic([-4, -4, 0.5], [4, 4, 2.0], [-6], [6], imitates=True, action_limits=Stronger(), seed=2)
+    for weight in agent.mean_network.parameters():
+        weight.data *= 9.0
+    law = LearnedPolicy(agent, [0.7])
+    law.to_c(tmp_path)
+    x = rng.uniform(-4, 4, (500, 2))
+    u, _ = compiled(tmp_path, x, "double")
+    np.testing.assert_allclose(u, law(x), rtol=0, atol=1e-11)
+    assert np.abs(u).max() == pytest.approx(2.1)
+
+
+def test_wrong_calls_name_their_argument(tmp_path):
+    law = policy()
+    for call, argument in (
+        (lambda: law.to_c(tmp_path, name="2law"), "name"), (lambda: law.to_c(tmp_path, scalar="half"), "scalar"),
+        (lambda: law.to_c(3), "folder"), (lambda: law.to_c(__file__), "folder"),
+    ):  # fmt: skip
+        with pytest.raises(InputError) as caught:
+            call()
+        assert caught.value.argument == argument
+
+
+def run(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["ccdtools", *map(str, arguments)])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    return caught.value.code
+
+
+@needs_compiler
+def test_the_command_exports_the_policy_of_a_run(tmp_path, rng, monkeypatch, capsys):
+    law = policy()
+    law.save(tmp_path / "policy.safetensors")
+    assert run(monkeypatch, "export", tmp_path, "--to", "c", "--output", tmp_path / "firmware") == 0
+    assert "flash" not in capsys.readouterr().err
+    x = rng.uniform(-WIDE, WIDE, (100, 4))
+    np.testing.assert_allclose(compiled(tmp_path / "firmware", x, "double")[0], law(x), rtol=1e-12, atol=1e-9)
+    assert run(monkeypatch, "export", tmp_path / "nowhere") == 2
+    assert "expected the folder of a run with a policy" in capsys.readouterr().err
+    assert run(monkeypatch, "export", tmp_path, "--to", "fortran") == 2
+
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+
+
+@pytest.mark.parametrize("options", [{}, {"skip": False}], ids=str)
+def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, options):
+    law = policy(**options)
+    again = OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx"))
+    x = rng.uniform(-WIDE, WIDE, (500, 4))
+    np.testing.assert_allclose(again(x), law(x), rtol=1e-12, atol=1e-9)
+    assert again(x[0]).shape == (2,)
+
+
+def test_what_is_no_policy_in_onnx_is_refused(tmp_path):
+    helper, kind = onnx.helper, onnx.TensorProto.DOUBLE
+
+    def saved(operator, inputs, shape, domain=""):
+        values = [helper.make_tensor_value_info(name, kind, shape) for name in (*inputs, "u")]
+        node = helper.make_node(operator, inputs, ["u"], domain=domain)
+        graph = helper.make_graph([node], "policy", values[:-1], values[-1:])
+        versions = [helper.make_opsetid("", 17), helper.make_opsetid("of.mine", 1)]
+        path = tmp_path / f"{operator}{len(shape)}{shape[0]}.onnx"
+        onnx.save(helper.make_model(graph, opset_imports=versions, ir_version=8), path)
+        return path
+
+    for path, message in (
+        (saved("Unknown", ["x"], ["n", 2], "of.mine"), "expected an ONNX model that onnxruntime can run"),
+        (saved("Add", ["x", "y"], ["n", 2]), "expected one input"),
+        (saved("Tanh", ["x"], ["n", 2, 3]), "expected one input"),
+        (tmp_path / "nowhere.onnx", "expected a file"),
+        (__file__, "expected an ONNX model"),
+    ):
+        with pytest.raises(InputError, match=message) as caught:
+            OnnxPolicy(path)
+        assert caught.value.argument == "path"
+    one = OnnxPolicy(saved("Tanh", ["x"], [1, 2]))
+    np.testing.assert_allclose(one(np.ones((3, 2))), np.tanh(np.ones((3, 2))))
+    with pytest.raises(InputError, match=r"x: got shape \(3,\)"):
+        one(np.ones(3))
