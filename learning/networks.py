@@ -227,11 +227,11 @@ class ActorCritic(nn.Module):
         return (observations - self.observation_offset) / self.observation_scale
 
     @torch.no_grad()
-    def see(self, observations: Tensor) -> None:
+    def see(self, observations: Tensor, *, given: int = 0) -> None:
         """Normalise by mean and spread of all observations so far.
 
         `observations` (..., n_obs) are added to them. The ranges that the agent was made with serve until the first
-        ones are seen. What an agent that imitates has been taught stays as it is.
+        ones are seen; those of the last `given` entries stay. What an agent that imitates has been taught stays, too.
         """
         x = observations.reshape(-1, len(self.observation_offset)).double()
         before = self.observations_seen.item()
@@ -243,6 +243,8 @@ class ActorCritic(nn.Module):
         offset = (self.observation_offset + share * gap).float()
         least = (LEAST_PART * offset.abs()).clamp(min=LEAST_SPREAD)
         scale = torch.maximum(variance.sqrt(), least).float()
+        first = len(offset) - given
+        offset[first:], scale[first:] = self.observation_offset[first:], self.observation_scale[first:]
         if self.imitates:
             shift, ratio = (offset - self.observation_offset) / self.observation_scale, scale / self.observation_scale
             for network in (self.mean_network, self.value_network, self.std_network):

@@ -56,6 +56,8 @@ class PPOConfig:
         The passes stop when the policy has moved this far (mean KL divergence).
     max_gradient : float
         Gradient norms are clipped here, before Adam.
+    first_std : float or None
+        If given, the exploration begins with this standard deviation, whatever the agent's own, unless it is a network.
     final_std : float or None
         If given, the exploration decays geometrically to this value during a training. An exploration that is a network
         of its own is left to learn.
@@ -79,6 +81,7 @@ class PPOConfig:
     entropy_coefficient: float = 0.0
     kl_limit: float = 0.05
     max_gradient: float = 0.5
+    first_std: float | None = None
     final_std: float | None = None
     critic_only: int = 0
     running_scales: bool = True
@@ -111,7 +114,7 @@ class PPOConfig:
         check_number(self.max_gradient, "max_gradient")
         if self.kl_limit != float("inf"):  # infinite: no limit
             check_number(self.kl_limit, "kl_limit", closed=True)
-        for name in ("final_std", "value_clip"):
+        for name in ("first_std", "final_std", "value_clip"):
             if getattr(self, name) is not None:
                 check_number(getattr(self, name), name)
 
@@ -275,9 +278,12 @@ class PPO:
     agent : ActorCritic
         Trained in place.
     config : PPOConfig
+    given : int
+        Number of the last entries of observations whose scales stay as they are: of a design, for instance, the range.
     """
 
-    def __init__(self, agent: ActorCritic, config: PPOConfig) -> None:
+    def __init__(self, agent: ActorCritic, config: PPOConfig, *, given: int = 0) -> None:
+        self.given = given
         self.agent = check_instance(agent, "agent", ActorCritic)
         self.config = check_instance(config, "config", PPOConfig)
         self.actor_optimiser = torch.optim.Adam(agent.actor_parameters(), lr=config.learning_rate, fused=True)
@@ -327,7 +333,7 @@ class PPO:
             if actor and np.mean(rows, axis=0)[0] > config.kl_limit:
                 break
         if config.running_scales:
-            agent.see(rollout.observations)
+            agent.see(rollout.observations, given=self.given)
         kl, outside, entropy, _ = (float(mean) for mean in np.mean(rows, axis=0))
         norms = [norm for *_, norm in rows if not np.isnan(norm)]
         norm = float(np.mean(norms)) if norms else float("nan")

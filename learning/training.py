@@ -95,6 +95,14 @@ class Training:
         )
 
 
+def first_exploration(agent: ActorCritic, config: PPOConfig) -> float:
+    """Standard deviation of the exploration at first, which is set where `config.first_std` says so."""
+    if config.first_std is not None and agent.std_network is None:
+        with torch.no_grad():
+            agent.log_std.fill_(float(np.log(config.first_std)))
+    return agent.log_std.exp().mean().item()
+
+
 def decay_exploration(agent: ActorCritic, first: float, final: float | None, done: float) -> None:
     """Set the exploration between `first` and `final`.
 
@@ -187,7 +195,7 @@ class _Run:
         self.ppo = ppo
         self.collector = collector
         self.result = result
-        self.first_std = result.agent.log_std.exp().mean().item()
+        self.first_std = first_exploration(result.agent, result.config)
 
     def iterate(self, k: int, steps: int, done: float) -> TrainingRow:
         """Row of one more rollout and update."""

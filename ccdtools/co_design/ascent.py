@@ -25,7 +25,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.budgets import FEW_PARAMETERS, QUIET_BLOCKS, QUIET_BLOCKS_LIMITED
+from ccdtools.co_design.budgets import FEW_PARAMETERS, LITTLE_EXPLORATION, QUIET_BLOCKS, QUIET_BLOCKS_LIMITED
 from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
@@ -45,7 +45,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
 from learning.ppo import PPO, prepare
 from learning.rollout import collect
-from learning.training import decay_exploration
+from learning.training import decay_exploration, first_exploration
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +145,10 @@ class Ascent:
         )  # fmt: skip
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
         self.env = EpisodeEnv(problem, self._p(), runs=fewer_runs(config.runs, problem.steps), rng=rng)
-        self.first_std = agent.log_std.exp().mean().item()
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
-            decay_exploration(agent, self.first_std, config.ppo.final_std, 1.0)
-        self.ppo = PPO(agent, config.ppo)
+            decay_exploration(agent, 1.0, config.ppo.final_std or LITTLE_EXPLORATION, 1.0)
+        self.first_std = first_exploration(agent, config.ppo) if task.ppo else agent.log_std.exp().mean().item()
+        self.ppo = PPO(agent, config.ppo, given=problem.design.dim)
         self.design_optimiser = torch.optim.Adam([self.v], lr=config.design_rate or 1.0, betas=(0.8, 0.9))
         self.policy_optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=config.policy_rate or 1.0)
         self.samples = 0  # steps of the model and of the environment so far

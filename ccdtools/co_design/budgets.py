@@ -3,6 +3,8 @@
 # --- what a slope or a gain may say -----------------------------------------------------------------------------------
 FEW_PARAMETERS = 6  # For at most so many parameters differences may take the place of the gradient through the model.
 
+LITTLE_EXPLORATION = 0.02  # A policy that no PPO trains explores so much, in parts of half the input's range.
+
 # --- state limits and their multipliers -------------------------------------------------------------------------------
 MPC_RUNS = 32  # Violation and return of MPC are measured on so many episodes of 100 steps.
 ROUNDS_WITHOUT_GAIN = 2  # The rounds end after so many without a gain at designs that keep the limits.
@@ -11,8 +13,8 @@ ROUNDS_AT_ONE_DESIGN = 6  # The rounds end after so many at one design that does
 # --- costs in searches ------------------------------------------------------------------------------------------------
 SIZE_EVALUATIONS = 20  # The first evaluations of a global search, so many, say how large costs are.
 POLICY_ITERATIONS = 40  # A policy is trained so many iterations at every design.
-# So many blocks without a gain end an ascent; PPO's first may only train V.
-QUIET_BLOCKS = {"pathwise": 1, "ppo": 2, "pathwise+ppo": 1}
+# So many blocks without a gain end an ascent; what PPO gains in one is often chance.
+QUIET_BLOCKS = {"pathwise": 1, "ppo": 3, "pathwise+ppo": 1}
 QUIET_BLOCKS_LIMITED = 3  # So many blocks without a gain end it while multipliers of the state limits move.
 
 # --- starts and the landscape -----------------------------------------------------------------------------------------

@@ -26,7 +26,10 @@ METHODS = (*MODEL_BASED, *LEARNED)
 
 
 class Method(Protocol):
-    """Way to co-design."""
+    """Way to co-design.
+
+    One with a method `instead(result)` is asked for another that goes on from a result, or None.
+    """
 
     @property
     def name(self) -> str:
@@ -106,13 +109,20 @@ def codesign(
     first = space.project(space.centre) if design is None else space.check_feasible(design)
     scenarios = _own_generator(rng)
     began = time.perf_counter()
-    result = chosen.run(problem, np.asarray(first), rng, progress=progress)
-    seconds = time.perf_counter() - began
     frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0
     measured_elsewhere = callable(getattr(chosen, "of", None))
     settling = Settling(getattr(chosen, "judge", None) or problem, scenarios, not (frozen or measured_elsewhere))
+    result = chosen.run(problem, np.asarray(first), rng, progress=progress)
+    seconds = time.perf_counter() - began
+    result = settling.checked(result)
+    other = chosen.instead(result) if hasattr(chosen, "instead") else None
+    if other is not None:
+        began = time.perf_counter()
+        further = other.run(problem, result.design, rng, progress=progress)
+        seconds += time.perf_counter() - began
+        result = settling.continued(result, settling.checked(further))
     return replace(
-        settling.checked(result), seconds=seconds, described=space.describe(result.design),
+        result, seconds=seconds, described=space.describe(result.design),
         active_bounds=space.active_bounds(result.design),
         active_constraints=space.active_constraints(result.design),
     )  # fmt: skip

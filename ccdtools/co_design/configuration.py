@@ -54,7 +54,7 @@ class CoDesignConfig:
     block: int = 40
     tolerance: float = 5e-4
     starts: int | None = None
-    runs: int = 128
+    runs: int = 32
     pathwise_runs: int = 256
     design_gradient: str = "pathwise"
     design_rate: float = 0.03
@@ -62,9 +62,7 @@ class CoDesignConfig:
     constant_rates: bool = False
     evaluate_every: int = 10
     evaluation_runs: int = 1000
-    ppo: PPOConfig = field(
-        default_factory=lambda: PPOConfig.warm(learning_rate=1e-4, kl_limit=0.005, passes=2, final_std=0.02)
-    )
+    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(first_std=0.3))
 
     def __post_init__(self) -> None:
         as_choice("design_gradient", self.design_gradient, DESIGN_GRADIENTS)

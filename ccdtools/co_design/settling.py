@@ -81,6 +81,24 @@ class Settling:
             return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
         return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
 
+    def continued(self, first: CoDesignResult, further: CoDesignResult) -> CoDesignResult:
+        """The result that went on from a first one where it gained beyond chance, else the first."""
+        assert first.closed_loop is not None
+        assert further.closed_loop is not None
+        before, after = first.closed_loop, further.closed_loop
+        both = np.arange(min(len(before.values), len(after.values)))
+        gain = difference_of_parts(self.problem.risk, after.parts(both) - before.parts(both), both)
+        named = self._in_parts(f"{further.method} from its end", further.design, gain, before)
+        worse = further.status in (CoDesignStatus.DIVERGING, CoDesignStatus.LIMITS_BROKEN)
+        if worse or not named.gain.ci95[0] > 0:
+            return replace(first, baselines=(*first.baselines, named))
+        low, high = (100 * end for end in named.gain.ci95)
+        gained = f"{100 * named.gain.mean:.2f} % [{low:.2f}, {high:.2f}]"
+        note = (
+            f"{first.method} ended with {first.status.value}; {further.method} went on from there and gained {gained}"
+        )
+        return replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
+
     def _loop(self, controller: Any, design: Array, runs: int | None = None) -> ClosedLoopReturns:
         """Returns of a controller on the fresh scenarios."""
         return closed_loop_returns(self.problem, controller, design, copy.deepcopy(self.scenarios), runs=runs)

@@ -26,8 +26,9 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import History, Valley
+from ccdtools.co_design.result import CoDesignResult, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
+from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -38,6 +39,8 @@ from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 from mpc import MPCError
 
+LED_ASTRAY = (CoDesignStatus.GRADIENT_UNTRUSTED, CoDesignStatus.NOT_STATIONARY)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
@@ -46,8 +49,9 @@ class Learned:
     Attributes
     ----------
     by : {"pathwise", "ppo", "pathwise+ppo"}
-        What moves the policy: its gradient through the model, PPO, or both. `config.design_gradient` says what moves
-        the design.
+        What moves the policy: its gradient through the model, PPO, or both. Where `codesign` finds at the end of a
+        climb that this gradient is not that of the return, or that a plain search or LQR is better, PPO goes on from
+        there. `config.design_gradient` says what moves the design.
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
         is made, and beside one that is far worse than saturated LQR at the first design, too: a policy that saturates
@@ -105,6 +109,15 @@ class Learned:
             agents.append(warm_start(problem, rng, progress=progress))
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
         return _result(task, ascents, agent, design, found)
+
+    def instead(self, result: CoDesignResult) -> Learned | None:
+        """PPO, from where a climb ended whose policy its gradient led to no optimum; else None."""
+        known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY
+        ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
+        behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
+        if self.by != "pathwise" or not (known or behind):
+            return None
+        return replace(self, by="ppo", agent=getattr(result, "agent", None))
 
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
