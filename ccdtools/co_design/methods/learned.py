@@ -115,7 +115,8 @@ class Learned:
         known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY
         ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
         behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
-        if self.by != "pathwise" or not (known or behind):
+        config: Any = self.config
+        if self.by != "pathwise" or config.policy_rate == 0 or not (known or behind):
             return None
         return replace(self, by="ppo", agent=getattr(result, "agent", None))
 
