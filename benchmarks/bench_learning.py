@@ -22,6 +22,9 @@ import gymnasium
 import numpy as np
 import torch
 
+from ccdtools import LearnedPolicy, closed_loop_returns, load_study
+from ccdtools.co_design import EpisodeEnv
+from ccdtools.controllers import Passive
 from learning import GymnasiumEnvs, train
 
 # Steps of the environment, environments at once, running normalisation and settings of the RL Zoo for PPO (file
@@ -89,15 +92,37 @@ def score(policy: Callable, name: str, seed: int, episodes: int = 30) -> float:
     return total / episodes
 
 
+def on_suspension(seed: int, runs: int) -> tuple[float, float, float]:
+    """Return and steps a second of PPO from scratch, 192 000 steps; return of doing nothing."""
+    problem = load_study("suspension").problem()
+    design = problem.design.centre
+    env = EpisodeEnv(problem, design, runs=runs, rng=np.random.default_rng(seed))
+    generator = torch.Generator().manual_seed(seed)
+    start = time.process_time()
+    iterations = 192_000 // (runs * problem.steps)
+    trained = train(env, env.agent(seed=seed), iterations=iterations, steps=problem.steps, generator=generator)
+    speed = trained.rows[-1].samples / (time.process_time() - start)
+    laws = LearnedPolicy(trained.agent, design), Passive(problem.model.nu)
+    found = [closed_loop_returns(problem, law, design, rng=np.random.default_rng(10**6), runs=1000) for law in laws]
+    return float(found[0].values.mean()), speed, float(found[1].values.mean())
+
+
 def main() -> None:
     """Print a row for each environment and library."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=ZOO)
+    parser.add_argument("--only", choices=[*ZOO, "suspension"])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--peer", action="store_true", help="Stable-Baselines3, too")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    for name in [options.only] if options.only else ZOO:
+    for runs in (16, 128) if options.only in (None, "suspension") else ():
+        scores, speeds, idle = zip(*(on_suspension(seed, runs) for seed in range(options.seeds)))
+        print(
+            f"suspension, {runs:3d} runs       ccdtools  median {np.median(scores):8.1f}, {min(scores):8.1f} to"
+            f" {max(scores):8.1f}, {np.median(speeds):.0f} steps/s; doing nothing {idle[0]:.1f}",
+            flush=True,
+        )
+    for name in ZOO if options.only is None else [options.only] if options.only in ZOO else []:
         try:
             gymnasium.make(name)
         except (ImportError, gymnasium.error.Error) as error:

@@ -19,7 +19,8 @@ class VectorEnv(Protocol):
 
     Observations are (n, n_obs), actions (n, nu) in the units of the plant, rewards (n,), all finite; ends are Boolean
     (n,). Tensors of actions lie where those of the observations do. A training that can be resumed needs two methods
-    more: `state()` returns what `restore(state)` takes, in kinds that pickle knows.
+    more: `state()` returns what `restore(state)` takes, in kinds that pickle knows. Where the last entries of an
+    observation are not measured but given, as a design is, the attribute `given` is their number: scales leave them.
     """
 
     def reset(self) -> Tensor:

@@ -172,7 +172,8 @@ def train(
     as_count("steps", steps)
     if device is not None:
         _move(agent, device)
-    run = _Run(PPO(agent, config), Collector(env, agent, generator=generator), Training(agent, agent, config))
+    ppo = PPO(agent, config, given=getattr(env, "given", 0))
+    run = _Run(ppo, Collector(env, agent, generator=generator), Training(agent, agent, config))
     file = None if checkpoint is None else Path(as_instance("checkpoint", checkpoint, (str, os.PathLike), "a path"))
     if file is not None and file.exists():
         run.load(file)

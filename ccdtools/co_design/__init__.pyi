@@ -8,6 +8,7 @@ from ccdtools.co_design.design_controllers import (
 )
 from ccdtools.co_design.design_env import DesignEnv as DesignEnv
 from ccdtools.co_design.design_sensitivity import DesignSensitivity as DesignSensitivity
+from ccdtools.co_design.environment import EpisodeEnv as EpisodeEnv
 from ccdtools.co_design.expert import (
     admissible_inputs as admissible_inputs,
     expert_dataset as expert_dataset,

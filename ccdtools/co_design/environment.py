@@ -7,36 +7,69 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
+from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.problem import CoDesignProblem
-from learning.networks import ActorCritic
+from ccdtools.design_limits import DesignLimits
+from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
 from learning.rollout import collect
 
 
 class EpisodeEnv:
-    """Environment of `runs` episodes with observations (x, p) and actions u.
+    """Episodes of a problem that step together, for `learning.train`.
 
-    Episodes end together at the problem's time limit: truncated, or terminated where the objective has a terminal cost.
-    One that diverges terminates and restarts from its own initial state.
+    Observations are (x, p), actions u, each (runs, ·) tensors. Episodes end together at the problem's time limit:
+    truncated, or terminated where the objective has a terminal cost. One that diverges terminates and restarts from its
+    own initial state.
 
     Parameters
     ----------
     problem : CoDesignProblem
-    p : (np,) tensor
+    design : (np,) array_like or tensor
         May be moved between rollouts with `move`.
     runs : int
     rng : numpy.random.Generator
         Draws fresh scenarios at each reset.
+
+    Attributes
+    ----------
+    given : int
+        Number of the last entries of observations that are given, those of the design.
+
+    Raises
+    ------
+    InputError
+        If an argument is of another kind, or the design is not allowed.
+
+    Examples
+    --------
+    >>> env = EpisodeEnv(problem, design, rng=np.random.default_rng(0))
+    >>> trained = train(env, env.agent(), iterations=100, steps=problem.steps, generator=torch.Generator())
+    >>> policy = LearnedPolicy(trained.agent, design)
     """
 
-    def __init__(self, problem: CoDesignProblem, p: Tensor, *, runs: int, rng: np.random.Generator) -> None:
-        self.problem = problem
-        self.runs = runs
-        self._rng = rng
-        self.move(p)
+    def __init__(
+        self, problem: CoDesignProblem, design: ArrayLike | Tensor, *, runs: int = 32, rng: np.random.Generator
+    ) -> None:
+        self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+        self.runs = as_count("runs", runs)
+        self.given = problem.design.dim
+        self._rng = as_generator("rng", rng)
+        if not isinstance(design, Tensor):
+            design = torch.tensor(problem.design.check_feasible(design), dtype=torch.float32)
+        self.move(design)
+
+    def agent(self, *, config: NetworkConfig | None = None, seed: int = 0) -> ActorCritic:
+        """Untrained agent for this problem, at any of its designs."""
+        low, high = self.problem.observation_bounds
+        bounds = self.problem.action_bounds
+        limits = bounds if isinstance(bounds, DesignLimits) else None
+        lower, upper = limits.box if limits is not None else self.problem.input_bounds
+        return ActorCritic(low, high, lower, upper, config=config, seed=seed, action_limits=limits)
 
     def move(self, p: Tensor) -> None:
         """Change the design from the next reset on."""
