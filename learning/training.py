@@ -170,6 +170,8 @@ def train(
     check_instance(config, "config", PPOConfig)
     as_count("iterations", iterations)
     as_count("steps", steps)
+    if callback is not None and not callable(callback):
+        raise InputError("callback", repr(callback)[:60], "a function of a TrainingRow")
     if device is not None:
         _move(agent, device)
     ppo = PPO(agent, config, given=getattr(env, "given", 0))

@@ -97,7 +97,11 @@ class Settling:
         note = (
             f"{first.method} ended with {first.status.value}; {further.method} went on from there and gained {gained}"
         )
-        return replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
+        further = replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
+        if isinstance(first, LearnedCoDesign) and isinstance(further, LearnedCoDesign):
+            gains = {part: gain + first.gains.get(part, 0.0) for part, gain in further.gains.items()}
+            further = replace(further, gains=gains)
+        return further
 
     def _loop(self, controller: Any, design: Array, runs: int | None = None) -> ClosedLoopReturns:
         """Returns of a controller on the fresh scenarios."""

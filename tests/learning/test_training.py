@@ -247,6 +247,12 @@ def test_a_training_that_cannot_be_resumed_says_why(tmp_path):
         short(agent(), checkpoint=file)
 
 
+@pytest.mark.parametrize("argument", ["callback", "checkpoint"])
+def test_a_number_is_no_callback_and_no_file(argument):
+    with pytest.raises(InputError, match=f"{argument}: got 3"):
+        short(agent(), **{argument: 3})
+
+
 def test_a_device_that_is_not_there_is_refused():
     with pytest.raises(InputError, match="device: got 'nowhere'"):
         short(agent(), device="nowhere")
