@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from invariant_sets import AdmissibleInputs, Polytope
+from invariant_sets import AdmissibleInputs, Polytope, Status, maximal_control_invariant_set
 
 SQUARE = np.vstack([np.eye(2), -np.eye(2)])
 SLANTED = np.array([[1, 1], [-1, -1], [1, -1], [-1, 1]]) * np.sqrt(0.5)
@@ -43,3 +43,12 @@ def test_a_far_proposal_is_led_along_its_direction_to_a_million_half_widths():
     allowed = AdmissibleInputs(np.zeros((1, 1)), np.zeros((1, 2)), Polytope.from_bounds([-1], [1]), square)
     np.testing.assert_allclose(allowed.project([0.0], [3e5, 0.3])[0], [1, 0.3], rtol=1e-6)
     np.testing.assert_allclose(allowed.project([0.0], [4e6, 0.4])[0], [1, 0.1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("beyond", "unstable"), [(3e-7, False), (3e-6, True)])
+def test_a_mode_that_hardly_grows_is_not_taken_for_unstable(beyond, unstable):
+    wide = Polytope.from_bounds([-1e7], [1e7])
+    found = maximal_control_invariant_set([[1 + beyond]], [[1.0]], X=wide, U=Polytope.from_bounds([-1.0], [1.0]))
+    assert found.status is (Status.CONVERGED if unstable else Status.ITERATION_LIMIT)
+    if unstable:  # at most 1/(λ − 1), which its bound says at once
+        np.testing.assert_allclose(found.set.bounding_box()[1], 1 / beyond, rtol=1e-6)

@@ -7,6 +7,7 @@ from plants import box
 from mpc import LinearMPC
 from mpc.condensing import condense
 from mpc.dense_qp import DenseQP
+from mpc.feedback import stabilising_feedback
 from mpc.rollout import spread_signals
 from mpc.stages import StagewiseQP
 from mpc.stagewise import solve_stagewise
@@ -28,3 +29,9 @@ def test_the_stagewise_solver_agrees_with_the_dense_one(extra):
     dense = DenseQP(qp.H, qp.G).solve(*qp.at(theta))
     assert found.converged
     np.testing.assert_allclose(inputs, qp.inputs(dense.z, theta), atol=1e-6)
+
+
+@pytest.mark.parametrize(("growth", "condensed_as_it_is"), [(300.0, True), (3000.0, False)])
+def test_a_plan_that_grows_far_is_stated_in_deviations_from_a_feedback(growth, condensed_as_it_is):
+    controller = LinearMPC([[growth**0.05]], [[1.0]], Q=1.0, R=1.0, horizon=20, U=(-1, 1))
+    assert (stabilising_feedback(controller) is None) == condensed_as_it_is
