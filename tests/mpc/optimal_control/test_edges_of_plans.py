@@ -1,0 +1,30 @@
+"""What a solution says of itself, on both sides of what it says it from."""
+
+import casadi as ca
+import pytest
+
+from mpc.optimal_control import OptimalControlStatus, Phase, Radau, build, solve
+
+
+@pytest.mark.parametrize(("beside", "named"), [(3e-5, True), (3e-4, False)])
+def test_a_duration_that_came_down_to_its_bound_is_named(beside, named):
+    least = 2 * (1 - beside)  # a metre from rest to rest takes 2 s at 1 m/s²
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], u_bounds=(-1, 1), duration=(least, 5),
+        terminal_cost=lambda t: t,
+    )  # fmt: skip
+    found = solve(build(phase, Radau(2), 2))
+    assert found.phases[0].duration == pytest.approx(2.0, rel=1e-4)
+    assert any("came down to its lower bound" in note for note in found.notes) == named
+
+
+@pytest.mark.parametrize(("intervals", "missed", "coarse"), [(5, 0.02, False), (3, 0.17, True)])
+def test_dynamics_that_are_missed_by_a_part_of_the_states_make_a_mesh_coarse(intervals, missed, coarse):
+    # an oscillation of 8 rad/s that costs nothing, beside what is planned
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], -64 * x[0], u), 3, 1, start=[1, 0, 0], end=[None, None, 1.0],
+        stage_cost=lambda u: u**2, duration=1.0,
+    )  # fmt: skip
+    found = solve(build(phase, Radau(3), intervals))
+    assert found.mesh_error == pytest.approx(missed, rel=0.1)
+    assert (found.status is OptimalControlStatus.COARSE) == coarse
