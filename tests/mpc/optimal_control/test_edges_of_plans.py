@@ -1,9 +1,10 @@
 """What a solution says of itself, on both sides of what it says it from."""
 
 import casadi as ca
+import numpy as np
 import pytest
 
-from mpc.optimal_control import OptimalControlStatus, Phase, Radau, build, solve
+from mpc.optimal_control import NonlinearMPC, OffsetFreeNonlinearMPC, OptimalControlStatus, Phase, Radau, build, solve
 
 
 @pytest.mark.parametrize(("beside", "named"), [(3e-5, True), (3e-4, False)])
@@ -28,3 +29,13 @@ def test_dynamics_that_are_missed_by_a_part_of_the_states_make_a_mesh_coarse(int
     found = solve(build(phase, Radau(3), intervals))
     assert found.mesh_error == pytest.approx(missed, rel=0.1)
     assert (found.status is OptimalControlStatus.COARSE) == coarse
+
+
+@pytest.mark.parametrize(("drift", "steady"), [(3e-9, True), (3e-8, False)])
+def test_a_target_of_a_nonlinear_model_that_drifts_by_rounding_is_steady(drift, steady):
+    controller = NonlinearMPC(
+        lambda x, u: ca.vertcat(0.5 * x[0] + u[0], x[1]), 2, 1, Q=[1.0, 0.0], R=1.0, P=np.eye(2), horizon=3,
+        U=(-1, 1), X=([-5, -1], [5, 1]),
+    )  # fmt: skip
+    target = OffsetFreeNonlinearMPC(controller, [[1, 0]], disturbance=[0.0, drift]).nearest_target([0.2])
+    assert target.steady == steady
