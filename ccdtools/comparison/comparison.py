@@ -16,6 +16,7 @@ from ccdtools.checks import as_choice, as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
+from ccdtools.comparison.budgets import TIMED_CALLS
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
@@ -61,7 +62,7 @@ class Score:
     further_outside_than : tuple of str
         The controllers that leave X less deep, or less often, on the runs that both saw; see `further_outside`.
     step_time : float
-        Median time of one call with one state [s].
+        Median time of one call with one state [s], over the first states of the first run.
     metrics : dict of str to float
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
     design_cost : float
@@ -292,7 +293,7 @@ def _score(
         depth_worst=float(outside.peak.max()) if len(outside.peak) else float("nan"),
         exceeded=outside.exceeded,
         further_outside_than=(),
-        step_time=step_time(controller, run.states[0, 0], scenario, run.design),
+        step_time=float(np.median(step_times(controller, run.states[0], scenario, run.design))),
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
         runs=n,
         remark=getattr(controller, "remark", ""),
@@ -304,8 +305,8 @@ def _mean(values: Array) -> float:
     return float(values.mean()) if len(values) else float("nan")
 
 
-def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike = ()) -> float:
-    """Median time [s] of one call for a state (nx,) at a design (np,)."""
+def step_times(controller: Controller, states: Array, scenario: Scenario, p: ArrayLike = ()) -> Array:
+    """Times [s] of single calls at the first states (T, nx) of a run, at a design (np,)."""
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     driver = Driver(
@@ -313,11 +314,12 @@ def step_time(controller: Controller, x: Array, scenario: Scenario, p: ArrayLike
         output=scenario.sensor(p),
     )  # fmt: skip
     times = []
-    for _ in range(50):
+    for k, x in enumerate(states[: min(TIMED_CALLS, scenario.steps)]):
         start = time.perf_counter()
-        driver(0, x[None])
+        u = driver(k, x[None])
         times.append(time.perf_counter() - start)
-    return float(np.median(times))
+        driver.remember(np.asarray(u, dtype=float))
+    return np.array(times)
 
 
 def _text_cells(score: Score, baseline: str, *, whole: bool) -> tuple[str, ...]:

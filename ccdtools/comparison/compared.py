@@ -1,0 +1,189 @@
+"""One controller on one scenario and plant, over all seeds, beside the baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.comparison.experiment_record import Cell, Record
+from ccdtools.comparison.seeds import interquartile_mean, mean_over_seeds
+from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Violation
+from ccdtools.evidence.verdict import Verdict, decide
+from ccdtools.limits import Excursions, further_outside
+from ccdtools.statistics import PairedDifference
+
+Names = tuple[str, str, str, str]  # of controller, design, scenario and plant
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One controller and design on one scenario and plant, over all seeds.
+
+    Attributes
+    ----------
+    names : (str, str, str, str)
+        Of controller, design, scenario and plant.
+    seeds, runs : int
+        Seeds that it was made with, and runs of each.
+    value : PairedDifference
+        Mean return of the runs that did not diverge, with its 95 % interval.
+    middle : PairedDifference
+        Interquartile mean over seeds, or over the runs of one; a lost run is worse than any other.
+    evidence : Evidence
+        The gain over the baseline on the same runs, and the runs that each lost. A seed for which no controller could
+        be made has lost all.
+    better : PairedDifference
+        Share of the runs in which its return is higher than the baseline's; equal ones count half.
+    fraction, peak : float
+        Of the states outside the limits, and mean largest depth in half-widths.
+    times : (k,) array
+        Of single calls [s].
+    seconds, steps : float
+        What making the controller took, in the median of the seeds: time, and samples of the environment.
+    metrics : dict of str to float
+        Means over the seeds.
+    remark : str
+        Why seeds are missing, or what the controller says of itself.
+    """
+
+    names: Names
+    seeds: int
+    runs: int
+    value: PairedDifference
+    middle: PairedDifference
+    evidence: Evidence
+    better: PairedDifference
+    fraction: float
+    peak: float
+    times: Array
+    seconds: float
+    steps: float
+    metrics: dict[str, float]
+    remark: str
+
+    @property
+    def step_time(self) -> tuple[float, float]:
+        """Median and 99th percentile of the time of one call [s]; NaN without any."""
+        if not len(self.times):
+            return float("nan"), float("nan")
+        median, most = np.quantile(self.times, [0.5, 0.99])
+        return float(median), float(most)
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on this scenario and plant alone."""
+        return decide([self.evidence])
+
+
+def compared(names: Names, records: Sequence[Record], base: Sequence[Record], *, baseline: str, fresh: bool) -> Compared:
+    """One controller compared with the baseline on one scenario and plant.
+
+    Parameters
+    ----------
+    names : (str, str, str, str)
+        Of controller, design, scenario and plant.
+    records, base : sequence of Record
+        Of the controller and of the baseline, one per seed.
+    baseline : str
+        Its name.
+    fresh : bool
+        Whether each seed draws runs of its own.
+    """
+    own, other = ({one.seed: cell for one in some for cell in one.cells if (cell.scenario, cell.plant) == names[2:]}
+                  for some in (records, base))  # fmt: skip
+    cells = list(own.values())
+    pairs = [(cell, other[seed]) for seed, cell in own.items() if seed in other]
+    refused = [f"seed {one.seed}: {one.refused}" for one in records if one.refused]
+    kept = [np.where(cell.lost, np.nan, cell.returns) for cell in cells]
+    worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
+    left = [_left(cell) for cell in cells]
+    runs = max((len(cell.returns) for cell in (*cells, *other.values())), default=1)
+    return Compared(
+        names, len(cells), runs,
+        value=_mean(kept, fresh, [cell.series for cell in cells]),
+        middle=interquartile_mean(np.array(worst)) if cells else NOTHING,
+        evidence=_evidence(names, baseline, pairs, fresh, runs, len(refused)),
+        better=_mean([_won(*pair) for pair in pairs], fresh, []),
+        fraction=float(np.nanmean([one[0] for one in left])) if left else float("nan"),
+        peak=float(np.nanmean([one[1] for one in left])) if left else float("nan"),
+        times=np.concatenate([np.zeros(0), *(cell.times for cell in cells)]),
+        seconds=float(np.nanmedian([one.seconds for one in records])) if cells else float("nan"),
+        steps=float(np.median([one.steps for one in records if not one.refused])) if cells else float("nan"),
+        metrics=_metrics([cell.metrics for cell in cells]),
+        remark=next(iter([*refused, *(one.remark for one in records if one.remark)]), ""),
+    )  # fmt: skip
+
+
+def _evidence(
+    names: Names, baseline: str, pairs: list[tuple[Cell, Cell]], fresh: bool, runs: int, refused: int
+) -> Evidence:
+    """Evidence of the pairs of cells with common seeds."""
+    seeds = len(pairs) + refused
+    lost = (sum(int(own.lost.sum()) for own, _ in pairs) + refused * runs, sum(int(base.lost.sum()) for _, base in pairs))
+    distribution = ", ".join(name for name in names[2:] if name) or "the scenario"
+    candidate = ", ".join(name for name in names[:2] if name)
+    grouped = f"{seeds} seeds of {runs} runs"
+    kept = [~(own.lost | base.lost) for own, base in pairs]
+    both = [[np.where(keep, cell.returns, np.nan) for keep, cell in zip(kept, cells)] for cells in zip(*pairs)]
+    gain, values, size = NOTHING, (float("nan"), float("nan")), 0.0
+    if any(keep.any() for keep in kept):
+        series = [own.series - base.series for own, base in pairs]
+        gain = _mean([own - base for own, base in zip(*both)], fresh, series)
+        values = (_mean(both[0], fresh, []).mean, _mean(both[1], fresh, []).mean)
+        size = abs(values[1] + pairs[0][1].design_cost)
+    return Evidence(
+        candidate, baseline, distribution, Asked.TOLERANCE, gain, values, size, seeds * runs, grouped, lost,
+        violation=_violation(pairs),
+    )  # fmt: skip
+
+
+def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
+    """Limits that are left further, or more often, than by the baseline."""
+    if not pairs:
+        return None
+    own, base = (_excursions(cells) for cells in zip(*pairs))
+    if not further_outside(own, base):
+        return None
+    achieved, before = ((float(np.nanmean(one.fraction)), float(np.nanmean(one.peak))) for one in (own, base))
+    return Violation(achieved, before, before, next(cell.exceeded for cell, _ in pairs if cell.exceeded), False)
+
+
+def _excursions(cells: Sequence[Cell]) -> Excursions:
+    """Violations by seed, or by the runs of the only one."""
+    if len(cells) == 1:
+        (cell,) = cells
+        lost = np.broadcast_to(cell.lost, cell.peak.shape) if cell.single else cell.lost
+        return Excursions(cell.fraction, cell.fraction, cell.peak, cell.exceeded, lost=lost, single=cell.single)
+    fraction, peak = np.array([_left(cell) for cell in cells]).T
+    return Excursions(np.nan_to_num(fraction), np.nan_to_num(fraction), np.nan_to_num(peak), lost=np.isnan(peak))
+
+
+def _left(cell: Cell) -> tuple[float, float]:
+    """Fraction of the states outside and mean peak, of the runs that did not diverge."""
+    if cell.lost.all():
+        return float("nan"), float("nan")
+    if cell.single:
+        return float(cell.fraction.mean()), float(cell.peak.max())
+    return float(cell.fraction[~cell.lost].mean()), float(cell.peak[~cell.lost].mean())
+
+
+def _won(own: Cell, base: Cell) -> Array:
+    """Runs (N,) that are better than the baseline's: 1, or 0.5 where they are equal."""
+    first, second = (np.where(cell.lost, -np.inf, cell.returns) for cell in (own, base))
+    return np.where(first == second, 0.5, first > second)
+
+
+def _mean(values: Sequence[Array], fresh: bool, series: Sequence[Array]) -> PairedDifference:
+    """Mean over seeds of values (runs,); nothing without a seed."""
+    if not len(values):
+        return NOTHING
+    parts = np.mean(series, axis=0) if len(series) and len(series[0]) else None
+    return mean_over_seeds(np.array(values), fresh=fresh, series=parts)
+
+
+def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean metrics over the seeds."""
+    return {name: float(np.nanmean([one[name] for one in found])) for name in (found[0] if found else ())}

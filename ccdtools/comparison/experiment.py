@@ -1,0 +1,313 @@
+"""Controllers by designs, scenarios, plants and seeds, each task computed once."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
+from ccdtools.co_design.objective import Objective, as_objective
+from ccdtools.comparison.comparison import step_times
+from ccdtools.comparison.experiment_record import Cell, Record, digest, read_record, write_record
+from ccdtools.comparison.experiment_table import Experiment
+from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
+from ccdtools.comparison.pid_tuning import REFERENCE
+from ccdtools.controllers.controllers import Passive
+from ccdtools.controllers.signals import as_controller, needs_of
+from ccdtools.design_limits import DesignLimits, Limits
+from ccdtools.exceptions import CCDError, InputError
+from ccdtools.jobs import as_jobs, as_they_end, interrupted
+from ccdtools.limits import Excursions, limits_in_words
+from ccdtools.output_limits import OutputLimits
+from ccdtools.scenario import Scenario
+from ccdtools.simulation import Simulable, as_simulable
+from invariant_sets.system_checks import as_set
+
+Maker = Callable[[Array, np.random.Generator], Any]
+Drawn = Callable[[np.random.Generator], Scenario]
+Task = tuple[str, str, int]  # names of a controller and of a design, and a seed
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What all tasks of an experiment have in common."""
+
+    controllers: Mapping[str, Maker]
+    scenarios: Mapping[str, Scenario | Drawn]
+    designs: Mapping[str, Array]
+    plants: Mapping[str, Simulable | None]
+    objective: Objective
+    X: Any
+    limit: ArrayLike | None
+    output_limits: OutputLimits | None
+    metrics: Metrics | None
+    folder: Path | None
+
+    def record(self, task: Task) -> Record:
+        """Record of a task, from the folder where it is finished."""
+        scenarios = self.conditions(task[2])
+        with one_thread():
+            if self.folder is None:
+                return self._computed(task, scenarios)
+            file = self.folder / f"{self._digest(task, scenarios)}.npz"
+            if file.exists():
+                return read_record(file)
+            record = self._computed(task, scenarios)
+        if not record.refused:
+            write_record(file, record)
+        return record
+
+    def conditions(self, seed: int) -> dict[tuple[str, str], Scenario]:
+        """Scenarios of a seed, by their names and those of the plants."""
+        found = {}
+        for name, given in self.scenarios.items():
+            scenario = given if isinstance(given, Scenario) else given(_generator(seed, "scenario", name))
+            as_instance(f"scenarios[{name!r}]", scenario, Scenario, "a Scenario, or a function rng -> Scenario")
+            for of_plant, plant in self.plants.items():
+                found[name, of_plant] = scenario if plant is None else replace(scenario, plant=plant)
+        return found
+
+    def _computed(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> Record:
+        name, of_design, seed = task
+        p = self.designs[of_design]
+        start = time.perf_counter()
+        try:
+            made = self.controllers[name](p, _generator(seed, "controller", name, of_design))
+            seconds = time.perf_counter() - start
+            given, steps = made if isinstance(made, tuple) else (made, 0)
+            controller = as_controller(given)
+            needs_of(controller)
+            cells = tuple(self._cell(names, one, controller, p) for names, one in scenarios.items())
+        except CCDError as error:
+            return Record(*task, refused=" ".join(str(error).split()))
+        except Exception as error:  # a controller that fails must not lose what the others found
+            if interrupted():
+                raise KeyboardInterrupt from None
+            return Record(*task, refused=f"stopped with {type(error).__name__}: {' '.join(str(error).split())}")
+        return Record(*task, cells, seconds, as_count("steps", steps, least=0), remark=str(getattr(controller, "remark", "")))
+
+    def _cell(self, names: tuple[str, str], scenario: Scenario, controller: Any, p: Array) -> Cell:
+        run = scenario.run(controller, design=p if len(p) else None, limit=self.limit)
+        outside = Excursions.from_trajectory(run, self.limits_at(scenario, p), scenario.plant, self.output_limits)[1]
+        rewards = run.rewards(self.objective)
+        single = len(rewards) == 1
+        return Cell(
+            *names, returns=rewards.sum(axis=1), lost=run.diverged, fraction=outside.fraction, peak=outside.peak,
+            exceeded=outside.exceeded, single=single, times=step_times(controller, run.states[0], scenario, p),
+            series=rewards[0] if single and scenario.disturbance.any() else np.zeros(0),
+            design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
+            metrics={} if self.metrics is None else metrics_of(self.metrics, run),
+        )  # fmt: skip
+
+    def limits_at(self, scenario: Scenario, p: Array) -> Any:
+        """Set X at a design."""
+        return as_set(self.X.at(p) if isinstance(self.X, DesignLimits) else self.X, "X", scenario.plant.nx)
+
+    def _digest(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> str:
+        """Name of a task that changes with its conditions: all but the code of the controller.
+
+        Plant, objective, limits and metrics enter by what they say of the first steps of a run without input.
+        """
+        p = self.designs[task[1]]
+        parts = [*task, p, self.limit]
+        for names, scenario in scenarios.items():
+            run = scenario.first(1, min(3, scenario.steps)).run(Passive(scenario.plant.nu), design=p if len(p) else None, limit=self.limit)
+            pushed = replace(run, inputs=np.ones_like(run.inputs))
+            X = self.limits_at(scenario, p)
+            outside = Excursions.from_trajectory(pushed, X, scenario.plant, self.output_limits)[1]
+            shown_by = {} if self.metrics is None else metrics_of(self.metrics, pushed)
+            parts += [names, scenario.x0, scenario.disturbance, run.states, pushed.rewards(self.objective), X.A, X.b]
+            parts += [outside.peak, sorted(shown_by.items())]
+        return digest(*parts)
+
+
+def experiment(
+    controllers: Mapping[str, Maker],
+    scenarios: Scenario | Drawn | Mapping[str, Scenario | Drawn],
+    *,
+    objective: Objective,
+    X: Limits | tuple[ArrayLike, ArrayLike],
+    designs: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    plants: Mapping[str, Any] | None = None,
+    seeds: int | Sequence[int] = 10,
+    baseline: str | None = None,
+    limit: ArrayLike | None = None,
+    output_limits: OutputLimits | None = None,
+    metrics: Metrics | None = None,
+    folder: str | Path | None = None,
+    jobs: int = 1,
+    progress: bool = False,
+) -> Experiment:
+    """Controllers × designs × scenarios × plants × seeds, compared in pairs.
+
+    Every controller is made anew for each design and seed, so what is learned is learned as often as there are seeds.
+    A task (controller, design, seed) has generators of its own: its numbers are the same in whatever order and process
+    it runs, and are computed by one thread.
+
+    Parameters
+    ----------
+    controllers : mapping of name to function
+        (design (np,), rng) → controller, see `ccdtools.controllers.controllers`, or (controller, samples that it was
+        trained on). One that stops with an error is a row that says why.
+    scenarios : Scenario, function, or mapping of name to either
+        A `Scenario` is met with every seed. A function rng → Scenario draws runs of its own for each seed, the same
+        for all controllers.
+    objective : QuadraticObjective or CustomObjective
+    X : Polytope, bounds (lower, upper), or the X(p) of a problem
+    designs : (np,) array_like, or mapping of name to (np,), optional
+    plants : mapping of name to plant, optional
+        Each takes the place of the scenarios' own, such as one with a heavier mass.
+    seeds : int or sequence of int
+        How many, from 0 on, or which.
+    baseline : str, optional
+        The controller that the others are paired to, at the same design: "LQR" by default, or the first.
+    limit : (nx,) array_like, optional
+        Divergence limit on |x|, see `simulate`.
+    output_limits : OutputLimits, optional
+    metrics : function, optional
+        `Trajectory` → mapping of names, with units, to numbers.
+    folder : path, optional
+        Where every finished task is kept and found again, after an interruption or with more seeds or controllers.
+        A controller is known by its name: one that was changed needs another name, or another folder.
+    jobs : int
+        Processes, −1 for all cores; joblib's backend is taken, such as Dask's.
+    progress : bool
+
+    Returns
+    -------
+    Experiment
+        It prints as a table, and has `rows()`, `to_frame()`, `save("….csv", ".parquet" or ".html")`, `plot()` and
+        `verdicts`; iterated, a `Compared` per controller, design, scenario and plant.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind or size, seeds repeat, no controller has the name of the baseline, or the
+        folder cannot be written or read.
+    """
+    made = as_mapping("controllers", controllers, "a mapping of names to functions (design, rng) -> controller")
+    for name, maker in made.items():
+        _check_maker(f"controllers[{name!r}]", maker)
+    if not made:
+        raise InputError("controllers", "none", "at least one")
+    base = (REFERENCE if REFERENCE in made else next(iter(made))) if baseline is None else baseline
+    as_choice("baseline", base, list(made))
+    as_objective("objective", objective)
+    if output_limits is not None:
+        as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
+    as_metrics(metrics)
+    plan = Plan(
+        made, _named("scenarios", scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
+        output_limits, metrics, None if folder is None else _as_folder(folder),
+    )  # fmt: skip
+    numbers = as_seeds(seeds)
+    _check(plan, numbers[0])
+    tasks = [(name, design, seed) for seed in numbers for design in plan.designs for name in made]
+    names = [f"{name}, seed {seed}" for name, _, seed in tasks]
+    found = as_they_end(plan.record, tasks, jobs=as_jobs(jobs), label="tasks", names=names, progress=progress)
+    fresh = frozenset(name for name, given in plan.scenarios.items() if not isinstance(given, Scenario))
+    return Experiment(tuple(found), base, fresh, limits_in_words(output_limits))
+
+
+def as_seeds(seeds: Any) -> tuple[int, ...]:
+    """Seeds: as many from 0 on, or those given, all different."""
+    if not isinstance(seeds, Sequence | np.ndarray):
+        return tuple(range(as_count("seeds", seeds)))
+    found = tuple(as_count("seeds", seed, least=0) for seed in seeds)
+    if not found or len(set(found)) < len(found):
+        raise InputError("seeds", shown(list(seeds)), "a number of seeds, or different ones")
+    return found
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute with one thread, so that sums do not depend on the machine's cores."""
+    import torch  # before the limit, which does not reach what is loaded later
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _generator(seed: int, *names: str) -> np.random.Generator:
+    """Generator of its own for names and a seed."""
+    return np.random.default_rng([seed, *"\0".join(names).encode()])
+
+
+def _check_maker(argument: str, maker: Any) -> None:
+    """Raise an `InputError` unless it takes a design and a generator."""
+    cure = "lambda design, rng: controller makes one of a controller."
+    expected = "a function (design, rng) -> controller"
+    if not callable(maker):
+        raise InputError(argument, shown(maker), expected, cure)
+    try:
+        inspect.signature(maker).bind(None, None)
+    except (TypeError, ValueError):
+        raise InputError(argument, f"a {type(maker).__name__} that takes no (design, rng)", expected, cure) from None
+
+
+def _named(argument: str, given: Any) -> dict[str, Any]:
+    """Scenarios by name, those that are one alone without."""
+    found = dict(given) if isinstance(given, Mapping) else {"": given}
+    for name, one in found.items():
+        if not isinstance(one, Scenario) and not callable(one):
+            raise InputError(f"{argument}[{name!r}]", shown(one), "a Scenario, or a function rng -> Scenario")
+    if not found:
+        raise InputError(argument, "none", "at least one")
+    return found
+
+
+def _as_designs(designs: Any) -> dict[str, Array]:
+    """Designs (np,) by name; one alone has none."""
+    if designs is None:
+        return {"": np.zeros(0)}
+    if not isinstance(designs, Mapping):
+        return {"": as_vector("designs", designs)}
+    found = {str(name): as_vector(f"designs[{name!r}]", p) for name, p in designs.items()}
+    if not found:
+        raise InputError("designs", "none", "at least one, or None for a plant without design parameters")
+    return found
+
+
+def _as_plants(plants: Any) -> dict[str, Simulable | None]:
+    """Plants by name; None stands for that of the scenario."""
+    if plants is None:
+        return {"": None}
+    found = as_mapping("plants", plants, "a mapping of names to plants")
+    if not found:
+        raise InputError("plants", "none", "at least one, or None for the plants of the scenarios")
+    return {name: as_simulable(plant) for name, plant in found.items()}
+
+
+def _as_folder(folder: str | Path) -> Path:
+    """Folder for records, made if there is none."""
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("folder", f"{path} ({error.strerror or error})", "a folder that can be written") from None
+    writable_path("folder", path / "record.npz")
+    return path
+
+
+def _check(plan: Plan, seed: int) -> None:
+    """Raise an `InputError` unless designs, limits and objective fit the plants."""
+    for scenario in plan.conditions(seed).values():
+        for p in plan.designs.values():
+            run = scenario.first(1, 1).run(Passive(scenario.plant.nu), design=p if len(p) else None, limit=plan.limit)
+            run.rewards(plan.objective)
+            Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

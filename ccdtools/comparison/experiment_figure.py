@@ -1,0 +1,112 @@
+"""Picture and page of an experiment."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import has_method
+from ccdtools.comparison.compared import Compared
+from ccdtools.figure_style import blank, controller_colours, png, styled
+
+STYLE = "body{font:15px sans-serif;margin:2em}table{border-collapse:collapse}td,th{padding:.2em .7em;text-align:left}"
+
+
+def plot_experiment(experiment: Any, figure: Any = None) -> Any:
+    """Plot gains over the baseline, profiles of returns, and times per step.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    figure : matplotlib Figure, optional
+        Where to draw; a new one by default.
+
+    Returns
+    -------
+    matplotlib Figure
+
+    Raises
+    ------
+    InputError
+        If `figure` is given and is none.
+    """
+    cells = list(experiment)
+    others = [cell for cell in cells if cell.names[0] != experiment.baseline]
+    names = list(dict.fromkeys(cell.names[0] for cell in cells))
+    colours = controller_colours(names)
+    with styled():
+        figure = blank(11.0, 2.2 + 0.22 * len(others)) if figure is None else figure
+        has_method("figure", figure, "subplots", "a matplotlib Figure, or None for a new one")
+        gains, profile, times = figure.subplots(1, 3, width_ratios=(1.3, 1, 0.8))
+        _plot_gains(gains, others, colours, experiment.baseline)
+        _plot_profiles(profile, experiment, colours)
+        _plot_times(times, cells, colours)
+    return figure
+
+
+def page(experiment: Any) -> str:
+    """Page in HTML with verdicts, table, notes and figure."""
+    picture = base64.b64encode(png(plot_experiment(experiment))).decode("ascii")
+    verdicts = "".join(
+        f"<p><b>{escape(', '.join(name for name in kind if name))}</b>: {escape(str(verdict))}</p>"
+        for kind, verdict in experiment.verdicts.items()
+    )
+    return (
+        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Comparison of controllers</title>"
+        f"<style>{STYLE}</style></head><body><h1>Comparison with {escape(experiment.baseline)}</h1>{verdicts}"
+        f"<img style='max-width:100%' alt='Gains, profiles and times' src='data:image/png;base64,{picture}'>"
+        f"{experiment._repr_html_()}</body></html>"
+    )
+
+
+def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baseline: str) -> None:
+    """Gain over the baseline with its interval, a row per cell."""
+    rows = np.arange(len(cells))
+    for row, cell in zip(rows, cells):
+        found = cell.evidence
+        mean, low, high = (100 * value / (found.size or np.nan) for value in (found.gain.mean, *found.gain.ci95))
+        ax.plot([low, high], [row, row], color=colours[cell.names[0]], lw=1.5)
+        ax.plot(mean, row, "o", color=colours[cell.names[0]], ms=4)
+    ax.axvline(0.0, color="#444444", lw=0.9)
+    ax.set_yticks(rows, [", ".join(name for name in cell.names if name) for cell in cells])
+    ax.invert_yaxis()
+    ax.set_xlabel(f"gain over {baseline} [%], 95 % interval")
+
+
+def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
+    """Share of all runs with at least such a return, of the baseline's mean size; a lost run has none."""
+    levels = {cell.names[1:]: cell.value.mean for cell in experiment if cell.names[0] == experiment.baseline}
+    found: dict[str, list[Array]] = {}
+    for one in experiment.records:
+        for cell in one.cells:
+            level = levels.get((one.design, cell.scenario, cell.plant), np.nan)
+            relative = np.where(cell.lost, -np.inf, 100 * (cell.returns - level) / abs(level + cell.design_cost))
+            found.setdefault(one.controller, []).append(relative)
+    every = np.concatenate([np.zeros(0), *(part for parts in found.values() for part in parts)])
+    shown = every[np.isfinite(every)]
+    ends = np.quantile(shown, [0.01, 0.99]) if len(shown) else (-1.0, 1.0)
+    for name, parts in found.items():
+        values = np.sort(np.concatenate(parts))
+        ax.step(values, 1 - np.arange(len(values)) / len(values), color=colours[name], label=name, where="pre")
+    ax.set_xlim(*ends)
+    ax.set_xlabel(f"return less {experiment.baseline}'s mean [%]")
+    ax.set_ylabel("share of runs above")
+    ax.legend(fontsize="small")
+
+
+def _plot_times(ax: Any, cells: list[Compared], colours: dict[str, str]) -> None:
+    """Median and 99th percentile of the time per step, a row per controller."""
+    names = [name for name in colours if any(len(cell.times) for cell in cells if cell.names[0] == name)]
+    for row, name in enumerate(names):
+        times = np.concatenate([cell.times for cell in cells if cell.names[0] == name])
+        median, most = 1e6 * np.quantile(times, [0.5, 0.99])
+        ax.plot([median, most], [row, row], color=colours[name], lw=1.5)
+        ax.plot(median, row, "o", color=colours[name], ms=4)
+    ax.set_yticks(range(len(names)), names)
+    ax.invert_yaxis()
+    ax.set_xscale("log")
+    ax.set_xlabel("µs a step: median to 99th percentile")

@@ -1,0 +1,186 @@
+"""Experiment: the records of all tasks as rows, and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdtools.comparison.compared import Compared, compared
+from ccdtools.comparison.experiment_record import Record
+from ccdtools.evidence.percent import number, share
+from ccdtools.evidence.verdict import Verdict, decide
+from ccdtools.exceptions import InputError
+from ccdtools.table import Table, csv_text
+
+AXES = ("controller", "design", "scenario", "plant")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Experiment:
+    """Controllers, designs, scenarios, plants and seeds, compared in pairs.
+
+    Iterated, it gives a `Compared` per controller, design, scenario and plant; indexed by as many of these names as
+    tell it apart, the one.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        One per controller, design and seed.
+    baseline : str
+        The controller that the others are paired to, at the same design.
+    fresh : frozenset of str
+        Scenarios that draw runs of their own for each seed.
+    limits : str
+        What violations are of.
+    """
+
+    records: tuple[Record, ...]
+    baseline: str
+    fresh: frozenset[str]
+    limits: str = "X"
+
+    @cached_property
+    def cells(self) -> tuple[Compared, ...]:
+        """Every controller and design on every scenario and plant."""
+        found: dict[tuple[str, str], list[Record]] = {}
+        for one in self.records:
+            found.setdefault((one.controller, one.design), []).append(one)
+        places = dict.fromkeys((cell.scenario, cell.plant) for one in self.records for cell in one.cells)
+        return tuple(
+            compared(
+                (*kind, *place), records, found[self.baseline, kind[1]], baseline=self.baseline,
+                fresh=place[0] in self.fresh,
+            )
+            for place in places or [("", "")] for kind, records in found.items()
+        )  # fmt: skip
+
+    @property
+    def verdicts(self) -> dict[tuple[str, str], Verdict]:
+        """Verdict on each controller and design by names, on all scenarios and plants together."""
+        found: dict[tuple[str, str], list[Compared]] = {}
+        for cell in self.cells:
+            found.setdefault(cell.names[:2], []).append(cell)
+        return {
+            kind: decide([cell.evidence for cell in cells])
+            for kind, cells in found.items() if kind[0] != self.baseline
+        }  # fmt: skip
+
+    def __iter__(self) -> Iterator[Compared]:
+        return iter(self.cells)
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def __getitem__(self, names: str | tuple[str, ...]) -> Compared:
+        asked = {names} if isinstance(names, str) else set(names)
+        found = [cell for cell in self.cells if asked <= set(cell.names)]
+        if len(found) != 1:
+            raise KeyError(f"{', '.join(map(str, asked))}: {len(found)} cells have these names among {', '.join(AXES)}")
+        return found[0]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One dictionary of plain values per controller, design, scenario, plant, seed and run.
+
+        A lost run has the return up to where it was stopped.
+        """
+        return [
+            {
+                **dict(zip(AXES, (one.controller, one.design, cell.scenario, cell.plant))), "seed": one.seed,
+                "run": run, "return": float(cell.returns[run]), "lost": bool(cell.lost[run]),
+                "outside": float(cell.fraction.mean() if cell.single else cell.fraction[run]),
+                "depth": float(cell.peak.max() if cell.single else cell.peak[run]),
+            }
+            for one in self.records for cell in one.cells for run in range(len(cell.returns))
+        ]  # fmt: skip
+
+    def to_frame(self) -> Any:
+        """`pandas.DataFrame` of the rows.
+
+        Raises
+        ------
+        ImportError
+            If pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            cure = "install it with `pip install pandas`, or take rows(), or save a .csv file"
+            raise ImportError(f"Experiment.to_frame needs pandas: {cure}") from error
+        return pd.DataFrame(self.rows())
+
+    def save(self, path: str | Path) -> None:
+        """Write all rows as .csv or .parquet, or one page of table and figure as .html.
+
+        Raises
+        ------
+        InputError
+            If the path ends otherwise, or cannot be written.
+        ImportError
+            If a .parquet file is asked for without pandas and pyarrow.
+        """
+        from ccdtools.comparison.experiment_figure import page
+
+        file = Path(path)
+        writers = {
+            ".csv": lambda: file.write_text(csv_text(self.rows()), encoding="utf-8"),
+            ".parquet": lambda: self.to_frame().to_parquet(file),
+            ".html": lambda: file.write_text(page(self), encoding="utf-8"),
+        }
+        if file.suffix not in writers:
+            raise InputError("path", str(path), f"a file that ends in {', '.join(writers)}")
+        try:
+            writers[file.suffix]()
+        except OSError as error:
+            raise InputError("path", f"{path} ({error.strerror or error})", "a file that can be written") from None
+
+    def plot(self, figure: Any = None) -> Any:
+        """Plot gains, profiles of returns and times as a matplotlib Figure."""
+        from ccdtools.comparison.experiment_figure import plot_experiment
+
+        return plot_experiment(self, figure)
+
+    @property
+    def table(self) -> Table:
+        """Printed table, a line per cell; names that are all alike are left out."""
+        told = [i for i in range(len(AXES)) if i == 0 or len({cell.names[i] for cell in self}) > 1]
+        metrics = list(dict.fromkeys(name for cell in self for name in cell.metrics))
+        head = (*(AXES[i] for i in told), "return", "95 % interval", "middle half", f"against {self.baseline}", "better in", "lost",
+                f"outside {self.limits}", "µs a step", "training", *metrics, "verdict")  # fmt: skip
+        lines = [(*(cell.names[i] for i in told), *self._cells(cell, metrics)) for cell in self]
+        return Table(head, lines, right=frozenset(range(len(told), len(head) - 1)))
+
+    @property
+    def notes(self) -> list[str]:
+        """What each cell stands on, and remarks."""
+        seeds = len({one.seed for one in self.records})
+        runs = " or ".join(str(n) for n in sorted({cell.runs for cell in self}))
+        lines = [f"{seeds} seeds, {runs} runs of each. µs a step: median, 99th percentile. Training: median of the seeds."]
+        if any(cell.evidence.lost != (0, 0) for cell in self):
+            lines.append("Returns are of the runs that did not diverge; a seed without a controller has lost all.")
+        return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))
+
+    def __repr__(self) -> str:
+        return "\n".join([*self.table.aligned(), *self.notes])
+
+    def _repr_html_(self) -> str:
+        return self.table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+
+    def _cells(self, cell: Compared, metrics: list[str]) -> tuple[str, ...]:
+        """Texts of a line, but for its names."""
+        base = cell.names[0] == self.baseline
+        low, high = (number(end) for end in cell.value.ci95)
+        median, most = (number(1e6 * time, 3) for time in cell.step_time)
+        training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
+        return (
+            number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), "" if base else cell.evidence.percent,
+            "" if base else share(None if np.isnan(cell.better.mean) else cell.better.mean),
+            share(cell.evidence.lost[0] / max(cell.evidence.runs, 1)), share(None if np.isnan(cell.fraction) else cell.fraction),
+            f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
+            "" if base else str(cell.verdict.status.value),
+        )  # fmt: skip
