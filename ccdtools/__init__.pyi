@@ -24,6 +24,7 @@ from ccdtools.co_design.random_starts import RandomStarts as RandomStarts
 from ccdtools.co_design.risk import CVaR as CVaR, Mean as Mean, MeanSpread as MeanSpread, WorstCase as WorstCase
 from ccdtools.co_design.trade_off import trade_off as trade_off
 from ccdtools.comparison.comparison import compare as compare
+from ccdtools.comparison.experiment import experiment as experiment
 from ccdtools.comparison.pid_tuning import baselines as baselines
 from ccdtools.controllers.controllers import PID as PID, LinearFeedback as LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy as LearnedPolicy, load_policy as load_policy

@@ -96,6 +96,7 @@ def compared(names: Names, records: Sequence[Record], base: Sequence[Record], *,
                   for some in (records, base))  # fmt: skip
     cells = list(own.values())
     pairs = [(cell, other[seed]) for seed, cell in own.items() if seed in other]
+    made = [one for one in records if not one.refused]
     refused = [f"seed {one.seed}: {one.refused}" for one in records if one.refused]
     kept = [np.where(cell.lost, np.nan, cell.returns) for cell in cells]
     worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
@@ -107,11 +108,11 @@ def compared(names: Names, records: Sequence[Record], base: Sequence[Record], *,
         middle=interquartile_mean(np.array(worst)) if cells else NOTHING,
         evidence=_evidence(names, baseline, pairs, fresh, runs, len(refused)),
         better=_mean([_won(*pair) for pair in pairs], fresh, []),
-        fraction=float(np.nanmean([one[0] for one in left])) if left else float("nan"),
-        peak=float(np.nanmean([one[1] for one in left])) if left else float("nan"),
+        fraction=_average([one[0] for one in left]),
+        peak=_average([one[1] for one in left]),
         times=np.concatenate([np.zeros(0), *(cell.times for cell in cells)]),
-        seconds=float(np.nanmedian([one.seconds for one in records])) if cells else float("nan"),
-        steps=float(np.median([one.steps for one in records if not one.refused])) if cells else float("nan"),
+        seconds=float(np.median([one.seconds for one in made])) if made else float("nan"),
+        steps=float(np.median([one.steps for one in made])) if made else float("nan"),
         metrics=_metrics([cell.metrics for cell in cells]),
         remark=next(iter([*refused, *(one.remark for one in records if one.remark)]), ""),
     )  # fmt: skip
@@ -147,7 +148,7 @@ def _violation(pairs: list[tuple[Cell, Cell]]) -> Violation | None:
     own, base = (_excursions(cells) for cells in zip(*pairs))
     if not further_outside(own, base):
         return None
-    achieved, before = ((float(np.nanmean(one.fraction)), float(np.nanmean(one.peak))) for one in (own, base))
+    achieved, before = ((float(one.fraction.mean()), float(one.peak.mean())) for one in (own, base))
     return Violation(achieved, before, before, next(cell.exceeded for cell, _ in pairs if cell.exceeded), False)
 
 
@@ -186,4 +187,10 @@ def _mean(values: Sequence[Array], fresh: bool, series: Sequence[Array]) -> Pair
 
 def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Mean metrics over the seeds."""
-    return {name: float(np.nanmean([one[name] for one in found])) for name in (found[0] if found else ())}
+    return {name: _average([one[name] for one in found]) for name in (found[0] if found else ())}
+
+
+def _average(values: Sequence[float]) -> float:
+    """Mean of the finite values; NaN without any."""
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else float("nan")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ccdtools import PID, Scenario, baselines, compare, simulate
-from ccdtools.comparison.comparison import step_time
+from ccdtools.comparison.comparison import step_times
 from ccdtools.statistics import summarise
 
 DESIGN = [2.0]
@@ -57,5 +57,5 @@ def test_differences_are_paired_on_the_same_runs(illustrative, scores, controlle
 def test_timing_a_controller_leaves_it_ready_for_one_run():
     controller = PID([[1.0]], [0.0], [1.0], [0.0], dt=1.0, lower=[-9e9], upper=[9e9])
     scenario = Scenario(control.ss([[0.5]], [[1.0]], [[1.0]], 0, True), [1.0], np.zeros((5, 0)))
-    assert step_time(controller, np.array([1.0]), scenario) > 0
+    assert (step_times(controller, np.array([[1.0], [0.5]]), scenario) > 0).all()
     assert controller(np.array([1.0])) == pytest.approx([-1.0])

@@ -1,0 +1,321 @@
+"""Controllers × designs × scenarios × plants × seeds: rows, pairs, verdicts, and what an interruption leaves."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import joblib
+import numpy as np
+import pytest
+
+from ccdtools import (
+    InputError,
+    LinearFeedback,
+    QuadraticObjective,
+    Scenario,
+    compare,
+    experiment,
+    plant_from_matrices,
+)
+from ccdtools.controllers import Passive
+
+A, R = 0.9, 0.5
+PLANT = plant_from_matrices([[A]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
+OBJECTIVE = QuadraticObjective(Q=[[1.0]], R=[[R]])
+GAIN = 0.55
+LAWS = {
+    "LQR": lambda design, rng: LinearFeedback([[GAIN]]),
+    "learned": lambda design, rng: (LinearFeedback([[GAIN + 0.1 * rng.random()]]), 500),
+}
+
+
+def drawn(rng):
+    return Scenario(PLANT, 2 * rng.standard_normal((7, 1)), rng.standard_normal((7, 15, 1)))
+
+
+def found(laws=LAWS, scenarios=drawn, **options):
+    given = {"objective": OBJECTIVE, "X": ([-50.0], [50.0]), "seeds": 4} | options
+    return experiment(laws, scenarios, **given)
+
+
+def by_hand(gain, x0, w):
+    """Returns of u = −gain x, written out."""
+    x, total = x0[:, 0].copy(), np.zeros(len(x0))
+    for k in range(w.shape[1]):
+        u = -gain * x
+        x = A * x + u + w[:, k, 0]
+        total -= x**2 + R * u**2
+    return total
+
+
+def test_a_row_for_each_run_of_each_seed():
+    rows = found().rows()
+    assert len(rows) == 2 * 4 * 7
+    assert {(row["controller"], row["seed"], row["run"]) for row in rows} == {
+        (name, seed, run) for name in LAWS for seed in range(4) for run in range(7)
+    }
+
+
+def test_returns_are_those_of_the_loop_by_hand_and_gains_are_in_pairs():
+    scenario = drawn(np.random.default_rng(5))
+    cell = found({"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}, scenario, seeds=1)["weak"]
+    own, base = (by_hand(gain, scenario.x0, scenario.disturbance) for gain in (0.3, GAIN))
+    assert cell.value.mean == pytest.approx(own.mean(), rel=1e-12)
+    assert cell.evidence.gain.mean == pytest.approx((own - base).mean(), rel=1e-12)
+    assert cell.better.mean == pytest.approx((own > base).mean())
+
+
+def test_one_seed_on_one_scenario_says_what_compare_says():
+    scenario = drawn(np.random.default_rng(5))
+    laws = {"LQR": LinearFeedback([[GAIN]]), "weak": LinearFeedback([[0.3]])}
+    cell = found({name: lambda design, rng, law=law: law for name, law in laws.items()}, scenario, seeds=1)["weak"]
+    score = compare(laws, scenario, objective=OBJECTIVE, X=([-50.0], [50.0]))["weak"]
+    assert cell.evidence.gain.ci95 == pytest.approx(score.paired_to_lqr.ci95)
+    assert cell.value.ci95 == pytest.approx(score.summary.ci95)
+
+
+def test_what_is_learned_is_learned_anew_for_each_seed_and_design():
+    seen = []
+    laws = {"LQR": LAWS["LQR"], "learned": lambda design, rng: seen.append(rng.random()) or LinearFeedback([[GAIN]])}
+    found(laws, seeds=3)
+    assert len(set(seen)) == 3
+
+
+def test_controllers_of_a_seed_meet_the_same_runs_and_seeds_meet_others():
+    twice = {name: lambda design, rng: LinearFeedback([[GAIN]]) for name in ("LQR", "again")}
+    rows = found(twice).rows()
+    returns = {(row["controller"], row["seed"], row["run"]): row["return"] for row in rows}
+    assert all(value == returns["again", seed, run] for (_, seed, run), value in returns.items())
+    assert len(set(returns.values())) == 4 * 7
+
+
+def test_numbers_depend_neither_on_the_order_nor_on_what_else_is_compared():
+    rows = found({"learned": LAWS["learned"], "zero": lambda design, rng: Passive(1), "LQR": LAWS["LQR"]}).rows()
+    assert [row for row in rows if row["controller"] == "learned"] == [
+        row for row in found().rows() if row["controller"] == "learned"
+    ]
+
+
+@pytest.mark.check
+def test_two_processes_and_a_dask_cluster_find_the_same_bits():
+    distributed = pytest.importorskip("dask.distributed")
+    rows = found().rows()
+    assert found(jobs=2).rows() == rows
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster), joblib.parallel_config(backend="dask"),
+    ):  # fmt: skip
+        assert found(jobs=2).rows() == rows
+
+
+KILLED = """
+import os, sys
+sys.path.insert(0, {folder!r})
+import test_experiment as t
+def dying(design, rng):
+    if len(os.listdir(sys.argv[1])) == 3:
+        os.kill(os.getpid(), 9)
+    return t.LAWS["learned"](design, rng)
+t.found({{"LQR": t.LAWS["LQR"], "learned": dying}}, folder=sys.argv[1])
+"""
+
+
+def test_a_killed_experiment_goes_on_where_it_was(tmp_path):
+    script = KILLED.format(folder=str(Path(__file__).parent))
+    ended = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, check=False)
+    assert ended.returncode == -9, ended.stderr.decode()
+    kept = {path.name for path in tmp_path.glob("*.npz")}
+    assert len(kept) == 3
+    assert found(folder=tmp_path).rows() == found().rows()
+    assert kept < {path.name for path in tmp_path.glob("*.npz")}
+
+
+def test_what_is_finished_is_not_computed_again_and_what_changed_is(tmp_path):
+    calls = []
+    laws = {"LQR": lambda design, rng: calls.append(design) or LinearFeedback([[GAIN]])}
+    for options in ({}, {}, {"seeds": 5}, {"objective": QuadraticObjective(Q=[[1.0]], R=[[0.6]])}):
+        found(laws, folder=tmp_path, **options)
+    assert len(calls) == 4 + 0 + 1 + 4
+
+
+@pytest.mark.parametrize("change", [
+    {"X": ([-40.0], [50.0])}, {"limit": [9.0]}, {"metrics": lambda run: {"end [m]": run.states[0, -1, 0] + 1}},
+    {"plants": {"": plant_from_matrices([[0.8]], [[1.0]], [[1.0]], dt=1.0, continuous=False)}},
+])  # fmt: skip
+def test_a_changed_condition_is_another_task(tmp_path, change):
+    base = {"limit": [8.0], "metrics": lambda run: {"end [m]": run.states[0, -1, 0]}, "X": ([-50.0], [50.0])}
+    found(folder=tmp_path, seeds=1, **base)
+    found(folder=tmp_path, seeds=1, **base | change)
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_a_damaged_record_is_named(tmp_path):
+    found(folder=tmp_path, seeds=1)
+    file = next(tmp_path.iterdir())
+    file.write_bytes(b"nothing")
+    with pytest.raises(InputError, match=f"folder: got .*{file.name}"):
+        found(folder=tmp_path, seeds=1)
+
+
+def test_a_controller_that_cannot_be_made_says_so_and_others_go_on():
+    def some(design, rng):
+        raise InputError("gains", "none", "a stable loop")
+
+    result = found(LAWS | {"PID": some})
+    assert "got none" in result["PID"].remark
+    assert np.isnan(result["PID"].value.mean)
+    assert not result.verdicts["PID", ""].replaces
+    assert result["PID"].evidence.lost == (28, 0)
+    assert np.isfinite(result["learned"].value.mean)
+    assert "PID: seed 0: " in repr(result)
+
+
+def test_a_controller_that_fails_for_one_seed_is_not_better_by_the_others():
+    def lucky(design, rng):
+        if rng.random() < 0.5:
+            raise InputError("seed", "a bad one", "a good one")
+        return LinearFeedback([[GAIN]])
+
+    result = found({"LQR": lambda design, rng: Passive(1), "lucky": lucky}, seeds=8)
+    assert 0 < result["lucky"].seeds < 8
+    assert result["lucky"].evidence.gain.mean > 0
+    assert not result.verdicts["lucky", ""].replaces
+
+
+def test_a_missing_baseline_lets_nothing_be_better():
+    def never(design, rng):
+        raise InputError("gains", "none", "some")
+
+    result = found({"LQR": never, "learned": LAWS["learned"]})
+    assert result.verdicts["learned", ""].status.value == "not compared"
+
+
+def test_lost_runs_count_against_a_controller_whatever_it_gains():
+    bold = {"LQR": lambda design, rng: Passive(1), "bold": lambda design, rng: LinearFeedback([[GAIN + 1.4]])}
+    wild = Scenario(PLANT, [[0.1], [5.0]], np.zeros((2, 15, 1)))
+    cell = found(bold, wild, seeds=1, limit=[5.0])["bold"]
+    assert cell.evidence.lost[0] > cell.evidence.lost[1]
+    assert cell.verdict.status.value == "more of its runs are lost"
+
+
+def test_leaving_the_limits_further_is_no_gain():
+    def tight(rng):
+        return Scenario(PLANT, 2 * rng.standard_normal((40, 1)), rng.standard_normal((40, 15, 1)))
+
+    cheap = QuadraticObjective(Q=[[0.01]], R=[[1.0]])
+    laws = {"LQR": LAWS["LQR"], "lazy": lambda design, rng: LinearFeedback([[0.1]])}
+    result = found(laws, tight, objective=cheap, X=([-2.0], [2.0]))
+    assert result["lazy"].evidence.gain.ci95[0] > 0
+    assert not result["lazy"].verdict.replaces
+    assert result["lazy"].evidence.violation is not None
+
+
+def test_one_verdict_stands_on_all_scenarios_and_plants():
+    other = plant_from_matrices([[0.2]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
+    laws = {"LQR": lambda design, rng: LinearFeedback([[0.1]]), "strong": lambda design, rng: LinearFeedback([[0.5]])}
+    result = found(laws, plants={"nominal": PLANT, "other": other}, seeds=10)
+    assert result["strong", "nominal"].verdict.replaces
+    assert not result["strong", "other"].verdict.replaces
+    assert not result.verdicts["strong", ""].replaces
+
+
+def test_the_interval_holds_chance_of_training_and_of_runs():
+    """With the same runs for all seeds a deterministic controller has the interval of its runs."""
+    scenario = drawn(np.random.default_rng(5))
+    laws = {"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}
+    cell = found(laws, scenario, seeds=6)["weak"]
+    alone = found(laws, scenario, seeds=1)["weak"]
+    assert cell.evidence.gain.ci95 == pytest.approx(alone.evidence.gain.ci95)
+    learned = found(LAWS, scenario, seeds=6)["learned"].evidence.gain
+    one = found(LAWS, scenario, seeds=1)["learned"].evidence.gain
+    assert np.isfinite(learned.ci95).all()
+    assert np.isfinite(one.ci95).all()
+
+
+def test_the_interquartile_mean_does_not_follow_one_bad_seed():
+    def unlucky(design, rng):
+        return LinearFeedback([[GAIN if made.append(0) or len(made) != 3 else -0.09]])
+
+    made = []
+    cell = found({"LQR": LAWS["LQR"], "unlucky": unlucky}, drawn(np.random.default_rng(5)), seeds=8)["unlucky"]
+    base = found(seeds=8, scenarios=drawn(np.random.default_rng(5)))["LQR"]
+    assert cell.middle.mean == pytest.approx(base.value.mean)
+    assert cell.value.mean < base.value.mean - 1
+
+
+def test_costs_of_training_and_of_a_step_are_told():
+    cell = found()["learned"]
+    assert cell.steps == 500
+    assert cell.seconds > 0
+    assert 0 < cell.step_time[0] <= cell.step_time[1]
+    assert "500 samples" in repr(found())
+
+
+def test_designs_and_metrics_have_columns_of_their_own(illustrative):
+    problem = illustrative.problem()
+    x0, w = problem.scenarios.sample(5, 10, np.random.default_rng(1))
+    result = experiment(
+        {"zero": lambda design, rng: Passive(1), "gain": lambda design, rng: LinearFeedback(np.full((1, 2), design[0] / 20))},
+        Scenario(problem.model, x0, np.array(w)), designs={"low": [1.0], "high": [2.0]}, objective=problem.objective,
+        X=problem.X, seeds=2, metrics=lambda run: {"first input": float(run.inputs[0, 0, 0])},
+    )  # fmt: skip
+    text = repr(result)
+    assert "design" in text
+    assert "first input" in text
+    assert len(result) == 4
+    assert result["gain", "high"].metrics["first input"] == pytest.approx(-0.1 * x0[0].sum())
+    assert result.baseline == "zero"
+
+
+def test_rows_are_saved_as_csv_parquet_and_a_page(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    result = found(seeds=2)
+    result.save(tmp_path / "rows.csv")
+    with (tmp_path / "rows.csv").open() as stream:
+        read = list(csv.DictReader(stream))
+    assert [float(row["return"]) for row in read] == [row["return"] for row in result.rows()]
+    pytest.importorskip("pyarrow")
+    result.save(tmp_path / "rows.parquet")
+    assert pandas.read_parquet(tmp_path / "rows.parquet").equals(result.to_frame())
+    result.save(tmp_path / "page.html")
+    assert "data:image/png" in (tmp_path / "page.html").read_text()
+    json.dumps(result.rows())
+
+
+@pytest.mark.parametrize(("change", "match"), [
+    ({"laws": {}}, "controllers: got none"),
+    ({"laws": {"LQR": LinearFeedback([[GAIN]])}}, r"controllers\['LQR'\]: got .*takes no \(design, rng\)"),
+    ({"laws": {"LQR": 3}}, r"controllers\['LQR'\]: got 3"),
+    ({"scenarios": {}}, "scenarios: got none"),
+    ({"scenarios": 5}, r"scenarios\[''\]: got 5"),
+    ({"scenarios": lambda rng: 5}, r"scenarios\[''\]: got 5"),
+    ({"seeds": [1, 1]}, "seeds: got .*different"),
+    ({"seeds": 0}, "seeds"),
+    ({"seeds": [-1]}, "seeds"),
+    ({"baseline": "MPC"}, "baseline: got 'MPC'"),
+    ({"plants": {}}, "plants: got none"),
+    ({"plants": {"a": 4}}, "plant: got 4"),
+    ({"designs": {}}, "designs: got none"),
+    ({"designs": [1.0]}, "design"),
+    ({"X": ([-1.0, -1.0], [1.0, 1.0])}, r"X\[0\]: got shape"),
+    ({"objective": 3}, "objective: got 3"),
+    ({"jobs": 0}, "jobs: got 0"),
+    ({"metrics": 3}, "metrics: got 3"),
+])  # fmt: skip
+def test_wrong_arguments_are_named(change, match):
+    with pytest.raises(InputError, match=match):
+        found(**change)
+
+
+def test_a_path_of_no_known_kind_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"path: got .*rows\.txt"):
+        found(seeds=1).save(tmp_path / "rows.txt")
+
+
+def test_cells_are_found_by_as_many_names_as_tell_them_apart():
+    result = found(scenarios={"a": drawn, "b": drawn}, seeds=1)
+    assert result["LQR", "a"].names == ("LQR", "", "a", "")
+    with pytest.raises(KeyError, match="2 cells"):
+        result["LQR"]
