@@ -121,10 +121,13 @@ def same() -> None:
     from dask.distributed import Client, LocalCluster
 
     whole = compared(3, 1, controllers=short()).rows()
-    print(f"{len(whole)} rows; two processes: {'the same' if compared(3, 2, controllers=short()).rows() == whole else 'OTHER'}")
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster):
-        with joblib.parallel_config(backend="dask"):
-            found = compared(3, 2, controllers=short()).rows()
+    two = compared(3, 2, controllers=short()).rows()
+    print(f"{len(whole)} rows; two processes: {'the same' if two == whole else 'OTHER'}")
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):  # fmt: skip
+        found = compared(3, 2, controllers=short()).rows()
     print(f"Dask, two workers: {'the same' if found == whole else 'OTHER'}")
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
@@ -176,7 +179,8 @@ def cover(number: int) -> None:
                 for name, found in (("return", cell.value), ("gain", cell.evidence.gain)):
                     held[name] += found.ci95[0] <= known[name] <= found.ci95[1]
             kind = "runs of each seed's own" if fresh else "the same runs with all seeds"
-            print(f"{kind}, {seeds} seeds: " + ", ".join(f"{name} {n / number:.1%}" for name, n in held.items()), flush=True)
+            shares = ", ".join(f"{name} {n / number:.1%}" for name, n in held.items())
+            print(f"{kind}, {seeds} seeds: {shares}", flush=True)
 
 
 def main() -> None:

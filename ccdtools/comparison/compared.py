@@ -78,7 +78,9 @@ class Compared:
         return decide([self.evidence])
 
 
-def compared(names: Names, records: Sequence[Record], base: Sequence[Record], *, baseline: str, fresh: bool) -> Compared:
+def compared(
+    names: Names, records: Sequence[Record], base: Sequence[Record], *, baseline: str, fresh: bool
+) -> Compared:
     """One controller compared with the baseline on one scenario and plant.
 
     Parameters
@@ -123,7 +125,10 @@ def _evidence(
 ) -> Evidence:
     """Evidence of the pairs of cells with common seeds."""
     seeds = len(pairs) + refused
-    lost = (sum(int(own.lost.sum()) for own, _ in pairs) + refused * runs, sum(int(base.lost.sum()) for _, base in pairs))
+    lost = (
+        sum(int(own.lost.sum()) for own, _ in pairs) + refused * runs,
+        sum(int(base.lost.sum()) for _, base in pairs),
+    )
     distribution = ", ".join(name for name in names[2:] if name) or "the scenario"
     candidate = ", ".join(name for name in names[:2] if name)
     grouped = f"{seeds} seeds of {runs} runs"

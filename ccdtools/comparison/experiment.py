@@ -31,6 +31,7 @@ from ccdtools.limits import Excursions, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, as_simulable
+from ccdtools.trajectory import Trajectory
 from invariant_sets.system_checks import as_set
 
 Maker = Callable[[Array, np.random.Generator], Any]
@@ -85,6 +86,7 @@ class Plan:
             made = self.controllers[name](p, _generator(seed, "controller", name, of_design))
             seconds = time.perf_counter() - start
             given, steps = made if isinstance(made, tuple) else (made, 0)
+            steps = as_count("steps", steps, least=0)
             controller = as_controller(given)
             needs_of(controller)
             cells = tuple(self._cell(names, one, controller, p) for names, one in scenarios.items())
@@ -94,10 +96,10 @@ class Plan:
             if interrupted():
                 raise KeyboardInterrupt from None
             return Record(*task, refused=f"stopped with {type(error).__name__}: {' '.join(str(error).split())}")
-        return Record(*task, cells, seconds, as_count("steps", steps, least=0), remark=str(getattr(controller, "remark", "")))
+        return Record(*task, cells, seconds, steps, remark=str(getattr(controller, "remark", "")))
 
     def _cell(self, names: tuple[str, str], scenario: Scenario, controller: Any, p: Array) -> Cell:
-        run = scenario.run(controller, design=p if len(p) else None, limit=self.limit)
+        run = self.simulated(scenario, controller, p)
         outside = Excursions.from_trajectory(run, self.limits_at(scenario, p), scenario.plant, self.output_limits)[1]
         rewards = run.rewards(self.objective)
         single = len(rewards) == 1
@@ -108,6 +110,10 @@ class Plan:
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
             metrics={} if self.metrics is None else metrics_of(self.metrics, run),
         )  # fmt: skip
+
+    def simulated(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory:
+        """Runs of a scenario at a design (np,), which is empty for a plant without one."""
+        return scenario.run(controller, design=p if len(p) else None, limit=self.limit)
 
     def limits_at(self, scenario: Scenario, p: Array) -> Any:
         """Set X at a design."""
@@ -121,7 +127,7 @@ class Plan:
         p = self.designs[task[1]]
         parts = [*task, p, self.limit]
         for names, scenario in scenarios.items():
-            run = scenario.first(1, min(3, scenario.steps)).run(Passive(scenario.plant.nu), design=p if len(p) else None, limit=self.limit)
+            run = self.simulated(scenario.first(1, min(3, scenario.steps)), Passive(scenario.plant.nu), p)
             pushed = replace(run, inputs=np.ones_like(run.inputs))
             X = self.limits_at(scenario, p)
             outside = Excursions.from_trajectory(pushed, X, scenario.plant, self.output_limits)[1]
@@ -308,6 +314,6 @@ def _check(plan: Plan, seed: int) -> None:
     """Raise an `InputError` unless designs, limits and objective fit the plants."""
     for scenario in plan.conditions(seed).values():
         for p in plan.designs.values():
-            run = scenario.first(1, 1).run(Passive(scenario.plant.nu), design=p if len(p) else None, limit=plan.limit)
+            run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
             run.rewards(plan.objective)
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

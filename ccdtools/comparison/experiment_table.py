@@ -127,15 +127,15 @@ class Experiment:
         from ccdtools.comparison.experiment_figure import page
 
         file = Path(path)
-        writers = {
-            ".csv": lambda: file.write_text(csv_text(self.rows()), encoding="utf-8"),
-            ".parquet": lambda: self.to_frame().to_parquet(file),
-            ".html": lambda: file.write_text(page(self), encoding="utf-8"),
-        }
-        if file.suffix not in writers:
-            raise InputError("path", str(path), f"a file that ends in {', '.join(writers)}")
+        kinds = (".csv", ".parquet", ".html")
+        if file.suffix not in kinds:
+            raise InputError("path", str(path), f"a file that ends in {', '.join(kinds)}")
         try:
-            writers[file.suffix]()
+            if file.suffix == ".parquet":
+                self.to_frame().to_parquet(file)
+            else:
+                text = csv_text(self.rows()) if file.suffix == ".csv" else page(self)
+                file.write_text(text, encoding="utf-8")
         except OSError as error:
             raise InputError("path", f"{path} ({error.strerror or error})", "a file that can be written") from None
 
@@ -150,8 +150,10 @@ class Experiment:
         """Printed table, a line per cell; names that are all alike are left out."""
         told = [i for i in range(len(AXES)) if i == 0 or len({cell.names[i] for cell in self}) > 1]
         metrics = list(dict.fromkeys(name for cell in self for name in cell.metrics))
-        head = (*(AXES[i] for i in told), "return", "95 % interval", "middle half", f"against {self.baseline}", "better in", "lost",
-                f"outside {self.limits}", "µs a step", "training", *metrics, "verdict")  # fmt: skip
+        head = (
+            *(AXES[i] for i in told), "return", "95 % interval", "middle half", f"against {self.baseline}", "better in",
+            "lost", f"outside {self.limits}", "µs a step", "training", *metrics, "verdict",
+        )  # fmt: skip
         lines = [(*(cell.names[i] for i in told), *self._cells(cell, metrics)) for cell in self]
         return Table(head, lines, right=frozenset(range(len(told), len(head) - 1)))
 
@@ -160,7 +162,9 @@ class Experiment:
         """What each cell stands on, and remarks."""
         seeds = len({one.seed for one in self.records})
         runs = " or ".join(str(n) for n in sorted({cell.runs for cell in self}))
-        lines = [f"{seeds} seeds, {runs} runs of each. µs a step: median, 99th percentile. Training: median of the seeds."]
+        lines = [
+            f"{seeds} seeds, {runs} runs of each. µs a step: median, 99th percentile. Training: median of the seeds."
+        ]
         if any(cell.evidence.lost != (0, 0) for cell in self):
             lines.append("Returns are of the runs that did not diverge; a seed without a controller has lost all.")
         return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))
@@ -172,15 +176,20 @@ class Experiment:
         return self.table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
 
     def _cells(self, cell: Compared, metrics: list[str]) -> tuple[str, ...]:
-        """Texts of a line, but for its names."""
-        base = cell.names[0] == self.baseline
+        """Texts of a line, but for its names; the baseline is not compared."""
         low, high = (number(end) for end in cell.value.ci95)
         median, most = (number(1e6 * time, 3) for time in cell.step_time)
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
+        base = cell.names[0] == self.baseline
+        against = ("", "") if base else (cell.evidence.percent, _share(cell.better.mean))
+        lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))
         return (
-            number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), "" if base else cell.evidence.percent,
-            "" if base else share(None if np.isnan(cell.better.mean) else cell.better.mean),
-            share(cell.evidence.lost[0] / max(cell.evidence.runs, 1)), share(None if np.isnan(cell.fraction) else cell.fraction),
-            f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
+            number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
+            _share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
             "" if base else str(cell.verdict.status.value),
         )  # fmt: skip
+
+
+def _share(value: float) -> str:
+    """Share in per cent; "n/a" for NaN."""
+    return share(None if np.isnan(value) else value)

@@ -59,7 +59,7 @@ class Violation:
         )
         return (
             f"it leaves the limits further than the tolerance ({self.exceeded}: {achieved}; tolerance{source} "
-            f"{tolerance}; deployed {before})"
+            f"{tolerance}; before {before})"
         )
 
 

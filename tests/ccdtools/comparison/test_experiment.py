@@ -10,15 +10,7 @@ import joblib
 import numpy as np
 import pytest
 
-from ccdtools import (
-    InputError,
-    LinearFeedback,
-    QuadraticObjective,
-    Scenario,
-    compare,
-    experiment,
-    plant_from_matrices,
-)
+from ccdtools import InputError, LinearFeedback, QuadraticObjective, Scenario, compare, experiment, plant_from_matrices
 from ccdtools.controllers import Passive
 
 A, R = 0.9, 0.5
@@ -256,8 +248,11 @@ def test_costs_of_training_and_of_a_step_are_told():
 def test_designs_and_metrics_have_columns_of_their_own(illustrative):
     problem = illustrative.problem()
     x0, w = problem.scenarios.sample(5, 10, np.random.default_rng(1))
+    laws = {
+        "zero": lambda design, rng: Passive(1), "gain": lambda design, rng: LinearFeedback([[design[0] / 20] * 2]),
+    }  # fmt: skip
     result = experiment(
-        {"zero": lambda design, rng: Passive(1), "gain": lambda design, rng: LinearFeedback(np.full((1, 2), design[0] / 20))},
+        laws,
         Scenario(problem.model, x0, np.array(w)), designs={"low": [1.0], "high": [2.0]}, objective=problem.objective,
         X=problem.X, seeds=2, metrics=lambda run: {"first input": float(run.inputs[0, 0, 0])},
     )  # fmt: skip

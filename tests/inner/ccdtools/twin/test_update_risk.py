@@ -83,7 +83,7 @@ def test_a_candidate_that_breaks_the_limits_is_not_deployed_and_says_why(illustr
     assert verdict.status is Status.LIMITS
     assert verdict.reason == (
         "it leaves the limits further than the tolerance (v > 1: 10.00% of the samples, 0.2 half-widths at the peak; "
-        "tolerance 1.00% of the samples, 0.05 half-widths at the peak; deployed 0.00% of the samples, 0 half-widths "
+        "tolerance 1.00% of the samples, 0.05 half-widths at the peak; before 0.00% of the samples, 0 half-widths "
         "at the peak) on the replayed log"
     )
 
