@@ -83,6 +83,17 @@ def test_a_nonlinear_plant_of_ones_own_runs_as_its_notebook_shows(tmp_path):
         assert rows["passive"] < 1.5 * rows["LQR"]
 
 
+@pytest.mark.check
+def test_learning_pays_at_the_wall_alone_as_its_notebook_shows(tmp_path):
+    for notebook in (kept("07"), run_again("07", tmp_path)):
+        lines = "".join(printed(notebook)).splitlines()
+        rows = [line for line in lines if line.startswith("PPO") and "return" in line]
+        suspension, *wall = [line.split("beside LQR ")[1] for line in rows]
+        assert abs(float(suspension.split(" %")[0].replace("−", "-"))) < 3
+        assert len(wall) == 5
+        assert all(float(gain.split("[")[1].split(",")[0].replace("−", "-")) > 0 for gain in wall)
+
+
 @pytest.mark.slow
 def test_optimal_control_swings_up_and_keeps_the_track_as_its_notebook_shows(tmp_path):
     for notebook in (kept("04"), run_again("04", tmp_path)):

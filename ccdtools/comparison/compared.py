@@ -11,16 +11,23 @@ from ccdtools.arrays import Array
 from ccdtools.comparison.experiment_record import Cell, Record
 from ccdtools.comparison.seeds import interquartile_mean, mean_over_seeds
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence, Violation
-from ccdtools.evidence.verdict import Verdict, decide
+from ccdtools.evidence.percent import word_of_gain
 from ccdtools.limits import Excursions, further_outside
 from ccdtools.statistics import PairedDifference
 
+LOSES_MORE = "loses more runs"
+OPEN = "open"
+RETURN_ONLY = " in return only"
+WORDS = (
+    LOSES_MORE, "worse", OPEN, *(f"{word}{RETURN_ONLY}" for word in ("not worse", "equal", "better")), "not worse",
+    "equal", "better",
+)  # fmt: skip
 Names = tuple[str, str, str, str]  # of controller, design, scenario and plant
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One controller and design on one scenario and plant, over all seeds.
+    """One controller beside the baseline, over all seeds.
 
     Attributes
     ----------
@@ -66,22 +73,37 @@ class Compared:
 
     @property
     def step_time(self) -> tuple[float, float]:
-        """Median and 99th percentile of the time of one call [s]; NaN without any."""
+        """Median and 99th percentile of a call's time [s]."""
         if not len(self.times):
             return float("nan"), float("nan")
         median, most = np.quantile(self.times, [0.5, 0.99])
         return float(median), float(most)
 
     @property
-    def verdict(self) -> Verdict:
-        """Verdict on this scenario and plant alone."""
-        return decide([self.evidence])
+    def word(self) -> str:
+        """One of `WORDS`; "in return only" beyond the baseline's limits."""
+        found = self.evidence
+        if found.lost[0] > found.lost[1]:
+            return LOSES_MORE
+        ends = (found.gain.mean, *found.gain.ci95)
+        if not np.isfinite(ends).all() or not found.size > 0:
+            return OPEN
+        word = word_of_gain(*(value / found.size for value in ends))
+        return word if found.violation is None or word in (OPEN, "worse") else f"{word}{RETURN_ONLY}"
+
+
+def weakest(cells: Sequence[Compared]) -> str:
+    """Weakest word of several cells, its gain and place."""
+    worst = min(cells, key=lambda cell: (WORDS.index(cell.word), cell.evidence.gain.mean / (cell.evidence.size or 1.0)))
+    better = sum(cell.word == "better" for cell in cells)
+    also = f", better on {better} of {len(cells)}" if worst.word != "better" and better else ""
+    return f"{worst.word}: {worst.evidence.percent} on {worst.evidence.distribution}{also}"
 
 
 def compared(
     names: Names, records: Sequence[Record], base: Sequence[Record], *, baseline: str, fresh: bool
 ) -> Compared:
-    """One controller compared with the baseline on one scenario and plant.
+    """Controller beside the baseline on one scenario and plant.
 
     Parameters
     ----------
@@ -168,7 +190,7 @@ def _excursions(cells: Sequence[Cell]) -> Excursions:
 
 
 def _left(cell: Cell) -> tuple[float, float]:
-    """Fraction of the states outside and mean peak, of the runs that did not diverge."""
+    """Fraction of states outside and mean peak, without lost runs."""
     if cell.lost.all():
         return float("nan"), float("nan")
     if cell.single:
@@ -177,7 +199,7 @@ def _left(cell: Cell) -> tuple[float, float]:
 
 
 def _won(own: Cell, base: Cell) -> Array:
-    """Runs (N,) that are better than the baseline's: 1, or 0.5 where they are equal."""
+    """Runs (N,) better than the baseline's; equal ones count half."""
     first, second = (np.where(cell.lost, -np.inf, cell.returns) for cell in (own, base))
     return np.where(first == second, 0.5, first > second)
 

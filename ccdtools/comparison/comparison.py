@@ -306,7 +306,7 @@ def _mean(values: Array) -> float:
 
 
 def step_times(controller: Controller, states: Array, scenario: Scenario, p: ArrayLike = ()) -> Array:
-    """Times [s] of single calls at the first states (T, nx) of a run, at a design (np,)."""
+    """Times [s] of single calls at a run's first states (T, nx)."""
     if isinstance(controller, Filtered | Observed):
         controller = controller.uncounted()
     driver = Driver(

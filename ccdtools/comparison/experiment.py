@@ -112,7 +112,7 @@ class Plan:
         )  # fmt: skip
 
     def simulated(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory:
-        """Runs of a scenario at a design (np,), which is empty for a plant without one."""
+        """Runs of a scenario at a design (np,) or none."""
         return scenario.run(controller, design=p if len(p) else None, limit=self.limit)
 
     def limits_at(self, scenario: Scenario, p: Array) -> Any:
@@ -120,9 +120,10 @@ class Plan:
         return as_set(self.X.at(p) if isinstance(self.X, DesignLimits) else self.X, "X", scenario.plant.nx)
 
     def _digest(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> str:
-        """Name of a task that changes with its conditions: all but the code of the controller.
+        """Name of a task and its conditions.
 
-        Plant, objective, limits and metrics enter by what they say of the first steps of a run without input.
+        The code of the controller is no part of it. Plant, objective, limits and metrics enter by what they say of the
+        first steps of a run without input.
         """
         p = self.designs[task[1]]
         parts = [*task, p, self.limit]
@@ -226,7 +227,7 @@ def experiment(
 
 
 def as_seeds(seeds: Any) -> tuple[int, ...]:
-    """Seeds: as many from 0 on, or those given, all different."""
+    """Different seeds: as many from 0 on, or those given."""
     if not isinstance(seeds, Sequence | np.ndarray):
         return tuple(range(as_count("seeds", seeds)))
     found = tuple(as_count("seeds", seed, least=0) for seed in seeds)
@@ -237,7 +238,7 @@ def as_seeds(seeds: Any) -> tuple[int, ...]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute with one thread, so that sums do not depend on the machine's cores."""
+    """Compute with one thread: sums are the same on any machine."""
     import torch  # before the limit, which does not reach what is loaded later
 
     threads = torch.get_num_threads()
@@ -267,7 +268,7 @@ def _check_maker(argument: str, maker: Any) -> None:
 
 
 def _named(argument: str, given: Any) -> dict[str, Any]:
-    """Scenarios by name, those that are one alone without."""
+    """Scenarios by name; one alone has none."""
     found = dict(given) if isinstance(given, Mapping) else {"": given}
     for name, one in found.items():
         if not isinstance(one, Scenario) and not callable(one):

@@ -52,7 +52,7 @@ def page(experiment: Any) -> str:
     """Page in HTML with verdicts, table, notes and figure."""
     picture = base64.b64encode(png(plot_experiment(experiment))).decode("ascii")
     verdicts = "".join(
-        f"<p><b>{escape(', '.join(name for name in kind if name))}</b>: {escape(str(verdict))}</p>"
+        f"<p><b>{escape(', '.join(name for name in kind if name))}</b>: {escape(verdict)}</p>"
         for kind, verdict in experiment.verdicts.items()
     )
     return (
@@ -78,7 +78,7 @@ def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baselin
 
 
 def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
-    """Share of all runs with at least such a return, of the baseline's mean size; a lost run has none."""
+    """Share of runs with at least such a return; lost ones have none."""
     levels = {cell.names[1:]: cell.value.mean for cell in experiment if cell.names[0] == experiment.baseline}
     found: dict[str, list[Array]] = {}
     for one in experiment.records:
@@ -99,7 +99,7 @@ def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
 
 
 def _plot_times(ax: Any, cells: list[Compared], colours: dict[str, str]) -> None:
-    """Median and 99th percentile of the time per step, a row per controller."""
+    """Median and 99th percentile of the time per step."""
     names = [name for name in colours if any(len(cell.times) for cell in cells if cell.names[0] == name)]
     for row, name in enumerate(names):
         times = np.concatenate([cell.times for cell in cells if cell.names[0] == name])

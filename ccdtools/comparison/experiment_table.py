@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.comparison.compared import Compared, compared
+from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
-from ccdtools.evidence.verdict import Verdict, decide
 from ccdtools.exceptions import InputError
 from ccdtools.table import Table, csv_text
 
@@ -61,15 +60,13 @@ class Experiment:
         )  # fmt: skip
 
     @property
-    def verdicts(self) -> dict[tuple[str, str], Verdict]:
-        """Verdict on each controller and design by names, on all scenarios and plants together."""
-        found: dict[tuple[str, str], list[Compared]] = {}
-        for cell in self.cells:
-            found.setdefault(cell.names[:2], []).append(cell)
-        return {
-            kind: decide([cell.evidence for cell in cells])
-            for kind, cells in found.items() if kind[0] != self.baseline
-        }  # fmt: skip
+    def verdicts(self) -> dict[tuple[str, str], str]:
+        """Weakest word on each controller and design, by names.
+
+        It stands with its gain and place: a controller is better if it is so on every scenario and plant.
+        """
+        kinds = dict.fromkeys(cell.names[:2] for cell in self.cells if cell.names[0] != self.baseline)
+        return {kind: weakest([cell for cell in self.cells if cell.names[:2] == kind]) for kind in kinds}
 
     def __iter__(self) -> Iterator[Compared]:
         return iter(self.cells)
@@ -85,7 +82,7 @@ class Experiment:
         return found[0]
 
     def rows(self) -> list[dict[str, Any]]:
-        """One dictionary of plain values per controller, design, scenario, plant, seed and run.
+        """One dictionary of plain values per run.
 
         A lost run has the return up to where it was stopped.
         """
@@ -115,7 +112,7 @@ class Experiment:
         return pd.DataFrame(self.rows())
 
     def save(self, path: str | Path) -> None:
-        """Write all rows as .csv or .parquet, or one page of table and figure as .html.
+        """Write rows as .csv or .parquet, or a page as .html.
 
         Raises
         ------
@@ -147,7 +144,7 @@ class Experiment:
 
     @property
     def table(self) -> Table:
-        """Printed table, a line per cell; names that are all alike are left out."""
+        """Printed table, a line per cell."""
         told = [i for i in range(len(AXES)) if i == 0 or len({cell.names[i] for cell in self}) > 1]
         metrics = list(dict.fromkeys(name for cell in self for name in cell.metrics))
         head = (
@@ -186,7 +183,7 @@ class Experiment:
         return (
             number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
             _share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
-            "" if base else str(cell.verdict.status.value),
+            "" if base else cell.word,
         )  # fmt: skip
 
 

@@ -40,9 +40,10 @@ def mean_over_seeds(values: Array, *, fresh: bool, series: Array | None = None) 
 
 
 def interquartile_mean(values: Array) -> PairedDifference:
-    """Mean of the middle half of the seeds' means, or of one seed's runs, from values (seeds, runs).
+    """Interquartile mean over seeds, or over one seed's runs.
 
-    The interval is that of a trimmed mean, by the winsorised variance; NaN where nothing is trimmed.
+    Values are (S, N), minus infinity for a lost run. The interval is that of a trimmed mean, by the winsorised
+    variance; NaN where nothing is trimmed. It covers more often than a bootstrap of few seeds.
 
     References
     ----------
@@ -60,7 +61,7 @@ def interquartile_mean(values: Array) -> PairedDifference:
 
 
 def means(values: Array, axis: int) -> Array:
-    """Means of (seeds, runs) along an axis, of what counts; rows without any are left out."""
+    """Means of what counts along an axis, where anything does."""
     kept = np.isfinite(values)
     number = kept.sum(axis=axis)
     total = np.where(kept, values, 0.0).sum(axis=axis)

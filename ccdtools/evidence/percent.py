@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ccdtools.tolerances import NOT_WORSE, SAME_RETURN
+
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -57,6 +59,17 @@ def word_of_change(change: float, low: float, high: float, floor: float) -> str:
     if abs(change) >= floor and (low > 0 or high < 0):
         return "more" if change > 0 else "less"
     return "open"
+
+
+def word_of_gain(mean: float, low: float, high: float) -> str:
+    """Word for a gain and its interval, in parts of a return."""
+    if low >= -NOT_WORSE and high <= NOT_WORSE:
+        return "equal"
+    if low > SAME_RETURN and mean >= NOT_WORSE:
+        return "better"
+    if low > -NOT_WORSE:
+        return "not worse"
+    return "worse" if high < -SAME_RETURN and mean <= -NOT_WORSE else "open"
 
 
 def in_measure(measure: str) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdtools.evidence.percent import number
+from ccdtools.evidence.percent import number, word_of_gain
 from ccdtools.studies.report.formatting import generation_name, place
-from ccdtools.studies.tolerances import EQUAL_PERCENT, NOT_WORSE_PERCENT
+from ccdtools.studies.tolerances import EQUAL_PERCENT
 
 Row = Mapping[str, Any]
 
@@ -79,14 +79,8 @@ def _verdict_on_return(row: Row, reference: Row | None) -> str:
     percent = percent_of_reference(row, reference)
     if percent is None:
         return _verdict_on_nothing(row, reference)
-    mean, low, high = percent
-    if low >= -NOT_WORSE_PERCENT and high <= NOT_WORSE_PERCENT:
-        return "equal"
-    if low > EQUAL_PERCENT and mean >= NOT_WORSE_PERCENT:
-        return "better"
-    if low > -NOT_WORSE_PERCENT:
-        return "not worse"
-    return "worse" if high < -EQUAL_PERCENT and mean <= -NOT_WORSE_PERCENT else "open"
+    mean, low, high = (value / 100 for value in percent)
+    return word_of_gain(mean, low, high)
 
 
 def _at_the_price_of_X(word: str, row: Row, reference: Row | None) -> bool:
