@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from invariant_sets.exceptions import NumericalError
-from invariant_sets.tolerances import SETTLED
+from invariant_sets.tolerances import MUCH
 
 Array = np.ndarray
 
@@ -96,8 +96,8 @@ class Body:
         ).unit
 
     def holds_part_of(self, whole: Body) -> bool:
-        """Whether the tightened set holds a copy `SETTLED` times the `whole`."""
-        return bool((self.g > SETTLED * whole.g).all())
+        """Whether the tightened set holds a copy `1 / MUCH` times the `whole`."""
+        return bool((self.g > whole.g / MUCH).all())
 
 
 def bare_body(centre: Array, basis: Array, free: Array, terms: Array) -> Body:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from invariant_sets.bodies import Body, Stated, bare_body
-from invariant_sets.tolerances import CANCELLED, CLOSER, DEPENDENT, FLAT, ROUNDING
+from invariant_sets.tolerances import COARSE, DEPENDENT, FLAT, ROUNDING
 
 Array = np.ndarray
 
@@ -46,7 +46,7 @@ def eliminated(E: Array, e: Array, sizes: Array, centre: Array, scale: Array) ->
     basis = np.zeros((n, len(free)))
     basis[free, np.arange(len(free))] = 1.0
     entries = rows[solved][:, free]
-    basis[bound] = -np.where(np.abs(entries) > CANCELLED * terms[solved][:, free], entries, 0.0)
+    basis[bound] = -np.where(np.abs(entries) > ROUNDING * terms[solved][:, free], entries, 0.0)
     point = np.zeros(n)  # the dependent coordinates are computed anew: a correction would keep old rounding
     point[bound] = rows[solved, n]
     point_terms = np.zeros(n)
@@ -138,9 +138,9 @@ def starting_scale(stated: Stated) -> tuple[Array, Array]:
     right = right * by_row
     terms = terms * by_row
     m = len(b)
-    far = (right[:m] > _middle(terms) / CLOSER) & (b > 0)
+    far = (right[:m] > _middle(terms) / COARSE) & (b > 0)
     if right.any():  # the far ones tell no length; beside rows through the origin alone nothing is far
-        right = np.append(np.where(right[:m] > _middle(terms[terms > 0]) / CLOSER, np.inf, right[:m]), right[m:])
+        right = np.append(np.where(right[:m] > _middle(terms[terms > 0]) / COARSE, np.inf, right[:m]), right[m:])
     lengths = _tightest(rows[:m], right[:m], sign[:m])
     noise = right[:m] <= ROUNDING * (rows[:m] @ lengths)  # a row through the origin but for rounding tells no length
     if (noise & (right[:m] > 0)).any():
@@ -204,7 +204,7 @@ def opposite_rows(A: Array, b: Array, terms: Array) -> tuple[Array, Array]:
     projection = rows @ np.cos(np.arange(1, n + 1))
     order = np.argsort(np.abs(projection))
     level = np.abs(projection)[order]
-    starts = np.append(0, (level[1:] - level[:-1] > CANCELLED * n).nonzero()[0] + 1)
+    starts = np.append(0, (level[1:] - level[:-1] > ROUNDING * n).nonzero()[0] + 1)
     needless = np.zeros(m, bool)
     if len(starts) == m:
         return np.zeros(0, int), needless
@@ -222,7 +222,7 @@ def opposite_rows(A: Array, b: Array, terms: Array) -> tuple[Array, Array]:
         second = members[lower[members].argmin()]
         parallel = (
             np.abs(rows[members] - np.sign(projection[members] * projection[first])[:, None] * rows[first])
-            <= CANCELLED * np.abs(rows[first])
+            <= ROUNDING * np.abs(rows[first])
         ).all(axis=1)
         within = abs(right[first] + right[second]) <= max(doubt[first], doubt[second])
         if within and parallel[members == second].all():

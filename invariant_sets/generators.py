@@ -18,7 +18,7 @@ from invariant_sets.bodies import row_norms
 from invariant_sets.hulls import convex_hull, hull_rows, merge_points
 from invariant_sets.linear_programs import largest_ball
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import CANCELLED, FLAT, REDUNDANT, ROUNDING
+from invariant_sets.tolerances import FLAT, REDUNDANT, ROUNDING
 
 Array = np.ndarray
 
@@ -95,7 +95,7 @@ def rows_of(G: Generators, deadline: Deadline = NO_DEADLINE) -> tuple[Array, Arr
     solid, flat = _spanned(np.vstack([points, rays]) @ across.T)
     local = solid @ across
     F, g = _solid_rows(points @ local.T, rays @ local.T, solid @ inner, deadline)
-    g = np.where(np.abs(g) > CANCELLED, g, 0.0)  # rows through the middle of the points
+    g = np.where(np.abs(g) > ROUNDING, g, 0.0)  # rows through the middle of the points
     A = F @ local / unit
     E = flat @ across / unit
     norms = row_norms(A)

@@ -17,7 +17,7 @@ from invariant_sets.budgets import MOST_SORTING_FACETS
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import least_value, minimise
 from invariant_sets.time_limits import hull_facets
-from invariant_sets.tolerances import FLAT, GIVEN, NEGLIGIBLE, REDUNDANT, TOUCHING
+from invariant_sets.tolerances import COARSE, FLAT, PLACE, REDUNDANT
 
 Array = np.ndarray
 
@@ -86,7 +86,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
     hull = convex_hull(F / g[:, None])
     cones = F[hull.simplices]
     V = -hull.equations[:, :-1] / hull.equations[:, -1:]
-    solid = np.abs(np.linalg.det(cones)) > GIVEN
+    solid = np.abs(np.linalg.det(cones)) > PLACE
     cones = cones[solid]
     V = V[solid]
     sizes = np.abs(np.linalg.det(cones)) * math.factorial(n)
@@ -96,7 +96,7 @@ def cone_volume(F: Array, g: Array) -> float | None:
         terms = (V @ c) ** n / (sizes * gamma.prod(axis=1))
         found.append((float(np.abs(terms).sum()), math.fsum(terms)))
     (_, best), (_, second) = sorted(found)[:2]
-    return best if abs(best - second) <= TOUCHING * abs(best) else None
+    return best if abs(best - second) <= COARSE * abs(best) else None
 
 
 def _holds_all(equations: Array, points: Array) -> bool:
@@ -113,7 +113,7 @@ def _check_vertices(V: Array, F: Array, g: Array) -> None:
     """Raise `NumericalError` unless the vertices agree with random LPs."""
     D = np.random.default_rng(0).standard_normal((20, F.shape[1]))
     exact = np.array([-minimise(-d, F, g)[0] for d in D])
-    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=TOUCHING * np.abs(exact).max()):
+    if not np.allclose((D @ V.T).max(axis=1), exact, rtol=0.0, atol=COARSE * np.abs(exact).max()):
         raise NumericalError("The vertices", F.shape, "they disagree with linear programs")
 
 
@@ -132,8 +132,8 @@ def extreme_points(V: Array, F: Array, g: Array, doubt: float = 0.0) -> Array:
     kept = distinct(V, tol) if tol > FLAT else np.arange(len(V))
     products = (F[:, :, None] * F[:, None]).reshape(len(F), -1)
     step = max(1, 10_000_000 // max(len(F), 1))
-    touched = [(V[kept[i : i + step]] @ F.T >= g - TOUCHING) @ products for i in range(0, len(kept), step)]
-    sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > NEGLIGIBLE
+    touched = [(V[kept[i : i + step]] @ F.T >= g - COARSE) @ products for i in range(0, len(kept), step)]
+    sharp = np.linalg.eigvalsh(np.concatenate(touched).reshape(len(kept), n, n))[:, 0] > COARSE
     for i in kept if tol > FLAT else kept[~sharp]:
         others = kept[kept != i]  # SciPy 1.17 frees twice what it never had where there are none
         if len(others) and nnls(np.vstack([(V[others] - V[i]).T, np.ones(len(others))]), np.eye(n + 1)[-1])[1] <= tol:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invariant_sets.tolerances import CANCELLED
+from invariant_sets.tolerances import ROUNDING
 
 Array = np.ndarray
 
@@ -48,14 +48,14 @@ def _interval(slope: Array, room: Array, lower: float | Array, upper: float | Ar
     """Ends of {v : slope v <= room}, lower above upper if empty."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         bound = room / slope
-    high = np.where(slope > CANCELLED, bound, np.inf).min(axis=1, initial=np.inf)
-    low = np.where(slope < -CANCELLED, bound, -np.inf).max(axis=1, initial=-np.inf)
+    high = np.where(slope > ROUNDING, bound, np.inf).min(axis=1, initial=np.inf)
+    low = np.where(slope < -ROUNDING, bound, -np.inf).max(axis=1, initial=-np.inf)
     return np.maximum(low, lower), np.minimum(high, upper)
 
 
 def _least_level(slope: Array, room: Array, lower: Array, upper: Array) -> Array:
     """Least violation of the moving rows by some input, by bisection."""
-    moving = np.where(np.abs(slope) > CANCELLED, slope * ((lower + upper) / 2)[:, None] - room, -np.inf)
+    moving = np.where(np.abs(slope) > ROUNDING, slope * ((lower + upper) / 2)[:, None] - room, -np.inf)
     top: Array = np.maximum(moving.max(axis=1, initial=0.0), 0.0)
     bottom = np.zeros(len(top))
     for _ in range(110):  # from the largest double that is used down to rounding

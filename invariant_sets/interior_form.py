@@ -14,7 +14,7 @@ from invariant_sets.equalities import eliminated, opposite_rows, starting_scale
 from invariant_sets.hulls import extreme_points, hull_rows
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.local_box import LocalBox, half_widths, hidden_equalities, rescaled_view
-from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN, NEGLIGIBLE, ROUNDING, THIN, WIDER
+from invariant_sets.tolerances import COARSE, FLAT, MUCH, PLACE, ROUNDING
 
 Array = np.ndarray
 
@@ -63,7 +63,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
         hull = eliminated(E, e, sizes, centre, scale)
         if hull is None:
             return None
-        cancelled = FLAT if hidden else CANCELLED
+        cancelled = FLAT if hidden else ROUNDING
         if hull.basis.shape[1] == 1:
             return _interval(A, b, terms, hull, cancelled)
         box = rescaled_view(A, b, terms, hull.centre, hull.basis, cancelled=cancelled)
@@ -73,7 +73,7 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
         within_rounding = box.is_flat and box.room == 0.0  # such a set tells no scale
         endless = box.basis[:, box.unbounded].any(axis=1)  # what is seen of it is the box's own width
         measured = np.where((widths > 0.0) & ~endless & (not within_rounding), widths, scale)
-        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > np.log10(WIDER):
+        if not box.is_flat and len(e) and rescaled < 3 and np.abs(np.log10(measured / scale)).max() > np.log10(MUCH):
             centre = box.centre
             scale = measured
             rescaled += 1
@@ -93,14 +93,14 @@ def _solved(stated: Stated, scale: Array) -> Body | None:
 def support(body: Body, D: Array) -> Array:
     """Maxima (k,) of the rows of D (k, n), +inf if unbounded."""
     local = D @ body.basis
-    cancelled = np.abs(local) <= CANCELLED * (np.abs(D) @ np.abs(body.basis))
+    cancelled = np.abs(local) <= ROUNDING * (np.abs(D) @ np.abs(body.basis))
     local = np.where(cancelled, 0.0, local) if body.basis.shape[1] < body.basis.shape[0] else local
     size = np.abs(local).max(axis=1, initial=0.0)
     moving = size > 0
     spread = np.zeros(len(D))
     spread[moving] = size[moving] * maximise_rows(local[moving] / size[moving, None], body.F, body.g)
     values = D @ body.centre + spread
-    return np.where(np.abs(values) > CANCELLED * (np.abs(D) @ np.abs(body.centre)), values, 0.0)
+    return np.where(np.abs(values) > ROUNDING * (np.abs(D) @ np.abs(body.centre)), values, 0.0)
 
 
 def _part(whole: Body, inner: Body) -> Body:
@@ -198,7 +198,7 @@ def _body(box: LocalBox, hull: Body, widths: Array) -> Body:
     bounded = not box.unbounded.any()
     touching = np.arange(len(box.g))
     if bounded:
-        touching = np.flatnonzero(box.g <= (1 + THIN) * np.abs(box.F).sum(axis=1))
+        touching = np.flatnonzero(box.g <= (1 + COARSE) * np.abs(box.F).sum(axis=1))
     F = box.F[touching]
     g = box.g[touching]
     centre = box.centre + box.basis @ y
@@ -236,7 +236,7 @@ def tightened(body: Body, Q: Body, V: Array | None = None) -> Body | None:
     reach = support(shape, slope) if V is None else (slope @ V.T).max(axis=1)
     if np.isinf(reach).any():
         return None
-    sizes = body.sizes + reach + GIVEN / ROUNDING * (np.abs(slope) @ (body.terms + Q.terms))
+    sizes = body.sizes + reach + PLACE / ROUNDING * (np.abs(slope) @ (body.terms + Q.terms))
     return replace(body, g=body.g - reach, sizes=sizes, centre=body.centre - Q.centre, terms=body.terms + Q.terms)
 
 
@@ -266,7 +266,7 @@ def body_of_vertices(A: Array, b: Array, V: Array) -> Body | None:
     g = g / norms
     ball = largest_ball(F, g)
     y = ball.centre
-    if ball.radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + THIN).any():
+    if ball.radius <= FLAT or (((V - centre) / half @ F.T).max(axis=0) > g + COARSE).any():
         return None
     centre = centre + half * y
     room = g - F @ y
@@ -277,7 +277,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     """Hull of anchor + Y (k, n) as a `Body`, and vertex indices.
 
     The points are taken to units in which they spread by about one. A direction in which they spread by less than
-    `FLAT`, or by less than `GIVEN` times the terms (n,) of the coordinates, is flat; the hull is then that of some
+    `FLAT`, or by less than `PLACE` times the terms (n,) of the coordinates, is flat; the hull is then that of some
     coordinates, on which the others depend.
     """
     from scipy.linalg import qr
@@ -286,7 +286,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     lower = Y.min(axis=0)
     upper = Y.max(axis=0)
     half = upper / 2 - lower / 2
-    doubt = GIVEN * terms
+    doubt = PLACE * terms
     moving = half > doubt
     unit = np.exp2(np.ceil(np.log2(np.where(moving, half, 1.0))))
     Z = np.where(moving, (Y - Y[0]) / unit, 0.0)
@@ -298,11 +298,11 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     if not solid.all():
         free = np.sort(qr(axes[solid], mode="r", pivoting=True)[1][: int(solid.sum())])  # pivots of the rows
         graph = np.linalg.solve(axes[solid][:, free], axes[solid])
-        graph = np.where(np.abs(graph) > CANCELLED, graph, 0.0)
+        graph = np.where(np.abs(graph) > ROUNDING, graph, 0.0)
         graph[:, free] = np.eye(len(free))
     F, g, extreme = hull_rows(Z[:, free])
     extreme = extreme[extreme_points(Z[extreme][:, free], F, g)]
-    F = np.where(np.abs(F) > GIVEN, F, 0.0)  # rounding here, but not always in the units of x
+    F = np.where(np.abs(F) > PLACE, F, 0.0)  # rounding here, but not always in the units of x
     first = anchor + np.where(moving, Y[0], lower / 2 + upper / 2)
     centre = first + unit * (Z[extreme][:, free].mean(axis=0) @ graph)
     shift = F @ ((centre - first) / unit)[free]
@@ -324,7 +324,7 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
 def null_space(rows: Array) -> Array:
     """Orthonormal basis (n, k) of {x : rows x = 0}."""
     _, s, vt = np.linalg.svd(rows, full_matrices=True)
-    rank = int((s > NEGLIGIBLE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
+    rank = int((s > COARSE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
     return vt[rank:].T
 
 
@@ -338,7 +338,7 @@ def unit_rows(A: Array, b: Array) -> tuple[Array | None, Array]:
     """Rows of unit norm without zero rows; (None, b) if one contradicts."""
     norms = row_norms(A)
     reference = norms.max(initial=0.0)
-    zero = norms <= CANCELLED * reference if reference > 0 else np.ones(len(b), bool)
+    zero = norms <= ROUNDING * reference if reference > 0 else np.ones(len(b), bool)
     if zero.any():
         if (b[zero] < -FLAT * np.maximum(1.0, np.abs(b).max())).any():
             return None, b

@@ -24,9 +24,10 @@ import numpy as np
 
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.rational_programs import exact_optimum
-from invariant_sets.tolerances import BOXES, CANCELLED, LP_COARSE, LP_RESIDUAL, LP_SOLVER, ROUNDING, THIN, UNEVEN
+from invariant_sets.tolerances import COARSE, FLAT, LP_SOLVER, MUCH, ROUNDING
 
 Array = np.ndarray
+_BOXES = MUCH ** np.arange(1.0, 6.0)  # half widths tried in turn if a program without a ray is unsolved
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
     if not len(b):
         return (0.0, np.zeros(len(c))) if not c.any() else (-np.inf, None)
     columns = np.abs(A).max(axis=0)
-    if 0 < columns.min() < UNEVEN:  # solved in variables that matter alike
+    if 0 < columns.min() < 1 / MUCH:  # solved in variables that matter alike
         size = max(float(np.abs(c / columns).max()), np.finfo(float).tiny)
         rows = A / columns
         norms = np.linalg.norm(rows, axis=1)
@@ -74,7 +75,7 @@ def minimise(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
         return value * size, None if x is None else x / columns
     if c.any():
         optimum = from_daqp(c, A, b)
-        if optimum is not None and optimum.residual <= LP_RESIDUAL:
+        if optimum is not None and optimum.residual <= FLAT:
             return optimum.value, optimum.x
     return _verdict(c, A, b)
 
@@ -90,7 +91,7 @@ def maximise_rows(D: Array, A: Array, b: Array) -> Array:
     costs, A, b = (np.ascontiguousarray(array, dtype=np.float64) for array in (-D, A, b))
     values = np.zeros(len(costs))
     known = np.zeros(len(costs), bool)
-    if len(costs) > 1 and len(b) and np.abs(A).max(axis=0).min() >= UNEVEN:
+    if len(costs) > 1 and len(b) and np.abs(A).max(axis=0).min() >= 1 / MUCH:
         values, known = optima_at_once(costs, A, b)
     for i in np.flatnonzero(~known):
         values[i] = minimise(costs[i], A, b)[0]
@@ -125,10 +126,10 @@ def largest_ball(A: Array, b: Array, box: float | None = None) -> Ball:
     right[:m] = b
     cost = np.zeros(n + 1)
     cost[n] = -1.0
-    for half in (None, *BOXES) if box is None else (box,):
+    for half in (None, *_BOXES) if box is None else (box,):
         program = (rows, right) if half is None else _with_box(rows, right, half, n)
         optimum = quick_optimum(cost, *program)
-        if optimum is None or -optimum.value <= THIN:  # verdicts on flat sets hang on the last digits
+        if optimum is None or -optimum.value <= COARSE:  # verdicts on flat sets hang on the last digits
             optimum = checked_optimum(cost, *program)
         if optimum is not None:
             return Ball(-optimum.value, optimum.x[:n], optimum.dual[:m])
@@ -138,9 +139,9 @@ def largest_ball(A: Array, b: Array, box: float | None = None) -> Ball:
 def ray_along(d: Array, F: Array) -> Array | None:
     """Direction r with F r <= 0, dᵀr > 0, |r| <= 1, or None."""
     optimum = checked_optimum(-d, *_with_box(F, np.zeros(len(F)), 1.0, F.shape[1]))
-    if optimum is None or -optimum.value <= LP_COARSE * np.abs(d).max():
+    if optimum is None or -optimum.value <= COARSE * np.abs(d).max():
         return None
-    for ray in (optimum.x, np.where(np.abs(optimum.x) > CANCELLED * np.abs(optimum.x).max(), optimum.x, 0.0)):
+    for ray in (optimum.x, np.where(np.abs(optimum.x) > ROUNDING * np.abs(optimum.x).max(), optimum.x, 0.0)):
         if (F @ ray <= ROUNDING * (np.abs(F) @ np.abs(ray))).all():  # `contains` allows as much
             return ray
     return None
@@ -149,14 +150,14 @@ def ray_along(d: Array, F: Array) -> Array | None:
 def _verdict(c: Array, A: Array, b: Array) -> tuple[float, Array | None]:
     """Answer of `minimise` for infeasible or unbounded programs, by certificates."""
     ball = largest_ball(A, b)
-    if ball.radius < -LP_RESIDUAL:  # its multipliers are the Farkas certificate
+    if ball.radius < -FLAT:  # its multipliers are the Farkas certificate
         return np.inf, None
     if not c.any():
         return 0.0, ball.centre
     if ray_along(-c, A) is not None:
         return -np.inf, None
     room = b - A @ ball.centre + max(-ball.radius, 0.0)
-    for half in BOXES:  # about the inner point, so that every box holds a point
+    for half in _BOXES:  # about the inner point, so that every box holds a point
         optimum = checked_optimum(c, *_with_box(A, room / half, 1.0, A.shape[1]))
         if optimum is not None and np.abs(optimum.x).max() < 1.0:
             x = ball.centre + half * optimum.x
@@ -191,14 +192,13 @@ class Optimum:
 def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) -> tuple[Array, Array]:
     """Least values (k,) by DAQP, and whether each (k,) is right.
 
-    They are right to `ROUNDING`, recomputed where their active rows meet in a corner; if `coarse`, as found, to
-    `LP_RESIDUAL`.
+    They are right to `ROUNDING`, recomputed where their active rows meet in a corner; if `coarse`, as found, to `FLAT`.
     """
     X = np.zeros(costs.shape)
     dual = np.zeros((len(costs), len(b)))
     solved = np.zeros(len(costs), bool)
     for i, c in enumerate(costs):
-        x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
+        x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=FLAT)
         if flag == 1:
             X[i] = x
             dual[i] = info["lam"]
@@ -216,7 +216,7 @@ def optima_at_once(costs: Array, A: Array, b: Array, *, coarse: bool = False) ->
             np.abs(values + dual @ b),
         ]
     )
-    return values, solved & (wrong <= (LP_RESIDUAL if coarse else ROUNDING)).all(axis=0)
+    return values, solved & (wrong <= (FLAT if coarse else ROUNDING)).all(axis=0)
 
 
 def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
@@ -231,7 +231,7 @@ def _move_to_corners(A: Array, b: Array, X: Array, dual: Array) -> None:
 
 def quick_optimum(c: Array, A: Array, b: Array) -> Optimum | None:
     """Optimum by DAQP if exact as it is, otherwise None."""
-    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=FLAT)
     optimum = _measured(c, A, b, x, info["lam"]) if flag == 1 else None
     return optimum if optimum is not None and optimum.exact else None
 
@@ -251,20 +251,20 @@ def _exact(c: Array, A: Array, b: Array) -> Optimum | None:
 
 
 def _best(c: Array, A: Array, b: Array) -> Optimum | None:
-    """First proposed optimum within `LP_RESIDUAL`, else best within `LP_COARSE`."""
+    """First proposed optimum within `FLAT`, else best within `COARSE`."""
     coarse = []
     for propose in (from_daqp, _from_highs, partial(_from_highs, method="highs-ipm")):
         optimum = propose(c, A, b)
-        if optimum is not None and optimum.residual <= LP_RESIDUAL:
+        if optimum is not None and optimum.residual <= FLAT:
             return optimum
-        if optimum is not None and optimum.residual <= LP_COARSE:
+        if optimum is not None and optimum.residual <= COARSE:
             coarse.append(optimum)
     return min(coarse, key=lambda optimum: optimum.residual, default=None)
 
 
 def from_daqp(c: Array, A: Array, b: Array) -> Optimum | None:
     """Optimum by DAQP, recomputed, or None."""
-    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=LP_RESIDUAL)
+    x, _, flag, info = daqp.solve(None, c, A, b, primal_tol=LP_SOLVER, eta_prox=FLAT)
     return _recomputed(c, A, b, x, info["lam"]) if flag == 1 else None
 
 
@@ -296,7 +296,7 @@ def _from_highs(c: Array, A: Array, b: Array, method: str = "highs-ds") -> Optim
 def _recomputed(c: Array, A: Array, b: Array, x: Array, dual: Array) -> Optimum:
     """Better of the proposed optimum and that of its active rows."""
     best = None
-    for least in (0.0, LP_COARSE * dual.max(initial=0.0)):
+    for least in (0.0, COARSE * dual.max(initial=0.0)):
         exact = _at_active_rows(c, A, b, x, np.flatnonzero(dual > least))
         if exact is not None and exact.residual <= ROUNDING:
             return exact

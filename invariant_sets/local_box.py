@@ -12,21 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from invariant_sets.linear_programs import Ball, largest_ball, maximise_in_box, ray_along
-from invariant_sets.tolerances import (
-    CANCELLED,
-    CLOSER,
-    ENDLESS,
-    FLAT,
-    HALF_BOX,
-    LOST,
-    LP_SOLVER,
-    ROUNDING,
-    SETTLED,
-    THIN,
-    WIDER,
-)
+from invariant_sets.tolerances import COARSE, FLAT, LP_SOLVER, MUCH, ROUNDING
 
 Array = np.ndarray
+HALF_BOX = 4.0  # half width of the local box, where the set should have half widths of one
 
 
 @dataclass(frozen=True)
@@ -94,24 +83,24 @@ def rescaled_view(
         if box is None or k == 0:
             return box
         closed = box.is_flat and not box.open.any()
-        misses = closed and box.room < 0 and box.ball.radius < -(FLAT if settled else THIN)
-        if box.is_flat and not misses and box.ball.radius < -THIN:
-            basis = basis * np.where(box.open, WIDER, 1.0)
+        misses = closed and box.room < 0 and box.ball.radius < -(FLAT if settled else COARSE)
+        if box.is_flat and not misses and box.ball.radius < -COARSE:
+            basis = basis * np.where(box.open, MUCH, 1.0)
             continue
         if not misses and (settled or (closed and box.room == 0.0)):
             return box
         lower, upper, beyond, unbounded = _ends(box, unbounded)
         if beyond.any():  # a set that is missed may miss by less than it is long
-            basis = basis * np.where(beyond, WIDER, 1.0)
+            basis = basis * np.where(beyond, MUCH, 1.0)
             continue
         if misses:
             return None
         middle, half = _frame(box, lower, upper, unbounded)
         if box.is_flat:  # closer only where the rows close: that makes their other coordinates felt
             half = np.where(box.open, np.maximum(half, 1.0), half)
-        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < np.log10(WIDER) or resized > 3
+        right_size = np.abs(np.log10(half[unbounded])).max(initial=0.0) < np.log10(MUCH) or resized > 3
         resized += 1 if unbounded.any() else 0
-        settled = bool((half[~unbounded] >= SETTLED).all()) and right_size
+        settled = bool((half[~unbounded] >= 1 / MUCH).all()) and right_size
         centre = centre + basis @ middle
         basis = basis * half
     return box
@@ -132,7 +121,7 @@ def _local_box(
         steep = sizes.max(axis=1, initial=0.0)
         left = np.abs(F).max(axis=1, initial=0.0)
         parallel = (left == 0.0) | ((left <= cancelled * steep) & (HALF_BOX * np.abs(F).sum(axis=1) <= error))
-        g = np.where(left < LOST * steep, g + error, g)  # of a row that the hull nearly holds only rounding is left
+        g = np.where(left < steep / MUCH, g + error, g)  # of a row that the hull nearly holds only rounding is left
         if parallel.any():
             if (g[parallel] < -error[parallel] - 100 * cancelled * sizes[parallel].sum(axis=1)).any():
                 return None
@@ -166,7 +155,7 @@ def _ends(box: LocalBox, unbounded: Array) -> tuple[Array, Array, Array, Array]:
     lower, upper = _extents(box, np.eye(box.F.shape[1]))
     beyond = ((lower < -0.99 * HALF_BOX) | (upper > 0.99 * HALF_BOX)) & ~unbounded
     if beyond.any():
-        far = np.abs(box.basis).max(axis=0) > ENDLESS
+        far = np.abs(box.basis).max(axis=0) > np.finfo(float).max / MUCH  # one step further doubles end
         endless = (_endless(box, lower, upper) | far) & beyond
         return lower, upper, beyond & ~endless, unbounded | endless
     return lower, upper, beyond, unbounded
@@ -186,17 +175,17 @@ def _endless(box: LocalBox, lower: Array, upper: Array) -> Array:
 def _frame(box: LocalBox, lower: Array, upper: Array, unbounded: Array) -> tuple[Array, Array]:
     """Middle and half width (k,) of the next box; without an end, the least that a row feels like the others."""
     middle = (lower + upper) / 2
-    half = np.maximum((upper - lower) / 2, CLOSER)
+    half = np.maximum((upper - lower) / 2, COARSE)
     if not unbounded.any():
         return middle, half
     ends = np.where(lower > -0.99 * HALF_BOX, lower, np.where(upper < 0.99 * HALF_BOX, upper, box.ball.centre))
     middle = np.where(unbounded, ends, middle)
     slope = np.abs(box.F)
     felt = slope[:, ~unbounded] @ half[~unbounded] + np.abs(box.g - box.F @ middle)
-    felt = np.where(felt > np.maximum(box.error, CLOSER), felt, np.inf)
+    felt = np.where(felt > np.maximum(box.error, COARSE), felt, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        length = np.where(slope > CANCELLED, felt[:, None] / slope, np.inf).min(axis=0, initial=np.inf)
-    length = np.where(np.isfinite(length), np.clip(length, CLOSER, 1 / CLOSER), 1.0)
+        length = np.where(slope > ROUNDING, felt[:, None] / slope, np.inf).min(axis=0, initial=np.inf)
+    length = np.where(np.isfinite(length), np.clip(length, COARSE, 1 / COARSE), 1.0)
     return middle, np.where(unbounded, length, half)
 
 

@@ -26,7 +26,7 @@ from invariant_sets.system_checks import (
     disturbance_vertices,
 )
 from invariant_sets.time_limits import Deadline
-from invariant_sets.tolerances import GAP
+from invariant_sets.tolerances import COARSE
 from invariant_sets.validation import as_count, as_matrix, check_tolerance
 
 NO_INPUT = Polytope(A_eq=[[1.0]], b_eq=[0.0])
@@ -40,7 +40,7 @@ def maximal_control_invariant_set(
     *,
     E: Any = None,
     W: Set | None = None,
-    tol: float = GAP,
+    tol: float = COARSE,
     max_iterations: int = 500,
     max_facets: int = 1000,
     time_limit: float | None = None,
@@ -103,7 +103,7 @@ def maximal_positively_invariant_set(
     C: Any = None,
     E: Any = None,
     W: Set | None = None,
-    tol: float = GAP,
+    tol: float = COARSE,
     max_iterations: int = 500,
     max_facets: int = 1000,
     time_limit: float | None = None,

@@ -24,7 +24,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem, Set, checked_disturbance, checked_state_matrix
 from invariant_sets.time_limits import LimitReached
-from invariant_sets.tolerances import CANCELLED, FLAT, GAP, ROUNDING
+from invariant_sets.tolerances import COARSE, FLAT, ROUNDING
 from invariant_sets.validation import check_tolerance
 
 Array = np.ndarray
@@ -183,7 +183,7 @@ def _from_outside(A: Array, W: Array, limits: Limits) -> SetResult:
     margin = 0.25 * (upper - lower) + 0.01 * (upper - lower).max()
     noise = Polytope.from_vertices(W)
     box = Polytope.from_bounds(lower - margin, upper + margin)
-    task = Task(LinearSystem(A, np.zeros((len(A), 1)), noise.vertices), box, NO_INPUT, replace(limits, tol=GAP))
+    task = Task(LinearSystem(A, np.zeros((len(A), 1)), noise.vertices), box, NO_INPUT, replace(limits, tol=COARSE))
     first = largest_invariant_set(task)
     if first.set.is_empty:
         return first
@@ -225,7 +225,7 @@ def _sum_of_supports(D: Array, A: Array, W: Array, terms: int) -> Array:
     for _ in range(terms):
         step = (directions @ W.T).max(axis=1)
         total += step
-        if (np.abs(directions) @ largest <= CANCELLED * np.abs(total)).all():
+        if (np.abs(directions) @ largest <= ROUNDING * np.abs(total)).all():
             break
         directions = directions @ A
     return total

@@ -19,7 +19,7 @@ from invariant_sets.hulls import irredundant_rows
 from invariant_sets.interior_form import body_of, settled, support, tightened
 from invariant_sets.polyhedron import AnySet, Polyhedron, hull_of, nonempty_body, set_of
 from invariant_sets.time_limits import Deadline, LimitReached
-from invariant_sets.tolerances import CANCELLED, FLAT, GIVEN, PLACE
+from invariant_sets.tolerances import FLAT, PLACE, ROUNDING
 from invariant_sets.validation import as_coordinates, as_matrix, as_number, as_vector
 
 Array = np.ndarray
@@ -178,7 +178,7 @@ class SetOperations(Polyhedron):
                 deadline.check_hull(len(Y), min(len(M), body.basis.shape[1]))
                 terms = np.abs(Y) @ np.abs(M).T
                 moves = Y @ M.T
-                moves = np.where(np.abs(moves) > CANCELLED * terms, moves, 0.0)
+                moves = np.where(np.abs(moves) > ROUNDING * terms, moves, 0.0)
                 return hull_of(type(self), M @ anchor + c, moves, np.abs(M) @ body.terms + np.abs(c))
             return type(self)(*rows_of(_generators_of(self, deadline).image(M, c), deadline))
         except LimitReached as limit:
@@ -283,7 +283,7 @@ def _generators_of(P: Polyhedron, deadline: Deadline) -> Generators:
     found = generators(body.F, body.g, deadline)
     points = body.centre + found.points @ body.basis.T
     terms = np.abs(body.centre) + np.abs(found.points) @ np.abs(body.basis.T)
-    points = np.where(np.abs(points) > CANCELLED * terms, points, 0.0)  # a cone has no size that rounding is small to
+    points = np.where(np.abs(points) > ROUNDING * terms, points, 0.0)  # a cone has no size that rounding is small to
     return Generators(points, found.rays @ body.basis.T, found.lines @ body.basis.T)
 
 
@@ -291,10 +291,10 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
     """Rows of a body's image under M; None if not injective."""
     G = M @ body.basis
     terms = np.abs(M) @ np.abs(body.basis)
-    G = np.where(np.abs(G) > CANCELLED * terms, G, 0.0)
+    G = np.where(np.abs(G) > ROUNDING * terms, G, 0.0)
     origin = M @ body.centre + c
     sizes = np.abs(M) @ body.terms + np.abs(c)
-    G = np.where(np.abs(G).max(axis=1, keepdims=True, initial=0.0) > GIVEN * sizes[:, None], G, 0.0)
+    G = np.where(np.abs(G).max(axis=1, keepdims=True, initial=0.0) > PLACE * sizes[:, None], G, 0.0)
     size = np.abs(G).max(axis=1, initial=0.0)
     units = np.where(size > 0, size, np.where(origin != 0, np.abs(origin), 1.0))  # of the image coordinates
     left, s, vt = np.linalg.svd(G / units[:, None], full_matrices=True)
@@ -303,8 +303,8 @@ def _mapped_rows(body: Body, M: Array, c: Array) -> Stated | None:
         return None
     back = vt.T @ (left[:, :rank].T / s[:rank, None]) / units  # image → y
     rows = body.F @ back
-    rows = np.where(np.abs(rows) * units > CANCELLED * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
-    normal = np.where(np.abs(left[:, rank:].T) > CANCELLED, left[:, rank:].T, 0.0) / units
+    rows = np.where(np.abs(rows) * units > ROUNDING * np.abs(rows * units).max(axis=1, keepdims=True), rows, 0.0)
+    normal = np.where(np.abs(left[:, rank:].T) > ROUNDING, left[:, rank:].T, 0.0) / units
     return Stated(
         rows, body.g + rows @ origin, normal, normal @ origin, body.g + np.abs(rows) @ sizes, np.abs(normal) @ sizes
     ).unit

@@ -15,7 +15,7 @@ from invariant_sets.maximal_sets import as_limits
 from invariant_sets.polytope import Polytope
 from invariant_sets.results import SetResult, Status
 from invariant_sets.system_checks import Set, as_set_or_numbers, checked_system
-from invariant_sets.tolerances import GAP, MEMBERSHIP, TOUCHING
+from invariant_sets.tolerances import COARSE, MEMBERSHIP
 from invariant_sets.validation import (
     as_batch,
     as_count,
@@ -72,7 +72,7 @@ class ParametricSet:
     U: Set | SetOfDesign
     _: KW_ONLY
     W: Set | None = None
-    tol: float = GAP
+    tol: float = COARSE
     max_iterations: int = 500
     max_facets: int = 1000
     time_limit: float | None = None
@@ -253,7 +253,7 @@ class ParametricSet:
         result = self._cold(p, Polytope(around.A, limit))
         if result.status is not Status.CONVERGED or result.set.is_empty:
             return None
-        felt = result.outer.support(around.A) >= limit - TOUCHING * room
+        felt = result.outer.support(around.A) >= limit - COARSE * room
         return None if felt.any() else result
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
 from invariant_sets.operations import SetOperations
-from invariant_sets.tolerances import TOUCHING
+from invariant_sets.tolerances import COARSE
 from invariant_sets.validation import as_coordinates, as_vector
 
 Array = np.ndarray
@@ -153,7 +153,7 @@ def _faces(P: SetOperations) -> list[Array]:
         return [_around(V)]
     M = P.minimal()
     scale = np.abs(M.A) @ M.widths
-    touching = np.abs(V @ M.A.T - M.b) <= TOUCHING * scale
+    touching = np.abs(V @ M.A.T - M.b) <= COARSE * scale
     return [_around(V[touching[:, i]]) for i in range(len(M.b))]
 
 

@@ -18,7 +18,7 @@ from invariant_sets.budgets import CHEAP_HULL_DIM, FEW_ROWS, MOST_ROWS
 from invariant_sets.hulls import strongly_irredundant_rows
 from invariant_sets.linear_programs import largest_ball, minimise
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import CANCELLED, FLAT, ROUNDING, THIN
+from invariant_sets.tolerances import COARSE, FLAT, ROUNDING
 
 Array = np.ndarray
 
@@ -106,9 +106,9 @@ def _without_zero_rows(rows: Array) -> tuple[Array, Array]:
     R = rows[:, :-1]
     r = rows[:, -1]
     norms = np.linalg.norm(R, axis=1)
-    zero = norms <= CANCELLED
+    zero = norms <= ROUNDING
     if zero.any():
-        if (r[zero] < -1e3 * CANCELLED * (1.0 + np.abs(r).max())).any():
+        if (r[zero] < -1e3 * ROUNDING * (1.0 + np.abs(r).max())).any():
             return np.zeros((1, R.shape[1])), np.array([-1.0])
         R = R[~zero]
         r = r[~zero]
@@ -134,7 +134,7 @@ def _needed(R: Array, r: Array, deadline: Deadline) -> tuple[Array, Array]:
     if len(r) <= FEW_ROWS:
         return R, r
     ball = largest_ball(R, r)
-    if ball.radius <= THIN:
+    if ball.radius <= COARSE:
         return R, r
     kept = needed_rows(R, r - R @ ball.centre, deadline)
     return R[kept], r[kept]

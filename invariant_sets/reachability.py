@@ -25,7 +25,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem, Set, as_set, checked_state_matrix, checked_system
 from invariant_sets.time_limits import Deadline, LimitReached
-from invariant_sets.tolerances import LOOSE
+from invariant_sets.tolerances import MUCH
 from invariant_sets.validation import as_count
 
 Array = np.ndarray
@@ -225,7 +225,7 @@ def _units(A: Array, *sets: Polytope) -> Array:
     size = np.where(size > 0.0, size, 1.0)
     for _ in size:
         with np.errstate(divide="ignore", over="ignore"):
-            size = np.minimum(size, (LOOSE * size[:, None] / np.abs(A)).min(axis=0))
+            size = np.minimum(size, (MUCH * size[:, None] / np.abs(A)).min(axis=0))
     return np.exp2(np.round(np.log2(size)))
 
 

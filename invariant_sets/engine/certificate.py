@@ -19,7 +19,7 @@ from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import FLAT, LP_RESIDUAL, LP_SOLVER, MEMBERSHIP, MISSING, PLACE, ROUNDING, WITNESS
+from invariant_sets.tolerances import FLAT, LP_SOLVER, MEMBERSHIP, PLACE, ROUNDING
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -132,11 +132,11 @@ def precise_minimiser(cost: Array, rows: Array, right: Array) -> Array | None:
 
 
 def _violations(v: Array, slope: Array, room: Array, inputs: Rows) -> Array:
-    """Violation of each witness (k, nu) within U; inf if far outside."""
+    """Violation of each witness (k, nu), shortened where it leaves U; inf without one."""
     with np.errstate(invalid="ignore"):
         excess = (v @ inputs[0].T / inputs[1]).max(axis=1, initial=0.0)
         inside = v / np.maximum(excess, 1.0)[:, None]
-        return np.where(excess <= 1.0 + WITNESS, (inside @ slope.T - room).max(axis=1), np.inf)
+        return np.where(np.isfinite(excess), (inside @ slope.T - room).max(axis=1), np.inf)
 
 
 def feedback_violation(
@@ -210,7 +210,7 @@ def missing(system: LinearSystem, C: Polytope, X: Polytope, U: Polytope, deadlin
     for row in np.argsort(-beyond):
         if beyond[row] <= worst:
             break
-        if beyond[row] > MISSING and size[row] > 0.0:  # the multipliers may give too large a bound
+        if beyond[row] > MEMBERSHIP and size[row] > 0.0:  # the multipliers may give too large a bound
             beyond[row] = min(beyond[row], size[row] * -minimise(costs[row] / size[row], rows, right)[0] + level[row])
         worst = max(worst, float(beyond[row]))
     return worst
@@ -221,7 +221,7 @@ def _upper_bounds(costs: Array, rows: Array, right: Array) -> Array:
     dual = np.zeros((len(costs), len(right)))
     solved = np.zeros(len(costs), bool)
     for i, cost in enumerate(costs):
-        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=LP_RESIDUAL)
+        _, _, flag, info = daqp.solve(None, cost, rows, right, eta_prox=FLAT)
         if flag == 1:
             dual[i] = info["lam"]
             solved[i] = True

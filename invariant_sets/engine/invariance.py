@@ -38,7 +38,7 @@ from invariant_sets.polytope import Polytope
 from invariant_sets.results import Certificate, SetResult, Status, no_set, status_of
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import Deadline, LimitReached, TimeLimitReached
-from invariant_sets.tolerances import FLAT, MEMBERSHIP, MISSING
+from invariant_sets.tolerances import FLAT, MEMBERSHIP
 
 Array = np.ndarray
 
@@ -268,7 +268,7 @@ def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, ste
         except (LimitReached, NumericalError) as error:
             status = Status.TIME_LIMIT if isinstance(error, TimeLimitReached) else Status.NOT_CERTIFIED
         else:
-            status = Status.CONVERGED if absent <= 2 * task.limits.tol + MISSING else Status.NOT_MAXIMAL
+            status = Status.CONVERGED if absent <= 2 * task.limits.tol + MEMBERSHIP else Status.NOT_MAXIMAL
     elif status is Status.CONVERGED:
         status = Status.ITERATION_LIMIT
     return SetResult(inner.C, outer, status, steps, replace(inner.check, missing=absent))

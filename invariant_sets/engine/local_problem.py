@@ -23,7 +23,7 @@ from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import unit
 from invariant_sets.system_checks import LinearSystem
-from invariant_sets.tolerances import CANCELLED, NEEDLE, NEGLIGIBLE, ROUNDING, WELL_INSIDE
+from invariant_sets.tolerances import COARSE, ROUNDING, SMALL
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -128,7 +128,7 @@ def _stay_on_hull(motion: Array, basis: Array, spread: Array | None, size: Array
         spread is not None
         and (
             np.abs(spread @ normal.T).max(axis=0)
-            > NEGLIGIBLE * np.maximum(size, np.abs(spread).max() + np.finfo(float).tiny)
+            > COARSE * np.maximum(size, np.abs(spread).max() + np.finfo(float).tiny)
         ).any()
     ):
         return None
@@ -136,11 +136,11 @@ def _stay_on_hull(motion: Array, basis: Array, spread: Array | None, size: Array
     Q = Q / size[:, None]
     s = s / size
     left, values, vt = np.linalg.svd(Q, full_matrices=True)
-    rank = int((values > NEGLIGIBLE).sum())
+    rank = int((values > COARSE).sum())
     rest_P = left[:, rank:].T @ P
     rest_s = left[:, rank:].T @ s
-    bound = np.abs(rest_P).max(axis=1, initial=0.0) > NEGLIGIBLE
-    if (np.abs(rest_s[~bound]) > NEGLIGIBLE).any():
+    bound = np.abs(rest_P).max(axis=1, initial=0.0) > COARSE
+    if (np.abs(rest_s[~bound]) > COARSE).any():
         return None
     if bound.any():
         return rest_P[bound], rest_s[bound]
@@ -159,7 +159,7 @@ def _round_frame(X: Polytope, state: Body) -> tuple[Frame, Rows]:
     Y = (X.vertices - state.centre) @ frame.back.T
     middle = (Y.max(axis=0) + Y.min(axis=0)) / 2
     widths, axes = np.linalg.eigh((Y - middle).T @ (Y - middle) / len(Y))
-    if widths[0] > NEEDLE**2 * widths[-1]:
+    if widths[0] > SMALL**2 * widths[-1]:
         return frame, rows
     turn = axes * np.sqrt(np.maximum(widths, ROUNDING**2 * widths[-1]))
     return Frame(state.centre, state.basis @ turn), unit(state.F @ turn, state.g)
@@ -227,9 +227,9 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
     v = np.linalg.lstsq(dynamics.B, residual, rcond=None)[0] if q else np.zeros(0)
     # any v with B v = residual will do as u = 0 does not change the state
     point = np.append(y, v)
-    if np.abs(residual - dynamics.B @ v).max() > CANCELLED * max(1.0, np.abs(y).max()):
+    if np.abs(residual - dynamics.B @ v).max() > ROUNDING * max(1.0, np.abs(y).max()):
         return None
-    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > WELL_INSIDE
+    inside = (problem.states[1] - problem.states[0] @ y).min(initial=1.0) > SMALL
     inside = inside and (problem.joint[1] - problem.joint[0] @ point).min(initial=1.0) > 0
     return point if inside else None
 
@@ -245,16 +245,16 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     rows = rows * scale
     z, *_ = np.linalg.lstsq(matrix, problem.drift, rcond=ROUNDING)
     worst = np.abs(matrix @ z - problem.drift).max(initial=0.0)
-    if worst > NEGLIGIBLE * max(1.0, np.abs(problem.drift).max(initial=0.0)):
+    if worst > COARSE * max(1.0, np.abs(problem.drift).max(initial=0.0)):
         return None
     null = null_space(matrix)
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
     moving = norms > ROUNDING
-    if (room[~moving] < -NEGLIGIBLE).any():
+    if (room[~moving] < -COARSE).any():
         return None
     if not moving.any():
         return np.asarray(scale * z)
     ball = largest_ball(slope[moving] / norms[moving, None], room[moving] / norms[moving])
-    return None if ball.radius < -NEGLIGIBLE else scale * (z + null @ ball.centre)
+    return None if ball.radius < -COARSE else scale * (z + null @ ball.centre)

@@ -18,7 +18,7 @@ from invariant_sets.exceptions import NumericalError
 from invariant_sets.polyhedron import nonempty_body, set_of
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import LinearSystem
-from invariant_sets.tolerances import BOX_ROOM, EIGENVALUE, FLAT, LOOSE, ROUNDING
+from invariant_sets.tolerances import EIGENVALUE, FLAT, MUCH, ROUNDING, SMALL
 
 Array = np.ndarray
 
@@ -50,7 +50,7 @@ def _within_reach(
     half = states.half_widths
     if not states.bounded:  # what has no end has no bound
         half = np.where(np.isfinite(np.subtract(*X.bounding_box())), half, 0.0)
-    width = LOOSE * np.where(goal.half_widths > 0.0, goal.half_widths, np.inf)
+    width = MUCH * np.where(goal.half_widths > 0.0, goal.half_widths, np.inf)
     with np.errstate(over="ignore"):
         strong = not inputs.bounded or bool((np.abs(system.B) @ inputs.half_widths > width).any())
         loose = bool((np.abs(system.A) * half > width[:, None]).any())
@@ -69,7 +69,7 @@ def _within_reach(
     eye = np.eye(lifted.dim)[X.dim : X.dim + nu]
     upper = lifted.support(eye)
     lower = -lifted.support(-eye)
-    room = BOX_ROOM * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    room = SMALL * np.where(np.isfinite(upper - lower), upper - lower, 0.0)
     cut = U.intersection(Polytope.from_bounds(lower - room, upper + room))
     useful = cut if cut.body is None else set_of(Polytope, cut.body.rows, body=cut.body)  # the rows that are felt
     return system, _felt(X, lifted, moves[:-1], drift[:-1]), useful
@@ -88,7 +88,7 @@ def _within_unstable_modes(system: LinearSystem, X: Polytope, U: Polytope) -> Po
     D, d, group = unstable_bounds(A, moves / size, disturbances)
     D = D / units / size
     room, width = (ends[: len(d) // 2] + ends[len(d) // 2 :] for ends in (X.support(D), d))
-    loose = (width > 0.0) & (room > LOOSE * width) & ~np.isin(group[: len(width)], group[np.tile(np.isinf(room), 2)])
+    loose = (width > 0.0) & (room > MUCH * width) & ~np.isin(group[: len(width)], group[np.tile(np.isinf(room), 2)])
     if not loose.any():
         return X
     cut = X.intersection(Polytope(D[np.tile(loose, 2)], d[np.tile(loose, 2)]))
@@ -104,7 +104,7 @@ def _felt(X: Polytope, lifted: Polytope, moves: list[Array], drift: list[Array])
     for M, c in zip(moves, drift):
         upper = lifted.support(X.A @ M)
         lower = -lifted.support(-X.A @ M)
-        far &= BOX_ROOM * (X.b - X.A @ c - upper) > upper - lower
+        far &= SMALL * (X.b - X.A @ c - upper) > upper - lower
     return Polytope(X.A[~far], X.b[~far], X.A_eq, X.b_eq)
 
 

@@ -16,7 +16,7 @@ from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.projection import needed_rows
 from invariant_sets.results import Status, status_of
 from invariant_sets.time_limits import NO_DEADLINE, Deadline, LimitReached
-from invariant_sets.tolerances import FLAT, LEAST_RIGHT, REDUNDANT, ROUNDING, SMALL, THIN
+from invariant_sets.tolerances import COARSE, FLAT, MUCH, REDUNDANT, ROUNDING, SMALL
 
 Array = np.ndarray
 Rows = tuple[Array, Array]
@@ -79,7 +79,7 @@ class Region:
         try:
             kept, V = hulls.facets_and_vertices(F, room, merge=False)
         except NumericalError:  # thinner than Qhull can resolve, or too many coplanar facets
-            return Region(F, g, None, Shape.FLAT if radius < THIN else Shape.UNRESOLVED)
+            return Region(F, g, None, Shape.FLAT if radius < COARSE else Shape.UNRESOLVED)
         return Region(F[kept], g[kept], V + middle, minimal=True)
 
     @property
@@ -171,7 +171,7 @@ def _one_step(
     if not cutting.any():
         return region, 0.0
     depth = (reach - r)[cutting]
-    cut = float((depth / np.maximum(np.abs(r[cutting]), LEAST_RIGHT)).max())
+    cut = float((depth / np.maximum(np.abs(r[cutting]), 1 / MUCH)).max())
     return _cut_in_rounds(region, R[cutting], r[cutting], depth, deadline), cut
 
 

@@ -17,13 +17,14 @@ from invariant_sets.engine.certificate import control_violation, precise_minimis
 from invariant_sets.engine.loose_bounds import without_loose_bounds
 from invariant_sets.exceptions import NumericalError
 from invariant_sets.linear_programs import minimise
+from invariant_sets.local_box import HALF_BOX
 from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.projection import project_rows, unit
 from invariant_sets.results import Certificate
 from invariant_sets.system_checks import LinearSystem
 from invariant_sets.time_limits import NO_DEADLINE, Deadline
-from invariant_sets.tolerances import BOX_ROOM, FLAT, HALF_BOX, LOOSE, MEMBERSHIP, ROUNDING
+from invariant_sets.tolerances import FLAT, MEMBERSHIP, MUCH, ROUNDING, SMALL
 
 Array = np.ndarray
 
@@ -83,7 +84,7 @@ def _without_far_ends(
 ) -> Step | None:
     """Step without ends so far away that a width seems flat, or None.
 
-    In units of what moves the target by `LOOSE` times its width, at most of the width of the sets: `1 / FLAT` of them
+    In units of what moves the target by `MUCH` times its width, at most of the width of the sets: `1 / FLAT` of them
     away doubles do not tell where the rows are.
 
     Raises
@@ -96,18 +97,18 @@ def _without_far_ends(
     M = np.hstack([system.A, system.B])
     width = nonempty_body(S, "backward_step").half_widths
     with np.errstate(divide="ignore", over="ignore"):
-        unit = (np.where(width > 0.0, LOOSE * width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
+        unit = (np.where(width > 0.0, MUCH * width, np.inf)[:, None] / np.abs(system.A)).min(axis=0, initial=1.0)
         moved = np.minimum(np.abs(system.A) @ unit + np.abs(system.B) @ body.half_widths[n:], 1.0)
     known = ROUNDING * (body.terms + body.half_widths)
     rows = len(X.b) + len(S.b)
-    for distance in (1 / FLAT, LOOSE):
+    for distance in (1 / FLAT, MUCH):
         states = _without_rows_beyond(X, body.centre[:n], distance * unit + known[:n])
         target = _without_rows_beyond(S, M @ body.centre, distance * moved + np.abs(M) @ known)
         if len(states.b) + len(target.b) == rows:
             continue
         step = backward_step(system, target, states, U, deadline)
         if step[0].affine_dim > lifted.projection(np.arange(n)).affine_dim:
-            if distance > LOOSE:
+            if distance > MUCH:
                 return step
             raise NumericalError("X", X.A.shape, "the width of the set is nothing beside its length")
     return None
@@ -136,7 +137,7 @@ def _by_sum(
     """Set {x : A x in S ⊕ (−B U)} ∩ X by vertices; None if unbounded."""
     n = len(system.A)
     lower, upper = lifted.bounding_box()
-    slack = BOX_ROOM * np.maximum(upper - lower, 0.0)[n:]
+    slack = SMALL * np.maximum(upper - lower, 0.0)[n:]
     useful = U.intersection(Polytope.from_bounds(lower[n:] - slack, upper[n:] + slack))  # strong inputs hide S
     if not (S.is_bounded and useful.is_bounded) or useful.is_empty:
         return None

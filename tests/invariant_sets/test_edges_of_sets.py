@@ -52,3 +52,25 @@ def test_a_mode_that_hardly_grows_is_not_taken_for_unstable(beyond, unstable):
     assert found.status is (Status.CONVERGED if unstable else Status.ITERATION_LIMIT)
     if unstable:  # at most 1/(λ − 1), which its bound says at once
         np.testing.assert_allclose(found.set.bounding_box()[1], 1 / beyond, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("left", "bounded"), [(2.7e-15, False), (2.4e-14, True)])
+def test_a_slope_of_which_only_the_rounding_of_a_product_is_left_is_none(left, bounded):
+    slab = Polytope([[1.0, 1.0], [-1.0, -1.0]], [1.0, 1.0])
+    assert slab.preimage([[1.0], [left - 1.0]]).is_bounded is bounded
+
+
+@pytest.mark.parametrize(("part", "rows"), [(3e-4, 4), (3e-3, 5)])
+def test_a_set_that_shrinks_a_thousandfold_is_seen_anew_without_the_rows_that_are_now_far(part, rows):
+    diamond = Polytope([[1, 1], [-1, 1], [1, -1], [-1, -1]], (1 - part) * np.ones(4))
+    left = Polytope(np.vstack([SQUARE, [[1, 1]]]), [1, 1, 1, 1, 1.9]).pontryagin_difference(diamond)
+    np.testing.assert_allclose(left.bounding_box()[1], part, rtol=1e-9)
+    assert len(left.b) == rows
+
+
+@pytest.mark.parametrize(("beyond", "kept"), [(3e-11, True), (3e-10, False)])
+def test_a_filtered_input_leaves_its_set_by_no_more_than_1e_10_of_its_half_width(beyond, kept):
+    inputs = AdmissibleInputs(
+        np.zeros((1, 1)), np.zeros((1, 2)), Polytope.from_bounds([-1], [1]), Polytope(SQUARE, [1] * 4)
+    )
+    assert (inputs.project([0.0], [1 + beyond, 0.3])[0][0] > 1) == kept

@@ -12,7 +12,7 @@ from invariant_sets.engine.recursion import Limits, iterate
 from invariant_sets.maximal_sets import as_limits
 from invariant_sets.system_checks import checked_system
 from invariant_sets.time_limits import TimeLimitReached
-from invariant_sets.tolerances import GAP
+from invariant_sets.tolerances import COARSE
 
 
 def chain(k, dt):
@@ -90,7 +90,7 @@ def test_the_search_for_a_reserve_ends_before_the_limit_and_is_made_once(time_li
         return feedback_sets(problem, region, limits)
 
     monkeypatch.setattr(invariance, "feedback_sets", recorded)
-    limits = as_limits(GAP, 500, 1000, time_limit)
+    limits = as_limits(COARSE, 500, 1000, time_limit)
     task = invariance.Task(*checked_system(A, B, (-1, 1), (-0.2, 0.2), None, None), limits)
     result = invariance.largest_invariant_set(task)
     assert result.status is Status.TIME_LIMIT
