@@ -33,6 +33,7 @@ from ccdtools.disturbances.recordings import read_disturbance as read_disturbanc
 from ccdtools.estimation.kalman import KalmanFilter as KalmanFilter
 from ccdtools.estimation.measurement import Measurement as Measurement
 from ccdtools.exceptions import CCDError as CCDError, InputError as InputError
+from ccdtools.imitation import imitate as imitate
 from ccdtools.limits import depth_outside as depth_outside, excursions as excursions
 from ccdtools.output_limits import OutputLimits as OutputLimits
 from ccdtools.plants.design_space import DesignSpace as DesignSpace

@@ -101,3 +101,10 @@ def test_states_beyond_what_is_computed_are_not_explained(size, computed):
 def test_the_cost_of_a_target_moves_its_outputs_by_rounding():
     controller = OffsetFreeMPC(LinearMPC([[0.5]], [[1.0]], Q=1, R=1, horizon=3, U=(-10, 10)), [[1.0]])
     assert controller.nearest_target([1.0]).state[0] == pytest.approx(1.0, abs=2e-8)
+
+
+@pytest.mark.parametrize(("horizon", "fed"), [(8, False), (12, True)])
+def test_predictions_that_grow_more_than_a_thousandfold_are_those_of_a_feedback(horizon, fed):
+    H = LinearMPC([[2.0]], [[1.0]], Q=1, R=1, horizon=horizon, U=(-1, 1)).build().H
+    beside = np.abs(H - np.diag(np.diag(H))).max() / H.max()
+    assert (beside < 1e-9) == fed  # what the feedback of the optimum leaves does not interact

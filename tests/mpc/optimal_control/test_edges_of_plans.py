@@ -4,7 +4,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mpc.optimal_control import NonlinearMPC, OffsetFreeNonlinearMPC, OptimalControlStatus, Phase, Radau, build, solve
+from mpc.optimal_control import (
+    NonlinearMPC,
+    OffsetFreeNonlinearMPC,
+    OptimalControlStatus,
+    Phase,
+    Radau,
+    build,
+    refine,
+    solve,
+)
 
 
 @pytest.mark.parametrize(("beside", "named"), [(3e-5, True), (3e-4, False)])
@@ -39,3 +48,13 @@ def test_a_target_of_a_nonlinear_model_that_drifts_by_rounding_is_steady(drift, 
     )  # fmt: skip
     target = OffsetFreeNonlinearMPC(controller, [[1, 0]], disturbance=[0.0, drift]).nearest_target([0.2])
     assert target.steady == steady
+
+
+@pytest.mark.parametrize(("share", "cut"), [(0.3, False), (0.8, True)])
+def test_an_input_that_crosses_most_of_its_range_within_an_interval_jumps_there(share, cut):
+    phase = Phase(
+        lambda x, u: u, 1, 1, start=[0], end=[None], duration=1.0,
+        stage_cost=lambda u, t: (u - (1 - share) * t - share * ca.if_else(t > 0.55, 1, 0)) ** 2,
+    )  # fmt: skip
+    found = refine(phase, Radau(2), intervals=10)
+    assert (len(found.phases[0].times) > 11) == cut

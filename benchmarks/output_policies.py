@@ -1,0 +1,153 @@
+"""Policies of measured outputs that imitate an expert, beside LQG on the same runs.
+
+    python benchmarks/output_policies.py [--seeds 3] [--only suspension]
+
+Every other state is measured, with noise of a fiftieth of its range. On linear plants with normal disturbances LQG (two
+Riccati equations) is the optimum but for the limits; the policy imitates it from the last 16 outputs and inputs. On the
+others the expert sees the state, the policy does not, and LQG is that of the linearisation: a pendulum held upright
+from afar, and a mass that bounces off a wall, whose expert was trained by PPO. Gains are in pairs on 2000 fresh runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import torch
+from mass_and_wall import Case
+
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    Gaussian,
+    KalmanFilter,
+    LearnedPolicy,
+    Measurement,
+    Plant,
+    QuadraticObjective,
+    RandomStarts,
+    Scenario,
+    compare,
+    discretise,
+    imitate,
+    load_study,
+    saturated_lqr,
+)
+from ccdtools.co_design import EpisodeEnv
+from ccdtools.controllers import Observed
+from learning import train
+
+LINEAR = ("dc_servo", "suspension", "mass_chain", "wind_turbine")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A problem at a design, what is measured of it, its LQG and the expert."""
+
+    problem: CoDesignProblem
+    design: list[float]
+    lqg: Any
+    expert: Callable[[int], Any]  # of a seed
+    noise: np.ndarray
+    C: np.ndarray
+    history: int
+
+    def drawn(self, rng: np.random.Generator, runs: int = 64) -> Scenario:
+        """Runs with a measurement."""
+        x0, w = self.problem.scenarios.sample(runs, self.problem.steps, rng)
+        output = Measurement(self.C, noise=self.noise)
+        return Scenario(self.problem.model, x0, np.array(w), output=output, seed=int(rng.integers(2**31)))
+
+
+def measured(problem: CoDesignProblem, design: list[float], history: int, expert: Any = None) -> Measured:
+    """Every other state with noise, and the LQG of that."""
+    A, B, E = problem.model.matrices(np.array(design))
+    C = np.eye(len(A))[::2]
+    noise = C @ np.ravel(problem.state_scale) / 50
+    w = np.array(problem.scenarios.sample(500, problem.steps, np.random.default_rng(0))[1]).reshape(-1, E.shape[1])
+    W = E @ np.diag(w.var(axis=0)) @ E.T + np.diag((1e-6 * np.ravel(problem.state_scale)) ** 2)
+    lqr = saturated_lqr(problem, design)
+    lqg = Observed(lqr, KalmanFilter(A, B, C, W, noise**2))
+    return Measured(problem, design, lqg, expert or (lambda seed: lqg), noise, C, history)
+
+
+def pendulum() -> Measured:
+    """Pendulum without small angles, held upright."""
+    x, u, w, m = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("m")
+    dynamics = ca.vertcat(x[1], 9.81 * ca.sin(x[0]) - 0.1 * x[1] + u / m + w)
+    plant = Plant(x, u, w, m, dynamics, DesignSpace(["m"], [0.5], [2.0], ["kg"]), dt=0.05)
+    box, U = ([-4, -10], [4, 10]), (-20, 20)
+    problem = CoDesignProblem(
+        discretise(plant, X=box, U=U), X=box, U=U, objective=QuadraticObjective(np.diag([1.0, 0.1]), [[0.01]]),
+        scenarios=RandomStarts(Gaussian([0.6, 0.6]), Gaussian([1.0])), steps=60,
+    )  # fmt: skip
+    return measured(problem, [1.0], 12, lambda seed: saturated_lqr(problem, [1.0]))
+
+
+def wall() -> Measured:
+    """Mass and wall, whose expert is trained."""
+    problem = Case().problem()
+
+    def trained(seed: int) -> LearnedPolicy:
+        """PPO on the state, 192 000 samples."""
+        env = EpisodeEnv(problem, [1.0], rng=np.random.default_rng(seed))
+        generator = torch.Generator().manual_seed(seed)
+        found = train(env, env.agent(seed=seed), iterations=100, steps=problem.steps, generator=generator)
+        return LearnedPolicy(found.agent, [1.0])
+
+    return measured(problem, [1.0], 4, trained)
+
+
+def cases(name: str) -> Measured:
+    """A case by its name."""
+    if name in LINEAR:
+        study = load_study(name)
+        return measured(study.problem(), list(study.p0), 16)
+    return {"pendulum": pendulum, "wall": wall}[name]()
+
+
+def main() -> None:
+    """Print a row per case and seed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--only", choices=(*LINEAR, "pendulum", "wall"))
+    asked = parser.parse_args()
+    torch.set_num_threads(1)
+    warnings.simplefilter("ignore")  # the jump of the wall, which is the point there
+    for name in (*LINEAR, "pendulum", "wall") if asked.only is None else (asked.only,):
+        case = cases(name)
+        for seed in range(asked.seeds):
+            rng = np.random.default_rng([seed, 1])
+            expert = case.expert(seed)
+            start = time.process_time()
+            found = imitate(
+                expert, case.drawn, objective=case.problem.objective, limits=case.problem.input_bounds_at(case.design),
+                design=case.design, history=case.history, rounds=3 if name in LINEAR else 6, rng=rng,
+                limit=case.problem.limit,
+            )  # fmt: skip
+            seconds = time.process_time() - start
+            table = compare(
+                {"LQG": case.lqg, "policy": found.controller, "expert": expert},
+                case.drawn(np.random.default_rng(10**6), 2000), design=case.design, objective=case.problem.objective,
+                X=case.problem.X, limit=case.problem.limit, baseline="LQG",
+            )  # fmt: skip
+            base, policy, own = (table[kind] for kind in ("LQG", "policy", "expert"))
+            size = abs(base.summary.mean) / 100
+            gain = policy.paired_to_lqr
+            ends = ", ".join(f"{end / size:+.2f}" for end in gain.ci95)
+            print(
+                f"{name:13s} seed {seed}  LQG {base.summary.mean:9.3f}  policy {policy.summary.mean:9.3f}  "
+                f"{gain.mean / size:+6.2f} % [{ends}]  expert {own.summary.mean:9.3f}  lost {policy.diverged:.1%} "
+                f"({base.diverged:.1%})  {1e6 * policy.step_time:3.0f} µs (LQG {1e6 * base.step_time:.0f})  {seconds:.0f} s",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""Policies that imitate an expert, from states or from what was measured."""
+
+import numpy as np
+import pytest
+
+import mpc
+from ccdtools import (
+    InputError,
+    KalmanFilter,
+    LinearFeedback,
+    Measurement,
+    QuadraticObjective,
+    Scenario,
+    imitate,
+    plant_from_matrices,
+    simulate,
+)
+from ccdtools.controllers import History, Observed
+from learning import CloningConfig, NetworkConfig
+
+A, B, C = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
+W, V = np.diag([1e-5, 1e-3]), np.array([[4e-3]])
+OBJECTIVE = QuadraticObjective(np.eye(2), [[0.1]])
+PLANT = plant_from_matrices(A, B, np.sqrt(W), dt=0.1, continuous=False)
+K = mpc.lqr(A, B, Q=np.eye(2), R=[[0.1]])[0]
+LQR = LinearFeedback(K, -3, 3)
+LQG = Observed(LQR, KalmanFilter(A, B, C, W, V))
+QUICK = CloningConfig(steps=400)
+
+
+def drawn(rng, runs=32, steps=60):
+    return Scenario(
+        PLANT, 0.5 * rng.standard_normal((runs, 2)), rng.standard_normal((runs, steps, 2)),
+        output=Measurement(C, noise=[0.063]), seed=int(rng.integers(2**31)),
+    )  # fmt: skip
+
+
+def imitated(expert=LQG, scenario=drawn, **options):
+    given = {"objective": OBJECTIVE, "limits": (-3, 3), "rng": np.random.default_rng(0), "rounds": 2, "config": QUICK}
+    return imitate(expert, scenario, **given | options)
+
+
+def test_a_policy_of_the_state_does_what_its_expert_does():
+    found = imitated(LQR)
+    x = np.random.default_rng(1).normal(0, 0.3, (50, 2))
+    assert found.controller(x) == pytest.approx(LQR(x), abs=0.15)
+    assert max(found.returns) > 1.02 * found.expert  # negative: at most 2 % below
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("length", [8, 16])
+def test_a_policy_of_measured_outputs_returns_what_lqg_does(length):
+    found = imitated(history=length, rounds=3, config=None)
+    fresh = drawn(np.random.default_rng(9), runs=500)
+    lqg, policy = (fresh.run(law).returns(OBJECTIVE).mean() for law in (LQG, found.controller))
+    assert policy > 1.01 * lqg
+
+
+def test_histories_hold_what_a_loop_shows_the_latest_first():
+    seen = []
+
+    def spy(z):
+        seen.append(z.copy())
+        return -z[:, :1]
+
+    run = simulate(
+        PLANT, History(spy, 3), x0=[[0.4, 0.1], [0.2, 0.0]], steps=5, disturbance=np.zeros((5, 2)),
+        output=Measurement(C),
+    )  # fmt: skip
+    y, u = run.states[:, :-1, 0], run.inputs[:, :, 0]
+    zero = np.zeros(2)
+    np.testing.assert_array_equal(seen[0], np.column_stack([y[:, 0], zero, zero, zero, zero, zero]))
+    np.testing.assert_array_equal(seen[4], np.column_stack([y[:, 4], y[:, 3], y[:, 2], u[:, 3], u[:, 2], u[:, 1]]))
+
+
+def test_what_a_policy_is_fitted_to_is_what_it_sees_in_the_loop():
+    """An expert that is linear in the history is met where loop and data see the same."""
+    finite = History(lambda z: np.clip(-z[:, :1] + 0.5 * z[:, 1:2] - 0.1 * z[:, 2:3], -3, 3), 2)
+    found = imitated(finite, history=2, rounds=1, config=CloningConfig(steps=1500), network=NetworkConfig(hidden=(4,)))
+    assert found.returns[0] == pytest.approx(found.expert, rel=0.02)
+
+
+def test_an_expert_may_see_the_state_where_the_policy_sees_outputs():
+    found = imitated(LQR, history=4, rounds=3)
+    assert isinstance(found.controller, History)
+    assert found.expert > max(found.returns) > 6 * found.expert
+    assert found.samples == (32 * 60, 2 * 32 * 60, 3 * 32 * 60)
+
+
+def test_the_best_round_is_kept_and_seeds_repeat():
+    found = imitated(LQR, rounds=3)
+    again = imitated(LQR, rounds=3)
+    assert found.returns == again.returns
+    x = np.array([[0.2, -0.1]])
+    np.testing.assert_array_equal(found.controller(x), again.controller(x))
+
+
+def test_ppo_may_go_on_from_its_agent_at_the_design(illustrative):
+    problem = illustrative.problem()
+    design = [2.0]
+
+    def starts(rng):
+        x0, w = problem.scenarios.sample(16, 20, rng)
+        return Scenario(problem.model, x0, np.array(w))
+
+    from ccdtools import saturated_lqr
+
+    found = imitate(
+        saturated_lqr(problem, design), starts, objective=problem.objective, limits=problem.input_bounds, design=design,
+        rng=np.random.default_rng(0), rounds=1, config=QUICK, limit=problem.limit,
+    )  # fmt: skip
+    assert found.agent.observation_offset.shape == (problem.model.nx + 1,)
+    assert simulate(problem.model, found.controller, x0=[[0.1, 0.1]], steps=3, design=design).inputs.shape == (1, 3, 1)
+    with pytest.raises(InputError, match="design of the policy"):
+        simulate(problem.model, found.controller, x0=[[0.1, 0.1]], steps=3, design=[1.5])
+
+
+@pytest.mark.parametrize(("change", "match"), [
+    ({"expert": 3}, "controller: got 3"),
+    ({"scenario": drawn(np.random.default_rng(0))}, "scenario: got a Scenario"),
+    ({"scenario": lambda rng: 3}, "scenario: got 3"),
+    ({"scenario": lambda rng: Scenario(PLANT, [0, 0], np.zeros((3, 2))), "history": 2},
+     "scenario: got one without output"),
+    ({"history": -1}, "history: got -1"),
+    ({"rounds": 0}, "rounds: got 0"),
+    ({"objective": 3}, "objective: got 3"),
+    ({"limits": (3, -3)}, "limits: got"),
+    ({"expert": LinearFeedback([[-99.0, -99.0]]), "scenario": lambda rng: Scenario(PLANT, [1, 1], np.zeros((60, 2)))},
+     "expert: got one that loses every run"),
+])  # fmt: skip
+def test_wrong_arguments_are_named(change, match):
+    with pytest.raises(InputError, match=match):
+        imitated(**change)
+
+
+def test_a_history_needs_outputs_and_a_policy_without_needs():
+    with pytest.raises(InputError, match="y, u_prev: got nothing"):
+        History(LQR, 3)([0.0, 0.0])
+    with pytest.raises(InputError, match="controller: got one that needs"):
+        History(LQG, 3)
+    with pytest.raises(InputError, match="length: got 0"):
+        History(LQR, 0)
+
+
+def test_every_round_draws_runs_of_its_own():
+    starts = []
+
+    def noted(rng):
+        starts.append(drawn(rng).x0.tobytes())
+        return drawn(rng)
+
+    imitated(LQR, noted, rounds=2)
+    assert len(set(starts)) == 3
