@@ -144,7 +144,8 @@ def main() -> None:
             print(
                 f"{name:13s} seed {seed}  LQG {base.summary.mean:9.3f}  policy {policy.summary.mean:9.3f}  "
                 f"{gain.mean / size:+6.2f} % [{ends}]  expert {own.summary.mean:9.3f}  lost {policy.diverged:.1%} "
-                f"({base.diverged:.1%})  {1e6 * policy.step_time:3.0f} µs (LQG {1e6 * base.step_time:.0f})  {seconds:.0f} s",
+                f"({base.diverged:.1%})  "
+                f"{1e6 * policy.step_time:3.0f} µs (LQG {1e6 * base.step_time:.0f})  {seconds:.0f} s",
                 flush=True,
             )
 

@@ -124,9 +124,10 @@ def imitate(
         runs = _drawn(scenario, rng, length)
         data.append(_labelled(expert, runs, _run(runs, acting, p, limit), objective, length, gamma))
         seen, actions, values = (np.concatenate(part) for part in zip(*data))
+        observed = np.hstack([seen, np.tile(p, (len(seen), 1))])
         agent = fit_actor_critic(
-            np.hstack([seen, np.tile(p, (len(seen), 1))]), np.clip(actions, lower, upper), values,
-            action_bounds=(lower, upper), rng=rng, network=network, config=config,
+            observed, np.clip(actions, lower, upper), values, action_bounds=(lower, upper),
+            input_bounds=_extent(observed), rng=rng, network=network, config=config,
         )  # fmt: skip
         policy = LearnedPolicy(agent, p)
         acting = History(policy, length) if length else policy
@@ -135,6 +136,14 @@ def imitate(
     counts = np.cumsum([len(part[0]) for part in data])
     kept = own.returns(objective)[~own.diverged]
     return Imitation(controller, agent, tuple(map(int, counts)), tuple(one[0] for one in found), float(kept.mean()))
+
+
+def _extent(columns: Array) -> tuple[Array, Array]:
+    """Least and largest of each column (n, k), a hundredth apart where single precision tells none."""
+    lower, upper = columns.min(axis=0), columns.max(axis=0)
+    size = np.maximum(np.abs(lower), np.abs(upper))
+    room = np.where(upper - lower > np.finfo(np.float32).eps * size, 0.0, 0.01 * np.where(size > 0.0, size, 1.0))
+    return lower - room, upper + room
 
 
 def _drawn(scenario: Any, rng: np.random.Generator, length: int) -> Scenario:

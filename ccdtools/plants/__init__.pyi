@@ -1,3 +1,4 @@
+from ccdtools.plants.black_box import BlackBox as BlackBox, from_gymnasium as from_gymnasium
 from ccdtools.plants.design_space import DesignSpace as DesignSpace
 from ccdtools.plants.discretisation import discretise as discretise
 from ccdtools.plants.holds import first_order_hold as first_order_hold, noise_covariance as noise_covariance

@@ -1,10 +1,12 @@
 """Policies that imitate an expert, from states or from what was measured."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import mpc
 from ccdtools import (
+    DesignSpace,
     InputError,
     KalmanFilter,
     LinearFeedback,
@@ -151,3 +153,15 @@ def test_every_round_draws_runs_of_its_own():
 
     imitated(LQR, noted, rounds=2)
     assert len(set(starts)) == 3
+
+
+def test_a_design_of_any_size_is_the_policys_own():
+    space = DesignSpace(["k"], [1e8], [1e9], ["N/m"])
+    k = ca.SX.sym("k")
+    plant = plant_from_matrices(A, B * k / 8.67637e8, np.sqrt(W), dt=0.1, p=k, design=space, continuous=False)
+
+    def starts(rng):
+        return Scenario(plant, rng.standard_normal((8, 2)), np.zeros((20, 2)))
+
+    found = imitated(LQR, starts, design=[8.67637e8], rounds=1)
+    assert found.controller.design == pytest.approx([8.67637e8])

@@ -1,0 +1,168 @@
+"""Plants of which only a step is known, such as simulators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_count, as_flag, as_instance, as_positive, shown
+from ccdtools.exceptions import CCDError, InputError
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BlackBox(Immutable):
+    """Plant x⁺ = advance(x, u, w, p) of which nothing else is known.
+
+    It is simulated, deployed on and compared as any plant. What needs derivatives or matrices (LQR, MPC, sets, the
+    gradient through the model) takes a model beside it.
+
+    Parameters
+    ----------
+    advance : callable
+        (x (nx,), u (nu,), w (nw,), p (np,)) → x⁺ (nx,), one sample later. It holds no memory: the next call may go on
+        from another state.
+    nx, nu, nw : int
+        Sizes of state, input and disturbance.
+    dt : float
+        Sampling time [s].
+    design : DesignSpace
+        None by default.
+    batched : bool
+        Whether `advance` takes the rows of all runs at once, x (n, nx), u (n, nu) and w (n, nw), and returns (n, nx).
+
+    Raises
+    ------
+    InputError
+        If a size is none; in a simulation, if `advance` stops with an error or returns another shape. A state that is
+        not finite is a run that diverged.
+
+    Examples
+    --------
+    >>> plant = BlackBox(lambda x, u, w, p: x + 0.1 * u, nx=1, nu=1, dt=0.1)
+    >>> run = simulate(plant, LinearFeedback([[1.0]]), x0=[1.0], steps=20)
+    """
+
+    advance: Callable[[Array, Array, Array, Array], ArrayLike]
+    nx: int
+    nu: int
+    dt: float
+    nw: int = 0
+    design: DesignSpace = NO_DESIGN
+    batched: bool = False
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        if not callable(self.advance):
+            raise InputError("advance", shown(self.advance), "a function (x, u, w, p) -> x⁺")
+        for name, least in (("nx", 1), ("nu", 1), ("nw", 0)):
+            set_(self, name, as_count(name, getattr(self, name), least=least))
+        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+        as_instance("design", self.design, DesignSpace, "a DesignSpace")
+        as_flag("batched", self.batched)
+
+    def __repr__(self) -> str:
+        sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances"
+        return f"BlackBox({sizes}, dt = {self.dt:g} s, design: {self.design!r})"
+
+    def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
+
+        def step(x: Array, u: Array, w: Array) -> Array:
+            """States (n, nx) one sample later."""
+            if self.batched:
+                return self._after(x, u, w, p)
+            return np.stack([self._after(*row, p) for row in zip(x, u, w)])
+
+        return step
+
+    def step(self, x: ArrayLike, u: ArrayLike, w: ArrayLike, p: ArrayLike) -> Array:
+        """State (nx,) one sample later."""
+        given = (np.atleast_2d(np.asarray(value, dtype=float)) for value in (x, u, w))
+        found: Array = self.stepper(np.asarray(p, dtype=float), batch=1)(*given)[0]
+        return found
+
+    def _after(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """What `advance` returns, checked."""
+        try:
+            found = np.asarray(self.advance(x.copy(), u.copy(), w.copy(), p.copy()), dtype=float)
+        except CCDError:
+            raise
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            at = f"x = {shown(x)}, u = {shown(u)}"
+            raise InputError(
+                "advance", f"a function that stops with {reason[:120]} at {at}", f"x⁺ {x.shape}"
+            ) from error
+        if found.shape != x.shape:
+            raise InputError("advance", f"a state of shape {found.shape}", f"{x.shape}")
+        return found
+
+
+def from_gymnasium(
+    env: Any,
+    *,
+    read: Callable[[Any], ArrayLike],
+    write: Callable[[Any, Array], None],
+    dt: float,
+    design: DesignSpace = NO_DESIGN,
+    build: Callable[[Any, Array], None] | None = None,
+) -> BlackBox:
+    """Plant that steps an environment of Gymnasium from any state.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With a box of actions (nu,); its time limit and its rewards are not looked at. It must be deterministic.
+    read : function of the unwrapped environment → x (nx,)
+        State at which it stands.
+    write : function of the unwrapped environment and x (nx,)
+        Puts it into a state.
+    dt : float
+        Time of a step [s].
+    design : DesignSpace
+        Its parameters, if any are to be designed; `build` is then required.
+    build : function of the unwrapped environment and p (np,), optional
+        Gives it a design.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind, or a state that is written is not the one that is read.
+
+    Examples
+    --------
+    >>> def write(env, x):
+    ...     env.state = x
+    >>> plant = from_gymnasium(gymnasium.make("Pendulum-v1"), read=lambda env: env.state, write=write, dt=0.05)
+    """
+    for name, given in (("read", read), ("write", write), ("build", build)):
+        if not callable(given) and (name != "build" or given is not None):
+            raise InputError(name, shown(given), "a function of the environment")
+    if design.dim and build is None:
+        raise InputError("build", "none", "a function (env, p) that gives the environment a design")
+    shape = getattr(getattr(env, "action_space", None), "shape", None)
+    if not hasattr(env, "unwrapped") or shape is None or len(shape) != 1 or not hasattr(env.action_space, "low"):
+        raise InputError("env", shown(env), "a Gymnasium environment with a box of actions (nu,)")
+    inner = env.unwrapped
+    env.reset(seed=0)
+    x = np.atleast_1d(np.array(read(inner), dtype=float))
+    write(inner, x.copy())
+    again = np.atleast_1d(np.array(read(inner), dtype=float))
+    if x.ndim != 1 or not np.array_equal(x, again):
+        raise InputError("write", f"a state {shown(again)} where {shown(x)} was written", "the same state, (nx,)")
+
+    def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
+        """State after a step of the environment."""
+        if build is not None:
+            build(inner, p)
+        write(inner, x)
+        inner.step(u.astype(env.action_space.dtype))
+        return np.atleast_1d(np.array(read(inner), dtype=float))
+
+    return BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design)

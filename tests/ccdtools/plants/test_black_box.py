@@ -1,0 +1,183 @@
+"""Plants of which only a step is known: functions and environments of Gymnasium."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    DesignSpace,
+    DigitalTwin,
+    InputError,
+    LinearFeedback,
+    Plant,
+    Scenario,
+    Search,
+    codesign,
+    compare,
+    deploy,
+    discretise,
+    load_study,
+    saturated_lqr,
+    simulate,
+)
+from ccdtools.plants import BlackBox, from_gymnasium
+
+A, B, E = np.array([[1.0, 0.1], [-0.2, 0.95]]), np.array([[0.0], [0.1]]), np.array([[0.0], [0.05]])
+
+
+def box(**change):
+    given = {"advance": lambda x, u, w, p: A @ x + B @ u + E @ w, "nx": 2, "nu": 1, "nw": 1, "dt": 0.1}
+    return BlackBox(**given | change)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_a_function_is_simulated_as_the_loop_by_hand(batched):
+    rows = {"advance": lambda x, u, w, p: x @ A.T + u @ B.T + w @ E.T, "batched": True}
+    w = np.random.default_rng(0).standard_normal((3, 12, 1))
+    run = simulate(
+        box(**rows if batched else {}), LinearFeedback([[0.4, 0.3]]), x0=np.eye(3, 2), steps=12, disturbance=w
+    )
+    x = np.eye(3, 2)
+    for k in range(12):
+        u = -x @ np.array([[0.4], [0.3]])
+        np.testing.assert_allclose(run.inputs[:, k], u, rtol=1e-12)
+        x = x @ A.T + u @ B.T + w[:, k] @ E.T
+    np.testing.assert_allclose(run.states[:, -1], x, rtol=1e-12)
+
+
+def test_a_function_that_changes_what_it_is_given_changes_no_run():
+    def rude(x, u, w, p):
+        x[:] = 0.5 * x
+        return x
+
+    assert simulate(box(advance=rude), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=2).states[0, 1, 0] == 0.5
+
+
+def test_controllers_are_compared_and_deployed_on_it_as_on_the_plant_it_hides():
+    problem = load_study("suspension").problem()
+    design = problem.design.centre
+    step = problem.model.stepper(design, batch=1)
+    hidden = BlackBox(
+        lambda x, u, w, p: step(x[None], u[None], w[None])[0], nx=4, nu=1, nw=1, dt=problem.model.dt,
+        design=problem.design,
+    )  # fmt: skip
+    x0, w = problem.scenarios.sample(6, 20, np.random.default_rng(0))
+    laws = {"LQR": saturated_lqr(problem, design), "half": LinearFeedback(0.5 * saturated_lqr(problem, design).K)}
+    given = {"design": design, "objective": problem.objective, "X": problem.X}
+    one, other = (compare(laws, Scenario(plant, x0, np.array(w)), **given) for plant in (problem.model, hidden))
+    assert [s.summary.mean for s in one] == pytest.approx([s.summary.mean for s in other], rel=1e-12)
+    log = deploy(hidden, laws["LQR"], design, np.array(w), x0=x0)
+    assert log.states.shape == (6, 21, 4)
+
+
+@pytest.mark.check
+def test_a_design_is_found_through_the_box_within_300_evaluations():
+    problem = load_study("suspension").problem()
+    w = np.array(problem.scenarios.sample(8, 60, np.random.default_rng(0))[1])
+    x0 = np.tile([-0.1, -1.0, -0.1, -0.5], (8, 1))
+
+    def returns(plant, p):
+        run = simulate(plant, saturated_lqr(problem, p), x0=x0, steps=60, disturbance=w, design=p)
+        return float(run.returns(problem.objective).mean())
+
+    steps = {}
+
+    def advance(x, u, w, p):
+        key = p.tobytes()
+        if key not in steps:
+            steps[key] = problem.model.stepper(p, batch=len(x))
+        return steps[key](x, u, w)
+
+    hidden = BlackBox(advance, nx=4, nu=1, nw=1, dt=problem.model.dt, design=problem.design, batched=True)
+    method = Search("cma", of=lambda p: returns(hidden, p), evaluations=300)
+    found = codesign(problem, method=method, rng=np.random.default_rng(1))
+    low, high = problem.design.lower, problem.design.upper
+    grid = [[a, b] for a in np.linspace(low[0], high[0], 41) for b in np.linspace(low[1], high[1], 41)]
+    best = max(returns(problem.model, np.array(p)) for p in grid)
+    assert found.evaluations <= 300
+    assert returns(problem.model, found.design) > 1.01 * best
+
+
+def test_a_state_that_is_not_finite_is_a_run_that_diverged():
+    run = simulate(box(advance=lambda x, u, w, p: x * np.nan), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=3)
+    assert run.diverged.all()
+
+
+def test_a_simulator_that_fails_is_named_with_where_it_stood():
+    def dying(x, u, w, p):
+        raise RuntimeError("no licence")
+
+    with pytest.raises(InputError, match=r"advance: got a function that stops with RuntimeError: no licence at x = "):
+        simulate(box(advance=dying), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=3)
+
+
+@pytest.mark.parametrize(("change", "match"), [
+    ({"advance": 3}, "advance: got 3"), ({"nx": 0}, "nx: got 0"), ({"nw": -1}, "nw: got -1"),
+    ({"dt": 0.0}, "dt: got 0"),
+    ({"design": 3}, "design: got 3"), ({"batched": 2}, "batched: got 2"),
+])  # fmt: skip
+def test_wrong_arguments_are_named(change, match):
+    with pytest.raises(InputError, match=match):
+        box(**change)
+
+
+def test_a_state_of_another_shape_is_refused():
+    with pytest.raises(InputError, match=r"advance: got a state of shape \(1,\), expected \(2,\)"):
+        simulate(box(advance=lambda x, u, w, p: x[:1]), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=3)
+
+
+def write(env, x):
+    env.state = x
+
+
+def pendulum(**change):
+    gymnasium = pytest.importorskip("gymnasium")
+    given = {"read": lambda env: env.state, "write": write, "dt": 0.05}
+    return from_gymnasium(gymnasium.make("Pendulum-v1"), **given | change)
+
+
+def swung(x, u, m, g=10.0, length=1.0, dt=0.05):
+    """The step that Gymnasium documents."""
+    u = np.clip(u, -2, 2)
+    rate = np.clip(x[1] + (3 * g / (2 * length) * np.sin(x[0]) + 3.0 / (m * length**2) * u) * dt, -8, 8)
+    return np.array([x[0] + rate * dt, rate])
+
+
+def test_an_environment_of_gymnasium_steps_from_any_state_at_any_design():
+    def build(env, p):
+        env.m = p[0]
+
+    plant = pendulum(design=DesignSpace(["m"], [0.5], [2.0], ["kg"]), build=build)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        x, u, m = rng.normal(size=2), rng.normal(size=1), rng.uniform(0.5, 2)
+        np.testing.assert_allclose(
+            plant.step(x, u, [], [m]), swung(x, u[0], m), atol=1e-6
+        )  # actions in single precision
+    run = simulate(plant, LinearFeedback([[10.0, 2.0]]), x0=rng.normal(0, 0.05, (3, 2)), steps=300, design=[1.0])
+    assert np.abs(run.states[:, -1]).max() < 1e-3  # beyond the time limit of 200 steps, too
+
+
+def test_what_cannot_be_an_environment_is_refused():
+    with pytest.raises(InputError, match="build: got none"):
+        pendulum(design=DesignSpace(["m"], [0.5], [2.0]))
+    with pytest.raises(InputError, match="read: got 3"):
+        pendulum(read=3)
+    with pytest.raises(InputError, match="write: got a state"):
+        pendulum(write=lambda env, x: setattr(env, "state", x + 1))
+    gymnasium = pytest.importorskip("gymnasium")
+    with pytest.raises(InputError, match=r"env: got .*box of actions"):
+        from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
+
+
+def test_a_model_with_a_wrong_mass_learns_its_error_from_the_environment():
+    space = DesignSpace(["m"], [0.5], [2.0], ["kg"])
+    plant = pendulum(design=space, build=lambda env, p: setattr(env, "m", p[0]))
+    x, u, w, m = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("m")
+    rate = x[1] + 0.05 * (15.0 * ca.sin(x[0]) + 3.0 / (1.3 * m) * u + w)  # 30 % too heavy
+    after = ca.vertcat(x[0] + 0.05 * rate, rate)
+    model = discretise(Plant(x, u, w, m, after, space, dt=0.05, continuous=False), X=([-9, -9], [9, 9]), U=(-2, 2))
+    start = np.random.default_rng(0).normal(0, 0.05, (20, 2))
+    log = deploy(plant, LinearFeedback([[10.0, 2.0]], -2, 2), [1.0], np.zeros((60, 0)), x0=start)
+    (errors,) = DigitalTwin(model).remembering(log).logs
+    np.testing.assert_allclose(errors.e_next[..., 1], 0.05 * (3.0 - 3.0 / 1.3) * log.inputs[..., 0], atol=1e-6)
