@@ -3,7 +3,7 @@
     python benchmarks/output_policies.py [--seeds 3] [--only suspension]
 
 Every other state is measured, with noise of a fiftieth of its range. On linear plants with normal disturbances LQG (two
-Riccati equations) is the optimum but for the limits; the policy imitates it from the last 16 outputs and inputs. On the
+Riccati equations, which know mean and spread of the starts) is the optimum but for the limits; the policy imitates it from the last 16 outputs and inputs. On the
 others the expert sees the state, the policy does not, and LQG is that of the linearisation: a pendulum held upright
 from afar, and a mass that bounces off a wall, whose expert was trained by PPO. Gains are in pairs on 2000 fresh runs.
 """
@@ -70,10 +70,12 @@ def measured(problem: CoDesignProblem, design: list[float], history: int, expert
     A, B, E = problem.model.matrices(np.array(design))
     C = np.eye(len(A))[::2]
     noise = C @ np.ravel(problem.state_scale) / 50
-    w = np.array(problem.scenarios.sample(500, problem.steps, np.random.default_rng(0))[1]).reshape(-1, E.shape[1])
-    W = E @ np.diag(w.var(axis=0)) @ E.T + np.diag((1e-6 * np.ravel(problem.state_scale)) ** 2)
+    x0, w = map(np.array, problem.scenarios.sample(500, problem.steps, np.random.default_rng(0)))
+    least = np.diag((1e-6 * np.ravel(problem.state_scale)) ** 2)
+    W = E @ np.diag(w.reshape(-1, E.shape[1]).var(axis=0)) @ E.T + least
+    start = {"steady": False, "x0": x0.mean(axis=0), "P0": np.cov(x0.T) + least}  # what is known of the starts
     lqr = saturated_lqr(problem, design)
-    lqg = Observed(lqr, KalmanFilter(A, B, C, W, noise**2))
+    lqg = Observed(lqr, KalmanFilter(A, B, C, W, noise**2, **start))
     return Measured(problem, design, lqg, expert or (lambda seed: lqg), noise, C, history)
 
 
