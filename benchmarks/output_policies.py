@@ -3,9 +3,10 @@
     python benchmarks/output_policies.py [--seeds 3] [--only suspension]
 
 Every other state is measured, with noise of a fiftieth of its range. On linear plants with normal disturbances LQG (two
-Riccati equations, which know mean and spread of the starts) is the optimum but for the limits; the policy imitates it from the last 16 outputs and inputs. On the
-others the expert sees the state, the policy does not, and LQG is that of the linearisation: a pendulum held upright
-from afar, and a mass that bounces off a wall, whose expert was trained by PPO. Gains are in pairs on 2000 fresh runs.
+Riccati equations, and the mean and spread of the starts) is the optimum but for the limits; the policy imitates it from
+the last 16 outputs and inputs. On the others the expert sees the state, the policy does not, and LQG is that of the
+linearisation: a pendulum held upright from afar, and a mass that bounces off a wall, whose expert was trained by PPO.
+Gains are in pairs on 2000 fresh runs.
 """
 
 from __future__ import annotations
