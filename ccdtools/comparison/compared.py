@@ -129,7 +129,7 @@ def compared(
     return Compared(
         names, len(cells), runs,
         value=_mean(kept, fresh, [cell.series for cell in cells]),
-        middle=interquartile_mean(np.array(worst)) if cells else NOTHING,
+        middle=interquartile_mean(_table(worst)) if cells else NOTHING,
         evidence=_evidence(names, baseline, pairs, fresh, runs, len(refused)),
         better=_mean([_won(*pair) for pair in pairs], fresh, []),
         fraction=_average([one[0] for one in left]),
@@ -209,7 +209,15 @@ def _mean(values: Sequence[Array], fresh: bool, series: Sequence[Array]) -> Pair
     if not len(values):
         return NOTHING
     parts = np.mean(series, axis=0) if len(series) and len(series[0]) else None
-    return mean_over_seeds(np.array(values), fresh=fresh, series=parts)
+    return mean_over_seeds(_table(values), fresh=fresh, series=parts)
+
+
+def _table(values: Sequence[Array]) -> Array:
+    """Values (seeds, runs), NaN where a seed has fewer runs than another."""
+    table = np.full((len(values), max(map(len, values))), np.nan)
+    for row, found in zip(table, values):
+        row[: len(found)] = found
+    return table
 
 
 def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -54,7 +54,7 @@ def interquartile_mean(values: Array) -> PairedDifference:
     if not len(parts):
         return PairedDifference(np.nan, (np.nan, np.nan))
     middle = float(trimmed_mean(parts, QUARTERS))
-    if len(parts) < FEWEST_TRIMMED:
+    if len(parts) < FEWEST_TRIMMED or not np.isfinite(middle):
         return PairedDifference(middle, (np.nan, np.nan))
     low, high = trimmed_mean_ci(parts, QUARTERS)
     return PairedDifference(middle, (float(low), float(high)))
@@ -62,7 +62,7 @@ def interquartile_mean(values: Array) -> PairedDifference:
 
 def means(values: Array, axis: int) -> Array:
     """Means of what counts along an axis, where anything does."""
-    kept = np.isfinite(values)
+    kept = ~np.isnan(values)
     number = kept.sum(axis=axis)
     total = np.where(kept, values, 0.0).sum(axis=axis)
     return np.asarray(total[number > 0] / number[number > 0])

@@ -322,3 +322,29 @@ def test_a_gain_too_small_to_matter_is_equal_whatever_its_interval():
     low, high = cell.evidence.gain.ci95
     assert not low <= 0 <= high
     assert cell.word == "equal"
+
+
+def test_seeds_may_draw_other_numbers_of_runs():
+    def some(rng):
+        n = int(rng.integers(2, 9))
+        return Scenario(PLANT, 2 * rng.standard_normal((n, 1)), rng.standard_normal((n, 15, 1)))
+
+    result = found(scenarios=some, seeds=6)
+    returns = {}
+    for row in result.rows():
+        if row["controller"] == "learned":
+            returns.setdefault(row["seed"], []).append(row["return"])
+    assert len({len(runs) for runs in returns.values()}) > 1
+    assert result["learned"].value.mean == pytest.approx(np.mean([np.mean(runs) for runs in returns.values()]))
+
+
+def test_a_seed_that_loses_a_run_is_the_worst_of_the_middle_half():
+    def bold(design, rng):
+        made.append(0)
+        return LinearFeedback([[GAIN if len(made) % 4 else GAIN + 2.0]])
+
+    made = []
+    lost = found({"LQR": LAWS["LQR"], "bold": bold}, drawn(np.random.default_rng(5)), seeds=4, limit=[60.0])["bold"]
+    assert lost.evidence.lost[0] > 0
+    kept = found(seeds=4, scenarios=drawn(np.random.default_rng(5)))["LQR"]
+    assert lost.middle.mean == pytest.approx(kept.middle.mean)  # one of four is trimmed, and three are alike
