@@ -12,6 +12,7 @@ from ccdtools.checks import as_count, as_flag, as_instance, as_mapping, as_vecto
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
+from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.tolerances import MINIMUM_LOG
@@ -23,7 +24,7 @@ class RealPlant(Immutable):
 
     Attributes
     ----------
-    plant : Plant or SampledModel
+    plant : Plant, SampledModel or BlackBox
         Nonlinear or linear, with the states, inputs and design of the model. A `Plant` takes `substeps` Runge–Kutta
         steps a sample, a model of one that `discretise` has made takes its own.
     disturbance : Disturbance
@@ -47,7 +48,7 @@ class RealPlant(Immutable):
         If a field is of another kind or size, or a deployment would log fewer than 500 samples.
     """
 
-    plant: Plant | SampledModel
+    plant: Plant | SampledModel | BlackBox
     disturbance: Disturbance
     x0: ArrayField
     runs: int
@@ -56,7 +57,7 @@ class RealPlant(Immutable):
     road: bool = False
 
     def __post_init__(self) -> None:
-        as_instance("real.plant", self.plant, (Plant, SampledModel), "a ccdtools.Plant")
+        as_instance("real.plant", self.plant, (Plant, SampledModel, BlackBox), "a ccdtools.Plant, or a BlackBox")
         object.__setattr__(self, "x0", as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
         object.__setattr__(self, "runs", as_count("real.runs", self.runs))
         object.__setattr__(self, "steps", as_count("real.steps", self.steps))
@@ -89,7 +90,7 @@ class RealPlant(Immutable):
         return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
 
 
-def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel) -> None:
+def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel | BlackBox) -> None:
     """Raise unless samples of the disturbance have the plant's channels."""
     has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
     try:
