@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_floats, as_generator, as_instance, as_vector
+from ccdtools.checks import as_count, as_floats, as_generator, as_instance, as_number, as_vector, shown
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.history import History, histories
@@ -21,6 +21,8 @@ from ccdtools.scenario import Scenario
 from ccdtools.trajectory import Trajectory
 from learning.networks import ActorCritic, NetworkConfig
 from learning.warm_start import CloningConfig, fit_actor_critic
+
+LOST = ("one that loses every run", "one that keeps some", "Draw starts that it can keep.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +114,12 @@ def imitate(
     p = as_vector("design", design) if np.size(design) else np.zeros(0)
     length = as_count("history", history, least=0)
     needs_of(expert)
-    lower, upper = (as_vector("limits", np.atleast_1d(as_floats("limits", end))) for end in limits)
-    if lower.shape != upper.shape or not (lower < upper).all():
-        raise InputError("limits", f"{lower.tolist()} and {upper.tolist()}", "(lower, upper) of all inputs")
+    gamma = as_number("gamma", gamma, expected="a discount in (0, 1]", low=0.0, high=1.0)
     held_out = _drawn(scenario, rng, length)
+    lower, upper = _as_limits(limits, int(held_out.plant.nu))
     own = _run(held_out, expert, p, limit)
+    if own.diverged.all():
+        raise InputError("expert", *LOST)
     data: list[tuple[Array, Array, Array]] = []
     found: list[tuple[float, Controller, ActorCritic]] = []
     acting = expert
@@ -136,6 +139,18 @@ def imitate(
     counts = np.cumsum([len(part[0]) for part in data])
     kept = own.returns(objective)[~own.diverged]
     return Imitation(controller, agent, tuple(map(int, counts)), tuple(one[0] for one in found), float(kept.mean()))
+
+
+def _as_limits(limits: Any, nu: int) -> tuple[Array, Array]:
+    """Limits (lower, upper), each (nu,)."""
+    if not isinstance(limits, Sequence) or len(limits) != 2:
+        raise InputError("limits", shown(limits), "(lower, upper)")
+    lower, upper = (
+        as_vector("limits", np.atleast_1d(as_floats("limits", end)), nu, of="one per input") for end in limits
+    )
+    if not (lower < upper).all():
+        raise InputError("limits", f"{lower.tolist()} and {upper.tolist()}", "(lower, upper) of all inputs")
+    return lower, upper
 
 
 def _extent(columns: Array) -> tuple[Array, Array]:
@@ -185,7 +200,7 @@ def _labelled(
         values[:, k] += gamma * values[:, k + 1]
     kept = np.isfinite(actions).all(axis=2) & ~run.diverged[:, None]
     if not kept.any():
-        raise InputError("expert", "one that loses every run", "one that keeps some", "Draw starts that it can keep.")
+        raise InputError("expert", *LOST)
     return seen[kept], actions[kept], values[kept]
 
 

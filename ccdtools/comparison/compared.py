@@ -126,31 +126,31 @@ def compared(
     worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
     left = [_left(cell) for cell in cells]
     runs = max((len(cell.returns) for cell in (*cells, *other.values())), default=1)
+    refused_runs = [runs * _refused(some) for some in (records, base)]
     return Compared(
         names, len(cells), runs,
-        value=_mean(kept, fresh, [cell.series for cell in cells]),
+        value=_mean(kept, fresh, [cell.series for cell in cells if not cell.lost.any()]),
         middle=interquartile_mean(_table(worst)) if cells else NOTHING,
-        evidence=_evidence(names, baseline, pairs, fresh, runs, len(refused)),
+        evidence=_evidence(names, baseline, pairs, fresh, refused_runs, len(records)),
         better=_mean([_won(*pair) for pair in pairs], fresh, []),
         fraction=_average([one[0] for one in left]),
         peak=_average([one[1] for one in left]),
         times=np.concatenate([np.zeros(0), *(cell.times for cell in cells)]),
         seconds=float(np.median([one.seconds for one in made])) if made else float("nan"),
         steps=float(np.median([one.steps for one in made])) if made else float("nan"),
-        metrics=_metrics([cell.metrics for cell in cells]),
+        metrics=_metrics([cell.metrics for cell in cells if not cell.lost.all()]),
         remark=next(iter([*refused, *(one.remark for one in records if one.remark)]), ""),
     )  # fmt: skip
 
 
 def _evidence(
-    names: Names, baseline: str, pairs: list[tuple[Cell, Cell]], fresh: bool, runs: int, refused: int
+    names: Names, baseline: str, pairs: list[tuple[Cell, Cell]], fresh: bool, refused: Sequence[int], seeds: int
 ) -> Evidence:
-    """Evidence of the pairs of cells with common seeds."""
-    seeds = len(pairs) + refused
-    lost = (
-        sum(int(own.lost.sum()) for own, _ in pairs) + refused * runs,
-        sum(int(base.lost.sum()) for _, base in pairs),
-    )
+    """Evidence of the pairs of cells with common seeds, and of the runs refused by both."""
+    own_lost, base_lost = (
+        count + sum(int(cells[i].lost.sum()) for cells in pairs) for i, count in enumerate(refused)
+    )  # fmt: skip
+    runs = max((len(own.returns) for own, _ in pairs), default=1)
     distribution = ", ".join(name for name in names[2:] if name) or "the scenario"
     candidate = ", ".join(name for name in names[:2] if name)
     grouped = f"{seeds} seeds of {runs} runs"
@@ -158,12 +158,13 @@ def _evidence(
     both = [[np.where(keep, cell.returns, np.nan) for keep, cell in zip(kept, cells)] for cells in zip(*pairs)]
     gain, values, size = NOTHING, (float("nan"), float("nan")), 0.0
     if any(keep.any() for keep in kept):
-        series = [own.series - base.series for own, base in pairs]
+        series = [own.series - base.series for (own, base), keep in zip(pairs, kept) if keep.all()]
         gain = _mean([own - base for own, base in zip(*both)], fresh, series)
         values = (_mean(both[0], fresh, []).mean, _mean(both[1], fresh, []).mean)
         size = abs(values[1] + pairs[0][1].design_cost)
     return Evidence(
-        candidate, baseline, distribution, Asked.TOLERANCE, gain, values, size, seeds * runs, grouped, lost,
+        candidate, baseline, distribution, Asked.TOLERANCE, gain, values, size, seeds * runs, grouped,
+        (own_lost, base_lost),
         violation=_violation(pairs),
     )  # fmt: skip
 
@@ -208,7 +209,8 @@ def _mean(values: Sequence[Array], fresh: bool, series: Sequence[Array]) -> Pair
     """Mean over seeds of values (runs,); nothing without a seed."""
     if not len(values):
         return NOTHING
-    parts = np.mean(series, axis=0) if len(series) and len(series[0]) else None
+    same = len({len(parts) for parts in series}) == 1
+    parts = np.mean(series, axis=0) if same and len(series[0]) else None
     return mean_over_seeds(_table(values), fresh=fresh, series=parts)
 
 
@@ -221,8 +223,14 @@ def _table(values: Sequence[Array]) -> Array:
 
 
 def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean metrics over the seeds."""
-    return {name: _average([one[name] for one in found]) for name in (found[0] if found else ())}
+    """Mean metrics over the seeds; NaN where one of them has none."""
+    names = dict.fromkeys(name for one in found for name in one)
+    return {name: float(np.mean([one.get(name, np.nan) for one in found])) for name in names}
+
+
+def _refused(records: Sequence[Record]) -> int:
+    """Number of seeds for which no controller could be made."""
+    return sum(bool(one.refused) for one in records)
 
 
 def _average(values: Sequence[float]) -> float:

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
 from ccdtools.co_design.objective import Objective, as_objective
+from ccdtools.comparison.budgets import PROBES
 from ccdtools.comparison.comparison import step_times
 from ccdtools.comparison.experiment_record import Cell, Record, digest, read_record, write_record
 from ccdtools.comparison.experiment_table import Experiment
@@ -79,33 +80,41 @@ class Plan:
         return found
 
     def _computed(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> Record:
+        """Record of a task; errors of the controller are told, all others are raised."""
         name, of_design, seed = task
         p = self.designs[of_design]
         start = time.perf_counter()
+        runs: dict[tuple[str, str], tuple[Trajectory, Array]] = {}
+        at = ("", "")
         try:
             made = self.controllers[name](p, _generator(seed, "controller", name, of_design))
             seconds = time.perf_counter() - start
-            given, steps = made if isinstance(made, tuple) else (made, 0)
+            given, steps = made if isinstance(made, tuple) and len(made) == 2 else (made, 0)
             steps = as_count("steps", steps, least=0)
             controller = as_controller(given)
             needs_of(controller)
-            cells = tuple(self._cell(names, one, controller, p) for names, one in scenarios.items())
-        except CCDError as error:
-            return Record(*task, refused=" ".join(str(error).split()))
+            for at, scenario in scenarios.items():
+                run = self.simulated(scenario, controller, p)
+                runs[at] = run, step_times(controller, run.states[0], scenario, p)
         except Exception as error:  # a controller that fails must not lose what the others found
             if interrupted():
                 raise KeyboardInterrupt from None
-            return Record(*task, refused=f"stopped with {type(error).__name__}: {' '.join(str(error).split())}")
+            reason = " ".join(str(error).split())
+            reason = reason if isinstance(error, CCDError) else f"stopped with {type(error).__name__}: {reason}"
+            place = ", ".join(name for name in at if name)
+            return Record(*task, refused=f"{place}: {reason}" if place else reason)
+        cells = tuple(self._cell(names, scenarios[names], *found) for names, found in runs.items())
         return Record(*task, cells, seconds, steps, remark=str(getattr(controller, "remark", "")))
 
-    def _cell(self, names: tuple[str, str], scenario: Scenario, controller: Any, p: Array) -> Cell:
-        run = self.simulated(scenario, controller, p)
-        outside = Excursions.from_trajectory(run, self.limits_at(scenario, p), scenario.plant, self.output_limits)[1]
+    def _cell(self, names: tuple[str, str], scenario: Scenario, run: Trajectory, times: Array) -> Cell:
+        outside = Excursions.from_trajectory(
+            run, self.limits_at(scenario, run.design), scenario.plant, self.output_limits
+        )[1]  # fmt: skip
         rewards = run.rewards(self.objective)
         single = len(rewards) == 1
         return Cell(
             *names, returns=rewards.sum(axis=1), lost=run.diverged, fraction=outside.fraction, peak=outside.peak,
-            exceeded=outside.exceeded, single=single, times=step_times(controller, run.states[0], scenario, p),
+            exceeded=outside.exceeded, single=single, times=times,
             series=rewards[0] if single and scenario.disturbance.any() else np.zeros(0),
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
             metrics={} if self.metrics is None else metrics_of(self.metrics, run),
@@ -120,22 +129,47 @@ class Plan:
         return as_set(self.X.at(p) if isinstance(self.X, DesignLimits) else self.X, "X", scenario.plant.nx)
 
     def _digest(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> str:
-        """Name of a task and its conditions.
-
-        The code of the controller is no part of it. Plant, objective, limits and metrics enter by what they say of the
-        first steps of a run without input.
-        """
+        """Name of a task and its conditions; the code of the controller is no part of it."""
         p = self.designs[task[1]]
-        parts = [*task, p, self.limit]
+        parts: list[Any] = [*task, p, self.limit]
         for names, scenario in scenarios.items():
-            run = self.simulated(scenario.first(1, min(3, scenario.steps)), Passive(scenario.plant.nu), p)
-            pushed = replace(run, inputs=np.ones_like(run.inputs))
-            X = self.limits_at(scenario, p)
-            outside = Excursions.from_trajectory(pushed, X, scenario.plant, self.output_limits)[1]
-            shown_by = {} if self.metrics is None else metrics_of(self.metrics, pushed)
-            parts += [names, scenario.x0, scenario.disturbance, run.states, pushed.rewards(self.objective), X.A, X.b]
-            parts += [outside.peak, sorted(shown_by.items())]
+            reference = scenario.reference
+            parts += [
+                names,
+                scenario.x0,
+                scenario.disturbance,
+                *(() if reference is None else (reference.x, reference.u)),
+            ]
+            parts += [getattr(scenario.output, "noise", None), *self._shown(scenario, p)]
         return digest(*parts)
+
+    def _shown(self, scenario: Scenario, p: Array) -> Iterator[Any]:
+        """What tells plant, sensors, objective, limits and metrics apart: a run without input, and steps by chance."""
+        X = self.limits_at(scenario, p)
+        rest = self.simulated(scenario.first(1), Passive(scenario.plant.nu), p)
+        sensor = scenario.sensor(p)
+        if sensor is not None:
+            last = np.ones((1, scenario.plant.nu))
+            yield np.array([sensor(k, x[None], last) for k, x in enumerate(rest.states[0, :-1])])
+        yield {} if self.metrics is None else sorted(metrics_of(self.metrics, rest).items())
+        for run in (rest, self._by_chance(scenario, X, p)):
+            if isinstance(run, Trajectory):
+                outside = Excursions.from_trajectory(run, X, scenario.plant, self.output_limits)[1]
+                yield from (run.states, run.rewards(self.objective), outside.peak)
+            else:
+                yield run
+
+    def _by_chance(self, scenario: Scenario, X: Any, p: Array) -> Trajectory | str:
+        """Three steps from states, by inputs and under disturbances of many sizes, or what a simulator says of them."""
+        rng, plant = np.random.default_rng(0), scenario.plant
+        lower, upper = X.bounding_box()
+        x = np.where(np.isfinite(upper - lower), (upper - lower) / 2, 1.0) * rng.standard_normal((PROBES, plant.nx))
+        u = 10 ** rng.uniform(-2, 4, (PROBES, 1)) * rng.standard_normal((PROBES, plant.nu))
+        w = 10 ** rng.uniform(-2, 2, (PROBES, 1, 1)) * rng.standard_normal((PROBES, 3, plant.nw))
+        try:
+            return self.simulated(Scenario(plant, x, w), lambda _: u, p)
+        except CCDError as error:
+            return str(error)
 
 
 def experiment(
@@ -184,8 +218,10 @@ def experiment(
     metrics : function, optional
         `Trajectory` → mapping of names, with units, to numbers.
     folder : path, optional
-        Where every finished task is kept and found again, after an interruption or with more seeds or controllers.
-        A controller is known by its name: one that was changed needs another name, or another folder.
+        Where every finished task is kept and found again, after an interruption or with more seeds or controllers. A
+        controller is known by its name: one that was changed needs another name, or another folder. Starts,
+        disturbances, noise, references and limits are compared whole; plants, objectives, sensors and metrics by what
+        they show in one run without input and in steps by chance.
     jobs : int
         Processes, −1 for all cores; joblib's backend is taken, such as Dask's.
     progress : bool
@@ -222,8 +258,23 @@ def experiment(
     tasks = [(name, design, seed) for seed in numbers for design in plan.designs for name in made]
     names = [f"{name}, seed {seed}" for name, _, seed in tasks]
     found = as_they_end(plan.record, tasks, jobs=as_jobs(jobs), label="tasks", names=names, progress=progress)
-    fresh = frozenset(name for name, given in plan.scenarios.items() if not isinstance(given, Scenario))
-    return Experiment(tuple(found), base, fresh, limits_in_words(output_limits))
+    return Experiment(tuple(found), base, _fresh(plan, numbers), limits_in_words(output_limits))
+
+
+def _fresh(plan: Plan, seeds: Sequence[int]) -> frozenset[str]:
+    """Scenarios that are others with another seed."""
+    first, other = (plan.conditions(seed) for seed in (seeds[0], seeds[-1]))
+    return frozenset(
+        name for (name, plant), one in first.items()
+        if not isinstance(plan.scenarios[name], Scenario) and (len(seeds) == 1 or not _alike(one, other[name, plant]))
+    )  # fmt: skip
+
+
+def _alike(one: Scenario, other: Scenario) -> bool:
+    """Whether two scenarios are the same runs."""
+    noise = (getattr(scenario.output, "noise", None) for scenario in (one, other))
+    pairs = ((one.x0, other.x0), (one.disturbance, other.disturbance), tuple(map(np.array, noise)))
+    return all(np.array_equal(*pair) for pair in pairs)
 
 
 def as_seeds(seeds: Any) -> tuple[int, ...]:
@@ -269,7 +320,8 @@ def _check_maker(argument: str, maker: Any) -> None:
 
 def _named(argument: str, given: Any) -> dict[str, Any]:
     """Scenarios by name; one alone has none."""
-    found = dict(given) if isinstance(given, Mapping) else {"": given}
+    expected = "a Scenario, a function rng -> Scenario, or a mapping of names to such"
+    found = as_mapping(argument, given, expected) if isinstance(given, Mapping) else {"": given}
     for name, one in found.items():
         if not isinstance(one, Scenario) and not callable(one):
             raise InputError(f"{argument}[{name!r}]", shown(one), "a Scenario, or a function rng -> Scenario")
@@ -284,7 +336,8 @@ def _as_designs(designs: Any) -> dict[str, Array]:
         return {"": np.zeros(0)}
     if not isinstance(designs, Mapping):
         return {"": as_vector("designs", designs)}
-    found = {str(name): as_vector(f"designs[{name!r}]", p) for name, p in designs.items()}
+    named = as_mapping("designs", designs, "a mapping of names to designs")
+    found = {name: as_vector(f"designs[{name!r}]", p) for name, p in named.items()}
     if not found:
         raise InputError("designs", "none", "at least one, or None for a plant without design parameters")
     return found
@@ -317,4 +370,6 @@ def _check(plan: Plan, seed: int) -> None:
         for p in plan.designs.values():
             run = plan.simulated(scenario.first(1, 1), Passive(scenario.plant.nu), p)
             run.rewards(plan.objective)
+            if plan.metrics is not None:
+                metrics_of(plan.metrics, plan.simulated(scenario.first(1), Passive(scenario.plant.nu), p))
             Excursions.from_trajectory(run, plan.limits_at(scenario, p), scenario.plant, plan.output_limits)

@@ -84,7 +84,9 @@ def _plot_profiles(ax: Any, experiment: Any, colours: dict[str, str]) -> None:
     for one in experiment.records:
         for cell in one.cells:
             level = levels.get((one.design, cell.scenario, cell.plant), np.nan)
-            relative = np.where(cell.lost, -np.inf, 100 * (cell.returns - level) / abs(level + cell.design_cost))
+            relative = np.where(
+                cell.lost, -np.inf, 100 * (cell.returns - level) / (abs(level + cell.design_cost) or np.nan)
+            )
             found.setdefault(one.controller, []).append(relative)
     every = np.concatenate([np.zeros(0), *(part for parts in found.values() for part in parts)])
     shown = every[np.isfinite(every)]

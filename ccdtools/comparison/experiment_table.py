@@ -75,8 +75,9 @@ class Experiment:
         return len(self.cells)
 
     def __getitem__(self, names: str | tuple[str, ...]) -> Compared:
-        asked = {names} if isinstance(names, str) else set(names)
-        found = [cell for cell in self.cells if asked <= set(cell.names)]
+        asked = (names,) if isinstance(names, str) else tuple(names)
+        in_order = [cell for cell in self.cells if cell.names[: len(asked)] == asked]
+        found = in_order if len(in_order) == 1 else [cell for cell in self.cells if set(asked) <= set(cell.names)]
         if len(found) != 1:
             raise KeyError(f"{', '.join(map(str, asked))}: {len(found)} cells have these names among {', '.join(AXES)}")
         return found[0]
@@ -162,6 +163,8 @@ class Experiment:
         lines = [
             f"{seeds} seeds, {runs} runs of each. µs a step: median, 99th percentile. Training: median of the seeds."
         ]
+        if seeds == 1:
+            lines.append("Of one seed intervals are of the runs alone, and say nothing of another training.")
         if any(cell.evidence.lost != (0, 0) for cell in self):
             lines.append("Returns are of the runs that did not diverge; a seed without a controller has lost all.")
         return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))

@@ -33,7 +33,7 @@ def mean_over_seeds(values: Array, *, fresh: bool, series: Array | None = None) 
         return PairedDifference(np.nan, (np.nan, np.nan))
     away = [_away(of_seeds)] if len(values) > 1 else []
     if not fresh or len(values) == 1:
-        away.append(_away_of_runs(values, series))
+        away.append(_away_of_runs(values, series, fresh))
     low, high = np.sqrt((np.array(away) ** 2).sum(axis=0))
     mean = float(of_seeds.mean())
     return PairedDifference(mean, (mean - float(low), mean + float(high)))
@@ -68,12 +68,12 @@ def means(values: Array, axis: int) -> Array:
     return np.asarray(total[number > 0] / number[number > 0])
 
 
-def _away_of_runs(values: Array, series: Array | None) -> tuple[float, float]:
-    """Half-widths below and above by the runs that all seeds meet."""
+def _away_of_runs(values: Array, series: Array | None, fresh: bool) -> tuple[float, float]:
+    """Half-widths below and above by the runs that all seeds meet; unknown of one that was drawn."""
     if values.shape[1] > 1:
         return _away(means(values, axis=0))
     if series is None:
-        return 0.0, 0.0
+        return (np.nan, np.nan) if fresh else (0.0, 0.0)
     found = summarise_returns(series[None])
     return found.mean - found.ci95[0], found.ci95[1] - found.mean
 

@@ -78,8 +78,10 @@ class History(Around):
         memory = self._memory
         if memory.get("runs") != len(outputs):
             self.reset(len(outputs))
-        for name, latest in (("y", outputs), ("u", inputs)):
-            before = memory.get(name, np.zeros((len(latest), self.length, latest.shape[1])))
+        for name, latest, words in (("y", outputs, "y"), ("u", inputs, "u_prev")):
+            before = memory.get(name, np.zeros((len(outputs), self.length, latest.shape[-1])))
+            if latest.shape != (len(before), before.shape[2]):
+                raise InputError(words, f"shape {latest.shape}", f"({len(before)}, {before.shape[2]})")
             memory[name] = np.concatenate([latest[:, None], before[:, :-1]], axis=1)
         seen = np.concatenate([memory[name].reshape(len(outputs), -1) for name in ("y", "u")], axis=1)
         known = np.isfinite(seen).all(axis=1, keepdims=True)

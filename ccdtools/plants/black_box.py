@@ -144,18 +144,17 @@ def from_gymnasium(
     for name, given in (("read", read), ("write", write), ("build", build)):
         if not callable(given) and (name != "build" or given is not None):
             raise InputError(name, shown(given), "a function of the environment")
+    as_instance("design", design, DesignSpace, "a DesignSpace")
     if design.dim and build is None:
         raise InputError("build", "none", "a function (env, p) that gives the environment a design")
     shape = getattr(getattr(env, "action_space", None), "shape", None)
     if not hasattr(env, "unwrapped") or shape is None or len(shape) != 1 or not hasattr(env.action_space, "low"):
         raise InputError("env", shown(env), "a Gymnasium environment with a box of actions (nu,)")
     inner = env.unwrapped
-    env.reset(seed=0)
-    x = np.atleast_1d(np.array(read(inner), dtype=float))
-    write(inner, x.copy())
-    again = np.atleast_1d(np.array(read(inner), dtype=float))
-    if x.ndim != 1 or not np.array_equal(x, again):
-        raise InputError("write", f"a state {shown(again)} where {shown(x)} was written", "the same state, (nx,)")
+
+    def seen() -> Array:
+        """State at which the environment stands."""
+        return np.atleast_1d(np.array(read(inner), dtype=float))
 
     def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
@@ -163,6 +162,16 @@ def from_gymnasium(
             build(inner, p)
         write(inner, x)
         inner.step(u.astype(env.action_space.dtype))
-        return np.atleast_1d(np.array(read(inner), dtype=float))
+        return seen()
 
+    env.reset(seed=0)
+    x, u = seen(), np.asarray(env.action_space.sample(), dtype=float)
+    p = (design.lower + design.upper) / 2
+    first, again = (advance(x.copy(), u, np.zeros(0), p) for _ in range(2))
+    if not np.array_equal(first, again):
+        got = f"{shown(first)} and {shown(again)} after one step from one state"
+        raise InputError("env, write", got, "the same state: a deterministic step, and a write that takes effect")
+    write(inner, x.copy())
+    if x.ndim != 1 or not np.array_equal(x, seen()):
+        raise InputError("write", f"a state {shown(seen())} where {shown(x)} was written", "the same state, (nx,)")
     return BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design)

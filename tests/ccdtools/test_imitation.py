@@ -127,6 +127,9 @@ def test_ppo_may_go_on_from_its_agent_at_the_design(illustrative):
     ({"rounds": 0}, "rounds: got 0"),
     ({"objective": 3}, "objective: got 3"),
     ({"limits": (3, -3)}, "limits: got"),
+    ({"limits": 1.0}, "limits: got 1"),
+    ({"limits": ([-1, -1], [1, 1])}, "limits: got"),
+    ({"gamma": 2.0}, "gamma: got 2"),
     ({"expert": LinearFeedback([[-99.0, -99.0]]), "scenario": lambda rng: Scenario(PLANT, [1, 1], np.zeros((60, 2)))},
      "expert: got one that loses every run"),
 ])  # fmt: skip
@@ -165,3 +168,9 @@ def test_a_design_of_any_size_is_the_policys_own():
 
     found = imitated(LQR, starts, design=[8.67637e8], rounds=1)
     assert found.controller.design == pytest.approx([8.67637e8])
+
+
+def test_a_history_of_other_sizes_is_refused():
+    law = History(LQR, 1)
+    with pytest.raises(InputError, match=r"u_prev: got shape \(1, 1\), expected \(2, 1\)"):
+        law(y=[[1.0], [2.0]], u_prev=[[0.0]])

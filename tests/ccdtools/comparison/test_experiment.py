@@ -11,7 +11,16 @@ import joblib
 import numpy as np
 import pytest
 
-from ccdtools import InputError, LinearFeedback, QuadraticObjective, Scenario, compare, experiment, plant_from_matrices
+from ccdtools import (
+    InputError,
+    LinearFeedback,
+    Measurement,
+    QuadraticObjective,
+    Scenario,
+    compare,
+    experiment,
+    plant_from_matrices,
+)
 from ccdtools.controllers import Passive
 
 A, R = 0.9, 0.5
@@ -348,3 +357,112 @@ def test_a_seed_that_loses_a_run_is_the_worst_of_the_middle_half():
     assert lost.evidence.lost[0] > 0
     kept = found(seeds=4, scenarios=drawn(np.random.default_rng(5)))["LQR"]
     assert lost.middle.mean == pytest.approx(kept.middle.mean)  # one of four is trimmed, and three are alike
+
+
+def still(noise=None, C=None, reference=None, w=None):
+    """A run from rest that nothing moves before the fifth sample."""
+    later = np.zeros((15, 1))
+    later[4:] = 1.0 if w is None else w
+    output = None if C is None else Measurement(C, noise=noise)
+    return Scenario(PLANT, [[0.0]], later, reference=reference, output=output, seed=1)
+
+
+BUMPED = plant_from_matrices([[A]], [[3.0]], [[1.0]], dt=1.0, continuous=False)
+FASTER = plant_from_matrices([[0.5]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
+
+
+@pytest.mark.parametrize("change", [
+    {"plants": {"": BUMPED}}, {"plants": {"": FASTER}}, {"objective": QuadraticObjective(Q=[[5.0]], R=[[R]])},
+    {"objective": QuadraticObjective(Q=[[1.0]], R=[[9.0]])}, {"scenarios": still(C=[[1.0]], reference=[3.0])},
+    {"scenarios": still(C=[[2.0]])}, {"scenarios": still(C=[[1.0]], noise=[3.0])},
+    {"scenarios": still(C=[[1.0]], w=2.0)},
+    {"metrics": lambda run: {"end [m]": 1.0 + float(run.states[0, -1, 0] > 2)}},
+])  # fmt: skip
+def test_no_record_is_taken_for_other_conditions(tmp_path, change):
+    base = {
+        "scenarios": still(C=[[1.0]], reference=[1.0]),
+        "plants": {"": PLANT},
+        "metrics": lambda run: {"end [m]": 1.0},
+    }
+    found(folder=tmp_path, seeds=1, **base)
+    before = set(tmp_path.iterdir())
+    found(folder=tmp_path, seeds=1, **base)
+    assert set(tmp_path.iterdir()) == before
+    found(folder=tmp_path, seeds=1, **base | change)
+    assert len(set(tmp_path.iterdir()) - before) == 2
+
+
+def test_a_drive_that_is_lost_with_one_seed_leaves_the_others_their_interval():
+    drive = Scenario(PLANT, [[1.0]], np.random.default_rng(3).standard_normal((400, 1)))
+    made = []
+
+    def base(design, rng):
+        made.append(0)
+        return LinearFeedback([[GAIN if len(made) != 2 else -2.0]])
+
+    same = {"LQR": base, "B": LAWS["LQR"]}
+    cell = found(same, drive, seeds=4, limit=[1e4])["B"]
+    assert cell.evidence.lost == (0, 1)
+    assert cell.evidence.gain.ci95 == (0.0, 0.0)
+    clean = found({"LQR": LAWS["LQR"]}, drive, seeds=4)["LQR"]
+    assert cell.value.ci95 == pytest.approx(clean.value.ci95)
+
+
+def test_one_drawn_run_has_no_interval():
+    def start(rng):
+        return Scenario(PLANT, rng.standard_normal((1, 1)), np.zeros((15, 1)))
+
+    laws = {"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}
+    cell = found(laws, start, seeds=1)["weak"]
+    assert np.isnan(cell.evidence.gain.ci95).all()
+    assert cell.word == "open"
+
+
+def test_a_function_that_always_returns_the_same_runs_is_taken_as_these_runs():
+    scenario = drawn(np.random.default_rng(5))
+    laws = {"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}
+    one, other = (found(laws, given, seeds=5)["weak"].evidence.gain for given in (scenario, lambda rng: scenario))
+    assert one.ci95 == pytest.approx(other.ci95)
+
+
+def test_two_that_cannot_be_made_for_the_same_seeds_lose_as_many_runs():
+    def second_fails(gain):
+        calls = []
+
+        def made(design, rng):
+            calls.append(0)
+            if len(calls) == 2:
+                raise InputError("gain", "none", "one")
+            return LinearFeedback([[gain]])
+
+        return made
+
+    cell = found({"LQR": second_fails(0.3), "B": second_fails(GAIN)}, seeds=5)["B"]
+    assert cell.evidence.lost == (7, 7)
+    assert cell.word == "better"
+
+
+def test_a_metric_that_some_seeds_have_not_is_not_averaged_over_the_others():
+    laws = {"LQR": LAWS["LQR"]}
+    settle = lambda run: {"settled [s]": float("nan") if run.states[0, 0, 0] < 0 else 1.0}  # noqa: E731
+    assert np.isnan(found(laws, seeds=6, metrics=settle)["LQR"].metrics["settled [s]"])
+
+
+def test_where_a_controller_stopped_is_told():
+    def brittle(design, rng):
+        def law(x):
+            if np.abs(x).max() > 50:
+                raise RuntimeError("too far")
+            return -GAIN * x
+
+        return law
+
+    far = Scenario(PLANT, [[99.0]], np.zeros((3, 1)))
+    result = found({"LQR": LAWS["LQR"], "brittle": brittle}, {"near": drawn, "far": far}, seeds=1)
+    assert "seed 0: far: " in result["brittle", "far"].remark
+
+
+def test_names_may_be_told_apart_by_their_order():
+    laws = {"LQR": LAWS["LQR"], "B": LAWS["LQR"]}
+    result = found(laws, {"LQR": drawn, "B": drawn}, seeds=1)
+    assert result["B", "", "LQR"].names == ("B", "", "LQR", "")

@@ -165,6 +165,8 @@ def test_what_cannot_be_an_environment_is_refused():
         pendulum(read=3)
     with pytest.raises(InputError, match="write: got a state"):
         pendulum(write=lambda env, x: setattr(env, "state", x + 1))
+    with pytest.raises(InputError, match=r"env, write: got .* after one step from one state"):
+        pendulum(write=lambda env, x: None)
     gymnasium = pytest.importorskip("gymnasium")
     with pytest.raises(InputError, match=r"env: got .*box of actions"):
         from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
