@@ -27,7 +27,7 @@ from ccdtools.controllers.controllers import Passive
 from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import CCDError, InputError
-from ccdtools.jobs import as_jobs, as_they_end, interrupted
+from ccdtools.jobs import as_jobs, as_they_end
 from ccdtools.limits import Excursions, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.scenario import Scenario
@@ -97,8 +97,6 @@ class Plan:
                 run = self.simulated(scenario, controller, p)
                 runs[at] = run, step_times(controller, run.states[0], scenario, p)
         except Exception as error:  # a controller that fails must not lose what the others found
-            if interrupted():
-                raise KeyboardInterrupt from None
             reason = " ".join(str(error).split())
             reason = reason if isinstance(error, CCDError) else f"stopped with {type(error).__name__}: {reason}"
             place = ", ".join(name for name in at if name)
