@@ -60,6 +60,21 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     return text.getvalue()
 
 
+def data_frame(columns: Any, owner: str, instead: str) -> Any:
+    """`pandas.DataFrame` of columns or rows.
+
+    Raises
+    ------
+    ImportError
+        If pandas is not installed; it says what the owner has instead.
+    """
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise ImportError(f"{owner} needs pandas: install it with `pip install pandas`, or {instead}") from error
+    return pd.DataFrame(columns)
+
+
 def _row(kind: str, line: Line) -> str:
     """HTML cells of a row, of the kind th or td."""
     return "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in line)

@@ -12,6 +12,7 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_floats
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.exceptions import InputError
+from ccdtools.table import data_frame
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,18 +86,13 @@ class Trajectory(Immutable):
         ImportError
             If pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            cure = "install it with `pip install pandas`, or take the arrays: time, states, inputs, disturbances"
-            raise ImportError(f"Trajectory.to_frame needs pandas: {cure}") from error
         n, samples, _ = self.states.shape
         columns = {"run": np.repeat(np.arange(n), samples), "time": np.tile(self.time, n)}
         for letter, values in (("x", self.states), ("u", self.inputs), ("w", self.disturbances)):
             ended = np.full((n, samples - values.shape[1], values.shape[2]), np.nan)
             rows = np.concatenate([values, ended], axis=1).reshape(n * samples, -1)
             columns |= {f"{letter}{i + 1}": column for i, column in enumerate(rows.T)}
-        return pd.DataFrame(columns)
+        return data_frame(columns, "Trajectory.to_frame", "take the arrays: time, states, inputs, disturbances")
 
     def rewards(self, objective: Objective) -> Array:
         """Rewards (n, T), without control cost after a run was stopped.

@@ -131,14 +131,9 @@ class Plan:
         p = self.designs[task[1]]
         parts: list[Any] = [*task, p, self.limit]
         for names, scenario in scenarios.items():
-            reference = scenario.reference
-            parts += [
-                names,
-                scenario.x0,
-                scenario.disturbance,
-                *(() if reference is None else (reference.x, reference.u)),
-            ]
-            parts += [getattr(scenario.output, "noise", None), *self._shown(scenario, p)]
+            followed = (getattr(scenario.reference, name, None) for name in ("x", "u"))
+            noise = getattr(scenario.output, "noise", None)
+            parts += [names, scenario.x0, scenario.disturbance, *followed, noise, *self._shown(scenario, p)]
         return digest(*parts)
 
     def _shown(self, scenario: Scenario, p: Array) -> Iterator[Any]:
@@ -248,7 +243,7 @@ def experiment(
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     as_metrics(metrics)
     plan = Plan(
-        made, _named("scenarios", scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
+        made, _as_scenarios(scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
         output_limits, metrics, None if folder is None else _as_folder(folder),
     )  # fmt: skip
     numbers = as_seeds(seeds)
@@ -287,7 +282,7 @@ def as_seeds(seeds: Any) -> tuple[int, ...]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute with one thread: sums are the same on any machine."""
+    """Compute with one thread: sums do not depend on free cores."""
     import torch  # before the limit, which does not reach what is loaded later
 
     threads = torch.get_num_threads()
@@ -316,15 +311,15 @@ def _check_maker(argument: str, maker: Any) -> None:
         raise InputError(argument, f"a {type(maker).__name__} that takes no (design, rng)", expected, cure) from None
 
 
-def _named(argument: str, given: Any) -> dict[str, Any]:
+def _as_scenarios(given: Any) -> dict[str, Any]:
     """Scenarios by name; one alone has none."""
     expected = "a Scenario, a function rng -> Scenario, or a mapping of names to such"
-    found = as_mapping(argument, given, expected) if isinstance(given, Mapping) else {"": given}
+    found = as_mapping("scenarios", given, expected) if isinstance(given, Mapping) else {"": given}
     for name, one in found.items():
         if not isinstance(one, Scenario) and not callable(one):
-            raise InputError(f"{argument}[{name!r}]", shown(one), "a Scenario, or a function rng -> Scenario")
+            raise InputError(f"scenarios[{name!r}]", shown(one), "a Scenario, or a function rng -> Scenario")
     if not found:
-        raise InputError(argument, "none", "at least one")
+        raise InputError("scenarios", "none", "at least one")
     return found
 
 

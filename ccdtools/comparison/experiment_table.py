@@ -15,7 +15,7 @@ from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
 from ccdtools.exceptions import InputError
-from ccdtools.table import Table, csv_text
+from ccdtools.table import Table, csv_text, data_frame
 
 AXES = ("controller", "design", "scenario", "plant")
 
@@ -105,12 +105,7 @@ class Experiment:
         ImportError
             If pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            cure = "install it with `pip install pandas`, or take rows(), or save a .csv file"
-            raise ImportError(f"Experiment.to_frame needs pandas: {cure}") from error
-        return pd.DataFrame(self.rows())
+        return data_frame(self.rows(), "Experiment.to_frame", "take rows(), or save a .csv file")
 
     def save(self, path: str | Path) -> None:
         """Write rows as .csv or .parquet, or a page as .html.

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+import torch
 
 import mpc
 from ccdtools import (
@@ -15,10 +16,12 @@ from ccdtools import (
     Scenario,
     imitate,
     plant_from_matrices,
+    saturated_lqr,
     simulate,
 )
+from ccdtools.co_design import EpisodeEnv
 from ccdtools.controllers import History, Observed
-from learning import CloningConfig, NetworkConfig
+from learning import CloningConfig, NetworkConfig, train
 
 A, B, C = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
 W, V = np.diag([1e-5, 1e-3]), np.array([[4e-3]])
@@ -97,7 +100,7 @@ def test_the_best_round_is_kept_and_seeds_repeat():
     np.testing.assert_array_equal(found.controller(x), again.controller(x))
 
 
-def test_ppo_may_go_on_from_its_agent_at_the_design(illustrative):
+def test_ppo_goes_on_from_its_agent_and_another_design_is_refused(illustrative):
     problem = illustrative.problem()
     design = [2.0]
 
@@ -105,13 +108,13 @@ def test_ppo_may_go_on_from_its_agent_at_the_design(illustrative):
         x0, w = problem.scenarios.sample(16, 20, rng)
         return Scenario(problem.model, x0, np.array(w))
 
-    from ccdtools import saturated_lqr
-
     found = imitate(
         saturated_lqr(problem, design), starts, objective=problem.objective, limits=problem.input_bounds, design=design,
         rng=np.random.default_rng(0), rounds=1, config=QUICK, limit=problem.limit,
     )  # fmt: skip
-    assert found.agent.observation_offset.shape == (problem.model.nx + 1,)
+    env = EpisodeEnv(problem, design, runs=4, rng=np.random.default_rng(0))
+    trained = train(env, found.agent, iterations=1, steps=problem.steps, generator=torch.Generator().manual_seed(0))
+    assert len(trained.rows) == 1
     assert simulate(problem.model, found.controller, x0=[[0.1, 0.1]], steps=3, design=design).inputs.shape == (1, 3, 1)
     with pytest.raises(InputError, match="design of the policy"):
         simulate(problem.model, found.controller, x0=[[0.1, 0.1]], steps=3, design=[1.5])

@@ -24,8 +24,8 @@ from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.episodes import fewer_runs
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.black_box import BlackBox, Evaluation
 from ccdtools.co_design.methods.design_search import DesignCost
+from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, History
@@ -84,7 +84,7 @@ class Search:
             raise InputError("method", f"a search by {package}, which is not installed", "the extra ccdtools[search]",
                              f"pip install {package}")  # fmt: skip
         cost = self._cost(problem, rng)
-        box = BlackBox(cost, problem.design.to_unit(design))
+        box = FeasibleCost(cost, problem.design.to_unit(design))
         budget = self.evaluations or BUDGET[self.library]
         with bar(label=self.name, total=budget, progress=progress) as shown_bar:
             box.begin(budget, rng)
@@ -102,7 +102,7 @@ class Search:
         penalty = None if problem.limit_tolerance == "off" else StateLimitPenalty(problem)
         return LoopCost(problem, law, scenario_tensors(problem, runs, rng), penalty)
 
-    def _result(self, box: BlackBox, settled: bool) -> CoDesignResult:
+    def _result(self, box: FeasibleCost, settled: bool) -> CoDesignResult:
         """Best evaluation."""
         cost = box.cost
         space = box.space
@@ -143,7 +143,7 @@ class GivenCost(DesignCost):
         return controller_of("lqr", self.problem, p)
 
 
-def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+def _cma(box: FeasibleCost, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Run CMA-ES, restarted at random while evaluations last; return convergence."""
     settled = False
     start = box.looks[-1].z
@@ -156,7 +156,7 @@ def _cma(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) 
     return settled
 
 
-def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+def _one_strategy(box: FeasibleCost, first: Array, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Run CMA-ES once within a budget; return whether it converged."""
     import cma
 
@@ -182,7 +182,7 @@ def _one_strategy(box: BlackBox, first: Array, budget: int, rng: np.random.Gener
     return True
 
 
-def _bayesian(box: BlackBox, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
+def _bayesian(box: FeasibleCost, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Optimise with a Gaussian process, never known to converge."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="IProgress not found")  # its progress bar is not used

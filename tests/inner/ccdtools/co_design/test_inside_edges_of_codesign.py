@@ -37,8 +37,8 @@ from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_plots import _returns
-from ccdtools.co_design.methods.black_box import BlackBox, Evaluation
 from ccdtools.co_design.methods.design_search import confirmed, start_points
+from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
 from ccdtools.co_design.methods.learned import start_designs
 from ccdtools.co_design.methods.loop_cost import LoopCost, _settled as rounds_settled
 from ccdtools.co_design.methods.open_loop import Feedback
@@ -175,8 +175,8 @@ def test_a_hill_is_parted_by_a_ridge_of_two_thousandths_unless_its_tops_are_neig
 def test_the_merit_of_a_search_adds_ten_squared_distances_and_a_twentieth_per_tolerance(cost, away, violation, merit):
     """The size of costs is their lower quartile, 2; of infinite ones the merit is a thousand."""
     known = SimpleNamespace(looks=[Evaluation(NONE, value) for value in (1.0, 2.0, 30.0, 400.0, 5000.0)])
-    box = SimpleNamespace(size=BlackBox.size.fget(known))
-    assert BlackBox.merit(box, Evaluation(NONE, cost, away, violation)) == pytest.approx(merit)
+    box = SimpleNamespace(size=FeasibleCost.size.fget(known))
+    assert FeasibleCost.merit(box, Evaluation(NONE, cost, away, violation)) == pytest.approx(merit)
 
 
 @pytest.mark.parametrize(("gain", "settled"), [(0.3e-3, True), (3e-3, False)])

@@ -34,7 +34,7 @@ class Evaluation:
     violation: float = 0.0
 
 
-class BlackBox:
+class FeasibleCost:
     """Value of the nearest feasible design at any unit-box point.
 
     A little is taken off for the distance.
