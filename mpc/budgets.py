@@ -30,3 +30,4 @@ LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violati
 CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
 MOST_PARTS = 6  # Parts at most that an interval is cut into at once
 MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after which none is made
+GUESSED_STEPS = 10  # Gauss–Newton steps from outputs to the states that a parameter estimation starts from.

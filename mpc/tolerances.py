@@ -166,6 +166,13 @@ JUMPED_LIMIT = 1e-2  # Relative violation that a finer mesh does not lower where
 BARRIER_BLUR = 10.0  # Multiple of an interior point's residue within which a bound and its multiplier may be 0 [-]
 LEAST_CURVATURE = 1e-3  # Least curvature of an unknown, beside the largest [-]
 
+# ---- parameter estimation ----
+# Singular value of the information, beside the largest, below which the data tell nothing of a combination [-]
+TOLD_APART = 1e-8
+# Standard deviation of a combination, in sizes of the parameters, above which the data leave it open [-]
+TOLD = 1.0
+NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a parameter is not named [-]
+
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
 MERIT_DECREASE = 1e-4  # Part of the predicted decrease of the merit that a step has to reach [-]

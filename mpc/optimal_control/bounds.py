@@ -143,3 +143,26 @@ def as_guess(value: Any, states: int, inputs: int) -> tuple[Array, Array, Array]
     if times[0] < 0 or times[-1] > 1:
         raise InputError("guess", f"times from {times[0]:g} to {times[-1]:g}", RISING, "Divide them by the duration.")
     return times, x, u
+
+
+def as_samples(value: Any, cost: Any, duration: tuple[float, float], discrete: bool) -> tuple[Array, Array] | None:
+    """Rising times (n,) within a given duration, and values (n, m) known there; None without their cost."""
+    if (value is None) != (cost is None):
+        raise InputError(
+            "samples", f"{'no ' * (value is None)}samples{' without' * (cost is None)} sample_cost", "both"
+        )
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise InputError("samples", brief(repr(value)), "(times, values)")
+    times, values = (as_floats("samples", part) for part in value)
+    if times.ndim != 1 or values.ndim != 2 or len(times) != len(values) or not len(times):
+        raise InputError("samples", f"shapes {times.shape} and {values.shape}", "(n,) times and (n, m) values")
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise InputError("samples", "numbers that are not finite", "finite ones")
+    if duration[0] != duration[1]:
+        raise InputError("samples", "a duration that is free", "a given duration")
+    if (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > duration[0] or (discrete and (times % 1).any()):
+        expected = f"rising times within 0 and {duration[0]:g}" + (", whole steps" if discrete else "")
+        raise InputError("samples", brief(str(times)), expected)
+    return times, values

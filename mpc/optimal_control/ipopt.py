@@ -12,7 +12,7 @@ from ccdtools_ground.door import brief
 from mpc.budgets import USUAL_ITERATIONS
 from mpc.checks import Array
 from mpc.exceptions import InputError
-from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.program import SizedProgram
 from mpc.plan import Residuals
 from mpc.tolerances import BOTTOMLESS, FEASIBLE
 
@@ -51,7 +51,7 @@ class Found:
         return self.said in ENDED
 
 
-def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] | None, settings: Settings) -> Found:
+def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | None, settings: Settings) -> Found:
     """Solve with the program's present sizes."""
     size, of_cost = program.scale, program.cost_scale
     given: dict[str, Any] = {
@@ -82,7 +82,7 @@ def once(program: NonlinearProgram, guess: Array, multipliers: dict[str, Array] 
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
-def _solver(program: NonlinearProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
+def _solver(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
     """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
@@ -161,7 +161,7 @@ def _rank(violation: float, f: float) -> tuple[float, float]:
     return (0.0, f) if violation <= FEASIBLE else (violation, f)
 
 
-def _checked(program: NonlinearProgram, z: Array, on_rows: Array, on_bounds: Array,
+def _checked(program: SizedProgram, z: Array, on_rows: Array, on_bounds: Array,
              given: dict[str, Any]) -> tuple[Residuals, Array]:  # fmt: skip
     """Scaled residuals of the optimality conditions, and row violations (m,)."""
     values = program.derivatives.stationarity(z * program.scale, on_rows / program.row_scale * program.cost_scale)

@@ -15,7 +15,7 @@ from mpc.optimal_control.descriptions import describe_row, of_phase
 from mpc.optimal_control.interval import times_of
 from mpc.optimal_control.phase import signal_along
 from mpc.optimal_control.program import NonlinearProgram
-from mpc.tolerances import SHORTEST_DURATION
+from mpc.tolerances import LEAST_INTERVAL, SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
 JUMPS = {
@@ -60,6 +60,12 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
         yield from _first(f.path, f.path_names, along, of)
         yield from _first(f.terminal_cost, ["terminal_cost"], ends, of)
         yield from _first(f.boundary, f.boundary_names, ends, of)
+        if f.sample_cost is not None:
+            times, known = phase.samples
+            own = np.searchsorted(part.mesh, times / phase.duration[0] - LEAST_INTERVAL)
+            w = signal_along(phase, (times / phase.duration[0])[:, None]).T
+            sampled = {"x": x[:, own], "w": w, "p": p, "t": (start + times)[None], "y": known.T}
+            yield from _first(f.sample_cost, ["sample_cost"], sampled, of)
     cost, constraints = program.problem.of_parameters
     yield from _first(cost, ["p_cost"], {"p": p}, "")
     yield from _first(constraints, program.problem.p_constraint_names, {"p": p}, "")
@@ -115,7 +121,7 @@ def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:
 def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
     """Functions with operations that jump or have kinks."""
     for k, functions in enumerate(program.problem.functions):
-        for function in ("dynamics", "stage_cost", "path", "terminal_cost", "boundary"):
+        for function in ("dynamics", "stage_cost", "path", "terminal_cost", "boundary", "sample_cost"):
             name, found = f"{function}{of_phase(program, k)}", operations(getattr(functions, function))
             jumps = sorted({JUMPS[one] for one in found & JUMPS.keys()})
             kinks = sorted({KINKS[one] for one in found & KINKS.keys()})

@@ -13,7 +13,17 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_duration, as_end, as_guess, as_names, as_number
+from mpc.optimal_control.bounds import (
+    INF,
+    Bounds,
+    as_bounds,
+    as_duration,
+    as_end,
+    as_guess,
+    as_names,
+    as_number,
+    as_samples,
+)
 from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, wanted
 
 LIMITED = ("path", "boundary")  # functions whose values have bounds and names
@@ -62,6 +72,10 @@ class Phase:
         With units, for messages and figures.
     path_names, boundary_names : sequence of str, optional
         What conflicts and advice call each value of `path` and `boundary`: "path 1", … by default.
+    samples : (times (n,), values (n, m)), optional
+        Rising times from the phase's start [s] that become points of the mesh, and what is known there: y.
+    sample_cost : function of x, w, p, t, y, optional
+        Scalar; summed over the samples.
 
     Raises
     ------
@@ -93,6 +107,8 @@ class Phase:
     input_names: Sequence[str] = ()
     path_names: Sequence[str] = ()
     boundary_names: Sequence[str] = ()
+    samples: Any = None
+    sample_cost: Statement | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -119,6 +135,7 @@ class Phase:
             raise InputError("signal", "a duration that is free", "a given duration", cure)
         if self.guess is not None:
             set_(self, "guess", as_guess(self.guess, self.states, self.inputs))
+        set_(self, "samples", as_samples(self.samples, self.sample_cost, self.duration, bool(self.discrete)))
         self._try_functions()
 
     def _try_functions(self) -> None:
@@ -146,6 +163,7 @@ class PhaseFunctions:
     ----------
     dynamics, stage_cost, path : (x, u, w, p, t) → value, or None
     terminal_cost : (x, p, t) → scalar, or None
+    sample_cost : (x, w, p, t, y) → scalar, or None
     boundary : (x0, x, t0, t, p) → value, or None
     path_bounds, boundary_bounds : (lower, upper)
         Arrays, one entry a value.
@@ -158,7 +176,7 @@ class PhaseFunctions:
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
             for name, (sizes, rows) in _columns(phase, self.nw, parameters).items()
         }
-        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary = made.values()
+        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost = made.values()
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
 
@@ -181,9 +199,11 @@ def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
     at_end = {"x": phase.states, "p": parameters, "t": 1}
     ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
+    known = 0 if phase.samples is None else phase.samples[1].shape[1]
+    at_samples = {"x": phase.states, "w": width, "p": parameters, "t": 1, "y": known}
     return {
         "dynamics": (running, phase.states), "stage_cost": (running, 1), "path": (running, None),
-        "terminal_cost": (at_end, 1), "boundary": (ends, None),
+        "terminal_cost": (at_end, 1), "boundary": (ends, None), "sample_cost": (at_samples, 1),
     }  # fmt: skip
 
 

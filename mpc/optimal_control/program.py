@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -83,7 +83,21 @@ class PhasePart:
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearProgram:
+class SizedProgram:
+    """Bounds and sizes of a program, which is what a solver needs of it."""
+
+    lower: Array
+    upper: Array
+    scale: Array
+    row_lower: Array
+    row_upper: Array
+    row_scale: Array
+    derivatives: Derivatives
+    cost_scale: float = field(default=1.0, kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearProgram(SizedProgram):
     """Nonlinear program min f(v) with bounds on v and g(v).
 
     Attributes
@@ -106,19 +120,11 @@ class NonlinearProgram:
     """
 
     problem: OptimalControlProblem
-    lower: Array
-    upper: Array
     guess: Array
-    scale: Array
-    row_lower: Array
-    row_upper: Array
-    row_scale: Array
     rows: tuple[Rows, ...]
     parts: tuple[PhasePart, ...]
     parameters: slice
     costs: slice
-    derivatives: Derivatives
-    cost_scale: float = 1.0
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{part.intervals} intervals of {part.scheme.name}" for part in self.parts)

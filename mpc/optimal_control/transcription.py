@@ -19,7 +19,7 @@ from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_o
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
-from mpc.tolerances import COST_DIGITS
+from mpc.tolerances import COST_DIGITS, LEAST_INTERVAL
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -96,6 +96,7 @@ class _Assembly:
             signals = self._intervals(part, *cost)
             self._path_at_an_end(k, part, signals)
             self._ends(k, part, *cost)
+            self._samples(part, *cost)
             if k and problem.linked:
                 self._link(k, *parts[-2:])
         self._of_parameters()
@@ -264,6 +265,24 @@ class _Assembly:
         nodes = {"x0": part.first + node, "x": part.last - part.layout.node + node}
         self._piece(values, nodes | {"p": self.p, "free": part.free}, targets, cost, boundary, factors=factors)
 
+    def _samples(self, part: PhasePart, target: int, weight: float) -> None:
+        """Append a phase's cost at its samples."""
+        cost, layout = part.functions.sample_cost, part.layout
+        if cost is None:
+            return
+        times, known = part.phase.samples
+        fractions = times / part.phase.duration[0]
+        begins = part.first + layout.column * np.searchsorted(part.mesh, fractions - LEAST_INTERVAL)
+        signals = signal_along(part.phase, fractions[:, None])
+
+        def values(x: Any, p: Any, free: Any, data: Any) -> list[Any]:
+            at = data[1 : 1 + layout.nw], p, part.clock(free)[0] + data[0]
+            return [cost(x, *at, data[1 + layout.nw :])]
+
+        places = {"x": begins + np.arange(layout.nx)[:, None], "p": self.p[:, None], "free": part.free[:, None]}
+        rows, data = np.full((1, len(times)), target), np.vstack([times, signals.T, known.T])
+        self._piece(values, places, rows, cost, factors=np.array([weight]), data=data)
+
     def _link(self, k: int, before: PhasePart, after: PhasePart) -> None:
         """Append that a phase begins where its predecessor ends."""
         link = self.problem.link_functions[k - 1]
@@ -312,5 +331,16 @@ def _as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> l
         mesh = as_floats("meshes", given)
         if mesh.ndim != 1 or len(mesh) < 2 or mesh[0] != 0 or mesh[-1] != 1 or not (np.diff(mesh) > 0).all():
             raise InputError("meshes", mesh, "fractions of the phase that rise from 0 to 1")
-        checked.append(mesh)
+        checked.append(_with_samples(phase, mesh))
     return checked
+
+
+def _with_samples(phase: Phase, mesh: Array) -> Array:
+    """Mesh with the samples of a phase among its points."""
+    if phase.samples is None or phase.discrete:
+        return mesh
+    own = phase.samples[0] / phase.duration[0]
+    apart = np.abs(mesh[:, None] - own).min(axis=1) > LEAST_INTERVAL
+    apart[[0, -1]] = True
+    inner = own[(own > LEAST_INTERVAL) & (own < 1 - LEAST_INTERVAL)]
+    return np.sort(np.concatenate([mesh[apart], inner]))

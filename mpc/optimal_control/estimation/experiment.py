@@ -1,0 +1,125 @@
+"""Experiments: what was measured, and what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools_ground.door import brief, frozen
+from mpc.checks import Array, Flags, as_floats
+from mpc.exceptions import InputError
+from mpc.tolerances import LEAST_INTERVAL
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Measured outputs over time, with inputs and the start.
+
+    Parameters
+    ----------
+    times : (n,) array
+        Rising [s]. The experiment begins at the first: with a row of NaN where nothing was measured there.
+    outputs : (n, ny) array
+        NaN where an output was not measured.
+    inputs : (n, nu) array, or function of times (k,) → (k, nu); optional
+        A row of a table is held from its time to the next; an output sees what was held until then.
+    start : (nx,) array, or bounds (lower, upper) as a tuple; optional
+        Of the states at the first time; None or NaN where one is free, and estimated.
+    guess : (n, nx) array, optional
+        States to start from; what the outputs alone say of them by default.
+
+    Raises
+    ------
+    InputError
+        If times do not rise, sizes differ, nothing was measured, or inputs have gaps.
+    """
+
+    times: Any
+    outputs: Any
+    inputs: Any = None
+    start: Any = None
+    guess: Any = None
+
+    def __post_init__(self) -> None:
+        times, outputs = as_floats("times", self.times), as_floats("outputs", self.outputs)
+        outputs = outputs[:, None] if outputs.ndim == 1 else outputs
+        n = len(times) if times.ndim else 0
+        if times.ndim != 1 or n < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+            raise InputError("times", brief(str(times.tolist())), "at least two finite times that rise")
+        if outputs.ndim != 2 or len(outputs) != n or not outputs.shape[1]:
+            raise InputError("outputs", f"shape {outputs.shape}", f"({n}, ny), one row a time")
+        if np.isinf(outputs).any():
+            raise InputError("outputs", "infinite values", "finite ones, NaN where nothing was measured")
+        if np.isnan(outputs).all():
+            raise InputError("outputs", "nothing but NaN", "at least one measured value")
+        set_ = object.__setattr__
+        set_(self, "times", frozen(times))
+        set_(self, "outputs", frozen(outputs))
+        if self.inputs is not None and not callable(self.inputs):
+            inputs = as_floats("inputs", self.inputs)
+            inputs = inputs[:, None] if inputs.ndim == 1 else inputs
+            if inputs.ndim != 2 or len(inputs) != n or not inputs.shape[1]:
+                raise InputError("inputs", f"shape {inputs.shape}", f"({n}, nu), one row a time")
+            if not np.isfinite(inputs).all():
+                cure = "Fill gaps: what was applied is known, or state it as a function of time."
+                raise InputError("inputs", "numbers that are not finite", "finite ones", cure)
+            set_(self, "inputs", frozen(inputs))
+        if self.guess is not None:
+            guess = as_floats("guess", self.guess)
+            if guess.ndim != 2 or len(guess) != n or not np.isfinite(guess).all():
+                raise InputError("guess", f"shape {guess.shape}", f"({n}, nx), finite, one row a time")
+            set_(self, "guess", frozen(guess))
+
+    @property
+    def measured(self) -> Flags:
+        """Which of the outputs (n, ny) were measured."""
+        return np.asarray(~np.isnan(self.outputs))
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last row [s]."""
+        return float(self.times[-1] - self.times[0])
+
+    @cached_property
+    def signal(self) -> Callable[[Array], ArrayLike] | None:
+        """Inputs as a function of time; those of a table until a time, and at the first its first row."""
+        if self.inputs is None or callable(self.inputs):
+            return self.inputs  # type: ignore[no-any-return]
+        times, table = self.times, self.inputs
+
+        def held(at: Array) -> Array:
+            """Inputs (k, nu) at times (k,)."""
+            rows = np.searchsorted(times, at - LEAST_INTERVAL * self.duration) - 1
+            return np.asarray(table[np.clip(rows, 0, len(table) - 1)])
+
+        return held
+
+
+def as_experiments(value: Any) -> tuple[Experiment, ...]:
+    """Experiments, at least one, with the same outputs."""
+    given = (value,) if isinstance(value, Experiment) else value
+    if not isinstance(given, list | tuple) or not given or not all(isinstance(one, Experiment) for one in given):
+        raise InputError("experiments", brief(repr(value)), "an Experiment, or a list of them")
+    for what in ("outputs", "inputs"):
+        kept = [getattr(one, what) for one in given]
+        sizes = {0 if one is None else np.shape(one)[1] for one in kept if not callable(one)}
+        if len(sizes) > 1:
+            raise InputError("experiments", f"{sorted(sizes)} {what}", f"as many {what} in each")
+    return tuple(given)
+
+
+def whitened(outputs: Array, covariance: Array) -> Array:
+    """Rows [y, vec M] of outputs (n, ny): M y has noise of unit variance, and none of what is NaN.
+
+    Of outputs that were measured M is the inverse Cholesky factor of their own covariance.
+    """
+    n, ny = outputs.shape
+    seen = ~np.isnan(outputs)
+    own = np.where(seen[:, :, None] & seen[:, None, :], covariance, np.eye(ny))
+    M = np.linalg.inv(np.linalg.cholesky(own)) * seen[:, :, None]
+    return np.hstack([np.where(seen, outputs, 0.0), M.transpose(0, 2, 1).reshape(n, -1)])

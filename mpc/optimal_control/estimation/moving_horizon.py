@@ -1,0 +1,252 @@
+"""Moving-horizon estimation of states and parameters within limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from ccdtools_ground.outcome import Outcome
+from mpc.checks import Array, as_array, as_count, as_floats, as_weight
+from mpc.exceptions import InputError, NotConvexError
+from mpc.optimal_control.bounds import as_bounds, as_share
+from mpc.optimal_control.estimation.parameter_estimation import as_covariance
+from mpc.optimal_control.estimation.window import NoisyModel, Window, WindowProgram
+from mpc.optimal_control.functions import Statement, compiled, symbols_of
+
+
+class WindowStatus(Outcome):
+    """Outcome of a sample; the value is the advice."""
+
+    SOLVED = "Solved: the most likely course within the limits, checked apart from the solver."
+    FILTERED = (
+        "No optimum of the window was confirmed: the estimate is the extended Kalman filter's, which knows no limits. "
+        "Check that limits on states and disturbances can hold together, and that the model is finite within them."
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MovingHorizonBelief:
+    """Estimates of n runs.
+
+    Attributes
+    ----------
+    mean, covariance : (n, nx) and (n, nx, nx) arrays
+        Of the state; the covariance by linearisation, without regard to limits.
+    parameters : (n, np) array
+    status : tuple of WindowStatus
+        Of each run's last sample.
+    windows : tuple of Window
+    """
+
+    mean: Array
+    covariance: Array
+    parameters: Array
+    status: tuple[WindowStatus, ...]
+    windows: tuple[Window, ...]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MovingHorizonEstimator:
+    """Most likely states and parameters of x⁺ = f(x, u, w, p), y_k = h(x_k, u_{k-1}, p) + v_k over the last samples.
+
+    Within limits. What came before the window is kept as mean and covariance, which an extended Kalman filter carries
+    on, linearised at the smoothed states (arrival cost). On a linear model without limits it is the Kalman filter.
+    It has no memory itself and is called like one: ``Observed(controller, estimator)`` closes the loop.
+
+    Parameters
+    ----------
+    step : function or casadi.Function
+        The next state; its arguments are named after what they get: x, u, w, p. As for `NonlinearMPC`.
+    output : function of x, u, p
+        y, in CasADi.
+    states, inputs : int
+        nx and nu.
+    window : int
+        Samples, the present one among them.
+    W : (nw, nw) or (nw,) array
+        Covariance of the disturbance w of a sample, or its variances.
+    V : (ny, ny) or (ny,) array
+        Covariance of the measurement noise, or its variances.
+    P0 : (nx, nx) or (nx,) array
+        Covariance of the first state about `x0`, before the first measurement; may be singular.
+    x0 : (nx,) array, optional
+        0 by default.
+    p : (np,) array
+        First estimate of the parameters.
+    P_p : (np, np) or (np,) array, optional
+        Its covariance; known parameters by default.
+    p_drift : (np,) array, optional
+        Variances by which parameters drift in a sample; constant by default.
+    x_bounds, w_bounds, p_bounds : (lower, upper), optional
+        Limits, kept at every sample of the window.
+    tolerance : float
+        Of the solver, on scaled unknowns.
+
+    Raises
+    ------
+    InputError
+        If functions, sizes or covariances cannot be meant; while it runs, if outputs are infinite.
+
+    References
+    ----------
+    Rao, Rawlings and Mayne, "Constrained state estimation for nonlinear discrete-time systems: stability and moving
+    horizon approximations", IEEE Transactions on Automatic Control 48, 2003.
+
+    Examples
+    --------
+    >>> estimator = MovingHorizonEstimator(step, lambda x: x[0], 2, 1, window=10, W=[1e-4], V=[1e-2], P0=[1, 1])
+    >>> controller = Observed(law, estimator)  # doctest: +SKIP
+    """
+
+    step: Statement
+    output: Statement
+    states: int
+    inputs: int
+    window: int = field(kw_only=True)
+    W: Any = field(kw_only=True)
+    V: Any = field(kw_only=True)
+    P0: Any = field(kw_only=True)
+    x0: Any = field(default=None, kw_only=True)
+    p: Any = field(default=(), kw_only=True)
+    P_p: Any = field(default=None, kw_only=True)
+    p_drift: Any = field(default=None, kw_only=True)
+    x_bounds: Any = field(default=None, kw_only=True)
+    w_bounds: Any = field(default=None, kw_only=True)
+    p_bounds: Any = field(default=None, kw_only=True)
+    tolerance: float = field(default=1e-10, kw_only=True)
+    _programs: dict[int, WindowProgram] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        for name in ("states", "window"):
+            set_(self, name, as_count(name, getattr(self, name)))
+        set_(self, "inputs", 0 if self.inputs == 0 else as_count("inputs", self.inputs))
+        nx = self.states
+        set_(self, "x0", as_array("x0", np.zeros(nx) if self.x0 is None else self.x0, (nx,)))
+        set_(self, "p", as_array("p", self.p, (None,)))
+        set_(self, "P0", _as_semidefinite("P0", self.P0, nx))
+        count = len(self.p)
+        set_(self, "P_p", _as_semidefinite("P_p", np.zeros(count) if self.P_p is None else self.P_p, count))
+        drift = as_array("p_drift", np.zeros(count) if self.p_drift is None else self.p_drift, (count,))
+        if (drift < 0).any():
+            raise InputError("p_drift", drift, "variances ≥ 0")
+        set_(self, "p_drift", drift)
+        set_(self, "W", as_covariance("W", self.W, None))
+        set_(self, "V", as_covariance("V", self.V, None))
+        for name, size in (("x_bounds", nx), ("w_bounds", len(self.W)), ("p_bounds", count)):
+            set_(self, name, as_bounds(name, getattr(self, name), size))
+        set_(self, "tolerance", as_share("tolerance", self.tolerance))
+        _ = self.model
+
+    def __repr__(self) -> str:
+        sizes = f"{self.states} states, {len(self.p)} parameters, {self.inputs} inputs, {self.ny} outputs"
+        return f"MovingHorizonEstimator({sizes}, window of {self.window})"
+
+    def __deepcopy__(self, memo: Any) -> MovingHorizonEstimator:
+        """The estimator itself, which has no memory."""
+        return self
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return self.states
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return self.inputs
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.V)
+
+    @cached_property
+    def model(self) -> NoisyModel:
+        """Model of z = (x, p) with unit noise."""
+        nx, count, nw = self.states, len(self.p), len(self.W)
+        f = compiled("step", self.step, {"x": nx, "u": self.inputs, "w": nw, "p": count}, nx)
+        h = compiled("output", self.output, {"x": nx, "u": self.inputs, "p": count}, self.ny)
+        moving = np.flatnonzero(self.p_drift > 0)
+        of_w, drift = np.linalg.cholesky(self.W), np.diag(np.sqrt(self.p_drift))[:, moving]
+        kind = type(symbols_of(f)["x"])
+        z, u, v = (
+            kind.sym(name, size) for name, size in (("z", nx + count), ("u", self.inputs), ("v", nw + len(moving)))
+        )
+        after = f(z[:nx], u, ca.mtimes(ca.DM(of_w), v[:nw]), z[nx:])
+        whole = ca.vertcat(after, z[nx:] + ca.mtimes(ca.DM(drift), v[nw:]))
+        other = type(symbols_of(h)["x"])
+        seen, held = other.sym("z", nx + count), other.sym("u", self.inputs)
+        sizes = np.abs(np.concatenate([self.x0, self.p])) + np.sqrt(np.diag(self._first_covariance))
+        low, high = (np.concatenate(sides) for sides in zip(self.x_bounds, self.p_bounds))
+        return NoisyModel(
+            ca.Function("f", [z, u, v], [ca.densify(whole)], ["z", "u", "v"], ["after"]),
+            ca.Function("h", [seen, held], [ca.densify(h(seen[:nx], held, seen[nx:]))], ["z", "u"], ["y"]),
+            self.V, (low, high),
+            np.hstack([of_w, np.zeros((nw, len(moving)))]), self.w_bounds, np.where(sizes > 0, sizes, 1.0),
+        )  # fmt: skip
+
+    @property
+    def _first_covariance(self) -> Array:
+        """Covariance of the first x and p."""
+        return np.asarray(block_diag(self.P0, self.P_p))
+
+    def start(self, n: int) -> MovingHorizonBelief:
+        """Belief of n runs before the first measurement."""
+        z = np.concatenate([self.x0, self.p])
+        none = Window(z, self._first_covariance, np.zeros((0, self.ny)), np.zeros((0, self.inputs)), z[None],
+                      self._first_covariance)  # fmt: skip
+        count = as_count("n", n)
+        return self._belief([(none, WindowStatus.SOLVED)] * count)
+
+    def predict(self, belief: MovingHorizonBelief, u: ArrayLike) -> MovingHorizonBelief:
+        """Belief one sample later, after inputs (n, nu)."""
+        found = []
+        for window, status, row in zip(belief.windows, belief.status, as_floats("u", u)):
+            mean, P = self.model.predicted(window.course[-1], row, window.course[-1], window.last)
+            found.append((replace(window, course=np.vstack([window.course, mean]), last=P), status))
+        return self._belief(found)
+
+    def update(self, belief: MovingHorizonBelief, y: ArrayLike, u: ArrayLike) -> MovingHorizonBelief:
+        """Belief after outputs (n, ny), NaN where there are none, measured after inputs (n, nu)."""
+        outputs = as_floats("y", y)
+        if outputs.shape != (len(belief.windows), self.ny) or np.isinf(outputs).any():
+            got = "infinite values" if np.isinf(outputs).any() else f"shape {outputs.shape}"
+            raise InputError("y", got, f"({len(belief.windows)}, {self.ny}), finite, NaN where there is none")
+        return self._belief([self._updated(*row) for row in zip(belief.windows, outputs, as_floats("u", u))])
+
+    def _updated(self, window: Window, y: Array, u: Array) -> tuple[Window, WindowStatus]:
+        """Window with one more sample, and its status."""
+        longer = replace(window, outputs=np.vstack([window.outputs, y]), inputs=np.vstack([window.inputs, u]))
+        if len(longer.outputs) > self.window:
+            longer = longer.shortened(self.model)
+        count = len(longer.outputs)
+        if count not in self._programs:
+            self._programs[count] = WindowProgram(self.model, count)
+        course, good = self._programs[count].solved(longer, self.tolerance)
+        longer = replace(longer, course=course) if good else longer
+        z, P = longer.filtered(self.model)
+        if good:
+            return replace(longer, last=P), WindowStatus.SOLVED
+        return replace(longer, course=np.vstack([longer.course[:-1], z]), last=P), WindowStatus.FILTERED
+
+    def _belief(self, runs: list[tuple[Window, WindowStatus]]) -> MovingHorizonBelief:
+        """Belief of runs: window and status of each."""
+        nx = self.states
+        windows, status = zip(*runs)
+        z, P = (np.stack(part) for part in zip(*((window.course[-1], window.last) for window in windows)))
+        return MovingHorizonBelief(z[:, :nx], P[:, :nx, :nx], z[:, nx:], status, windows)
+
+
+def _as_semidefinite(name: str, value: Any, size: int) -> Array:
+    """Positive semidefinite covariance (size, size), also from variances (size,)."""
+    try:
+        return as_weight(name, np.atleast_1d(as_floats(name, value)), size)
+    except NotConvexError as error:
+        raise InputError(name, str(error), f"a covariance ({size}, {size}), or variances ({size},)") from None

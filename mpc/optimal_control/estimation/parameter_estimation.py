@@ -1,0 +1,183 @@
+"""Parameters and first states of differential equations from measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mpc.budgets import GUESSED_STEPS
+from mpc.checks import Array, as_array, as_weight
+from mpc.exceptions import InputError, NotConvexError
+from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
+from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
+from mpc.optimal_control.estimation.information import information
+from mpc.optimal_control.estimation.parameter_estimate import ParameterEstimate, estimate_of
+from mpc.optimal_control.functions import Statement, compiled, symbols_of
+from mpc.optimal_control.phase import Phase
+from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.refinement import refine
+from mpc.tolerances import NEGLIGIBLE
+
+
+def estimate_parameters(
+    experiments: Experiment | Sequence[Experiment], dynamics: Statement, output: Statement, *, states: int,
+    p_bounds: Bounds, p_guess: ArrayLike | None = None, noise: ArrayLike | None = None,
+    disturbance: ArrayLike | None = None, x_bounds: Bounds = (-INF, INF), p_names: Sequence[str] = (),
+    state_names: Sequence[str] = (), **options: Any,
+) -> ParameterEstimate:  # fmt: skip
+    """Most likely parameters and first states of dx/dt = f(x, u, w, p, t), y = h(x, u, p, t) + noise.
+
+    Least squares by direct collocation, trajectories and parameters in one program, on a mesh that is refined.
+
+    Parameters
+    ----------
+    experiments : Experiment or list of Experiment
+        They share p; each has a start of its own.
+    dynamics : function of x, u, w, p, t
+        dx/dt (nx, 1), in CasADi; its arguments are named after what it needs. u are the inputs of the experiments.
+    output : function of x, u, p, t
+        y (ny, 1).
+    states : int
+        nx.
+    p_bounds : (lower, upper)
+        Each (np,), None or infinite where there is none.
+    p_guess : (np,) array, optional
+        Where to start from, and the size of parameters that turn out to be 0; the middle of the bounds by default.
+    noise : (ny, ny) or (ny,) array, optional
+        Covariance of the noise of one row of outputs, or its variances. By default all outputs have the same variance,
+        which is estimated.
+    disturbance : (nw, nw) or (nw,) array, optional
+        Spectral density of white noise w [its unit² s], whose most likely course is found with p: their joint maximum.
+    x_bounds : (lower, upper), optional
+    p_names, state_names : sequence of str, optional
+    **options
+        For `refine`: `tolerance`, `time_limit`, …
+
+    Returns
+    -------
+    ParameterEstimate
+        Never SOLVED without the solver's own flag and the check of its optimum, nor where the data leave a combination
+        open.
+
+    Raises
+    ------
+    InputError
+        If functions or sizes cannot be meant, or more is unknown than was measured.
+
+    References
+    ----------
+    Bock, "Randwertproblemmethoden zur Parameteridentifizierung in Systemen nichtlinearer Differentialgleichungen",
+    Bonner Mathematische Schriften 183, 1987; Biegler, *Nonlinear Programming*, SIAM 2010, chapter 10.
+    """
+    given = as_experiments(experiments)
+    bounds = as_bounds("p_bounds", p_bounds, None)
+    ny, nu = given[0].outputs.shape[1], signal_width(given)
+    if disturbance is not None and noise is None:
+        raise InputError("noise", "nothing", "the noise of the outputs, which a disturbance is weighed against")
+    density = np.zeros((0, 0)) if disturbance is None else as_covariance("disturbance", disturbance, None)
+    sizes = {"x": states, "u": nu, "w": len(density), "p": len(bounds[0]), "t": 1}
+    f = compiled("dynamics", dynamics, sizes, states)
+    h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
+    covariance = np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
+    residual = _residual(h, ny)
+    guess = np.zeros(len(bounds[0])) if p_guess is None else np.atleast_1d(as_array("p_guess", p_guess, (None,)))
+    phases = [
+        _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
+               as_names("state_names", state_names, "x", states))
+        for one in given
+    ]  # fmt: skip
+    problem = OptimalControlProblem(
+        phases, p_bounds=bounds, p_guess=p_guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
+    )
+    _check_count(problem, given)
+    solution = refine(problem, **({"intervals": 1} | options))
+    known = information(solution, residual) if solution.solved_on_mesh else None
+    return estimate_of(solution, given, h, known, noise is not None)
+
+
+def as_covariance(name: str, value: ArrayLike, size: int | None) -> Array:
+    """Positive definite covariance (size, size), also from variances (size,)."""
+    size = len(np.atleast_1d(np.asarray(value))) if size is None else size
+    try:
+        full = as_weight(name, np.atleast_1d(np.asarray(value)), size)
+    except NotConvexError as error:
+        raise InputError(name, str(error), f"a covariance ({size}, {size}), or variances ({size},)") from None
+    deviation = np.sqrt(np.diag(full))
+    if not (deviation > 0).all() or np.linalg.eigvalsh(full / deviation / deviation[:, None])[0] < NEGLIGIBLE**2:
+        raise InputError(name, "a singular matrix", "a positive definite one", "Give what is exact a small variance.")
+    return full
+
+
+def signal_width(given: Sequence[Experiment]) -> int:
+    """Number of inputs of experiments."""
+    one = given[0]
+    if one.signal is None:
+        return 0
+    return int(np.atleast_2d(np.asarray(one.signal(one.times[:1]))).shape[1])
+
+
+def _residual(h: ca.Function, ny: int) -> ca.Function:
+    """Function (x, w, p, t, y) → whitened residual (ny,), w being the inputs and y rows of `whitened`."""
+    s = symbols_of(h)
+    y = type(s["x"]).sym("y", ny * (1 + ny))
+    value = ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny])
+    return ca.Function("residual", [*s.values(), y], [ca.densify(value)], ["x", "w", "p", "t", "y"], ["value"])
+
+
+def _phase(one: Experiment, f: ca.Function, residual: ca.Function, density: Array, limits: tuple[Any, ...],
+           covariance: Array, names: tuple[str, ...]) -> Phase:  # fmt: skip
+    """Phase of an experiment, its unknown disturbance of unit density as input, its inputs as signal."""
+    s, r = symbols_of(f), symbols_of(residual)
+    unit = type(s["x"]).sym("unit", len(density))
+    rates = f(s["x"], s["u"], ca.mtimes(ca.DM(np.linalg.cholesky(density)), unit), s["p"], s["t"])
+    rate = ca.Function("dynamics", [s["x"], unit, s["u"], s["p"], s["t"]], [rates], [*"xuwpt"], ["value"])
+    cost = ca.Function("cost", list(r.values()), [ca.sumsqr(residual(*r.values())) / 2], list(r), ["value"])
+    times, samples = one.times, whitened(one.outputs, covariance)
+    x_bounds, p_bounds, p_guess = limits
+    start = as_end("start", one.start, x_bounds)
+    p = np.clip(p_guess, *p_bounds) if p_guess.any() else np.clip(np.nan_to_num(middle(*p_bounds)), *p_bounds)
+    if one.guess is not None and one.guess.shape[1] != len(names):
+        raise InputError("guess", f"shape {one.guess.shape}", f"({len(times)}, {len(names)})")
+    x = _states_seen(one, residual, samples, p, start, x_bounds) if one.guess is None else one.guess
+    return Phase(
+        dynamics=rate, states=len(names), inputs=len(density), start=start, duration=one.duration,
+        start_time=float(times[0]), x_bounds=x_bounds, signal=one.signal, state_names=names,
+        stage_cost=(lambda u: ca.sumsqr(u) / 2) if len(density) else None,
+        samples=(np.minimum(times - times[0], one.duration), samples), sample_cost=cost,
+        guess=((times - times[0]) / one.duration, x, np.zeros((len(times), len(density)))),
+    )  # fmt: skip
+
+
+def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Array, start: tuple[Array, Array],
+                 bounds: tuple[Array, Array]) -> Array:  # fmt: skip
+    """States (n, nx) nearest to the start, of those that explain each row of outputs best; between rows linear."""
+    s = symbols_of(residual)
+    value = residual(*s.values())
+    both = ca.Function("both", list(s.values()), [value, ca.vec(ca.jacobian(value, s["x"]))])
+    times, near = one.times, np.nan_to_num(middle(*start))
+    w = np.zeros((len(times), 0)) if one.signal is None else np.asarray(one.signal(times))
+    x = np.tile(np.clip(near, *bounds), (len(times), 1))
+    for _ in range(GUESSED_STEPS):
+        r, H = (np.asarray(part, dtype=float).T for part in both(x.T, w.T, p, times[None], samples.T))
+        if not (np.isfinite(r).all() and np.isfinite(H).all()):
+            break
+        slopes = H.reshape(len(x), x.shape[1], -1).transpose(0, 2, 1)
+        x = np.clip(x - (np.linalg.pinv(slopes, rcond=NEGLIGIBLE) @ r[:, :, None])[:, :, 0], *bounds)
+    seen = one.measured.any(axis=1)
+    return np.stack([np.interp(times, times[seen], column[seen]) for column in x.T], axis=1)
+
+
+def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment]) -> None:
+    """Raise where more is unknown than was measured."""
+    low, high = problem.p_bounds
+    p = int((low < high).sum())
+    starts = sum(int((phase.start[0] < phase.start[1]).sum()) for phase in problem.phases)
+    values = sum(int(one.measured.sum()) for one in given)
+    if p + starts > values:
+        cure = "Measure more, or give parameters or starts: equal bounds hold them."
+        got = f"{p} parameters and {starts} first states from {values} measured values"
+        raise InputError("experiments", got, "at least as many values as unknowns", cure)

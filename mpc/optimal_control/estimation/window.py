@@ -1,0 +1,204 @@
+"""Least squares over a window of samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mpc.budgets import USUAL_ITERATIONS
+from mpc.checks import Array
+from mpc.optimal_control.derivatives import Derivatives
+from mpc.optimal_control.estimation.experiment import whitened
+from mpc.optimal_control.functions import symbols_of
+from mpc.optimal_control.ipopt import Settings, once
+from mpc.optimal_control.pieces import Piece, kind_of, piece_function
+from mpc.optimal_control.program import SizedProgram
+from mpc.tolerances import KKT_REPORTED
+
+WARM = {"mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6}
+
+
+@dataclass(frozen=True, eq=False)
+class NoisyModel:
+    """z⁺ = f(z, u, v), y = h(z, u) with unit noise v, and limits.
+
+    Attributes
+    ----------
+    f, h : casadi.Function
+    V : (ny, ny) array
+    bounds : (lower, upper)
+        Of z, each (nz,).
+    disturbance : (nw, nv) array
+        w of v.
+    disturbance_bounds : (lower, upper)
+    sizes : (nz,) array
+        About how large z is.
+    """
+
+    f: ca.Function
+    h: ca.Function
+    V: Array
+    bounds: tuple[Array, Array]
+    disturbance: Array
+    disturbance_bounds: tuple[Array, Array]
+    sizes: Array
+
+    @cached_property
+    def linearised(self) -> ca.Function:
+        """Function (z, u) → f, ∂f/∂z, ∂f/∂v at v = 0."""
+        s = symbols_of(self.f)
+        slopes = [ca.vec(ca.densify(ca.jacobian(self.f(*s.values()), s[name]))) for name in "zv"]
+        whole = ca.Function("whole", list(s.values()), [self.f(*s.values()), *slopes])
+        return ca.Function("linearised", [s["z"], s["u"]], whole.call([s["z"], s["u"], s["v"] * 0]))
+
+    @cached_property
+    def seen(self) -> ca.Function:
+        """Function (z, u) → h, ∂h/∂z."""
+        s = symbols_of(self.h)
+        value = self.h(*s.values())
+        return ca.Function("seen", list(s.values()), [value, ca.vec(ca.densify(ca.jacobian(value, s["z"])))])
+
+    def predicted(self, at: Array, u: Array, mean: Array, P: Array) -> tuple[Array, Array]:
+        """Mean (nz,) and covariance one sample later, linearised at a point."""
+        f, F, G = (np.asarray(part, dtype=float).ravel() for part in self.linearised(at, u))
+        slope, reach = F.reshape(len(at), -1).T, G.reshape(-1, len(at)).T
+        after = slope @ P @ slope.T + reach @ reach.T
+        return f + slope @ (mean - at), (after + after.T) / 2
+
+    def updated(self, at: Array, u: Array, y: Array, mean: Array, P: Array) -> tuple[Array, Array]:
+        """Mean (nz,) and covariance after outputs (ny,), NaN where there are none, linearised at a point."""
+        h, H = (np.asarray(part, dtype=float).ravel() for part in self.seen(at, u))
+        known = ~np.isnan(y)
+        slope, V = H.reshape(len(at), -1).T[known], self.V[np.ix_(known, known)]
+        S = slope @ P @ slope.T + V
+        unit = np.sqrt(np.diag(S))
+        gain = (np.linalg.solve(S / unit / unit[:, None], slope @ P / unit[:, None]) / unit[:, None]).T
+        rest = np.eye(len(at)) - gain @ slope
+        after = rest @ P @ rest.T + gain @ V @ gain.T
+        return mean + gain @ (y[known] - h[known] - slope @ (mean - at)), (after + after.T) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Samples of one run, and what is known of the first by those before.
+
+    Attributes
+    ----------
+    mean, covariance : (nz,) and (nz, nz) arrays
+        Of z at the first sample, before its outputs.
+    outputs : (k, ny) array
+    inputs : (k, nu) array
+        Held until each sample.
+    course : (k, nz) array
+        Most likely z.
+    last : (nz, nz) array
+        Covariance of z at the last sample.
+    """
+
+    mean: Array
+    covariance: Array
+    outputs: Array
+    inputs: Array
+    course: Array
+    last: Array
+
+    def shortened(self, model: NoisyModel) -> Window:
+        """Window without its first sample, which the arrival mean and covariance take in."""
+        first = model.updated(self.course[0], self.inputs[0], self.outputs[0], self.mean, self.covariance)
+        mean, P = model.predicted(self.course[0], self.inputs[1], *first)
+        return Window(mean, P, self.outputs[1:], self.inputs[1:], self.course[1:], self.last)
+
+    def filtered(self, model: NoisyModel) -> tuple[Array, Array]:
+        """Mean and covariance at the last sample by Kalman's filter, linearised along the course."""
+        at, known = self.course, (self.mean, self.covariance)
+        for k in range(len(at)):
+            known = known if k == 0 else model.predicted(at[k - 1], self.inputs[k], *known)
+            known = model.updated(at[k], self.inputs[k], self.outputs[k], *known)
+        return known
+
+
+class WindowProgram:
+    """Program of a number of samples, whose data are unknowns that are held."""
+
+    def __init__(self, model: NoisyModel, samples: int) -> None:
+        self.model = model
+        nz, nv = model.f.numel_in(0), model.f.numel_in(2)
+        nu, ny, steps = model.f.numel_in(1), model.h.numel_out(0), samples - 1
+        sizes = {
+            "start": nz, "z": samples * nz, "v": steps * nv, "mean": nz, "spread": nz * nz, "u": samples * nu,
+            "y": samples * ny * (1 + ny),
+        }  # fmt: skip
+        cuts = np.cumsum([0, *sizes.values()])
+        self.at = {name: np.arange(a, b) for name, a, b in zip(sizes, cuts[:-1], cuts[1:])}
+        widths = {"z": nz, "v": nv, "u": nu, "y": ny * (1 + ny)}
+        z, v, u, y = (self.at[name].reshape(sizes[name] // width if width else samples, width).T
+                      for name, width in widths.items())  # fmt: skip
+        low, high = model.disturbance_bounds
+        kept = np.isfinite(low) | np.isfinite(high)
+        kind, reach = kind_of(model.f), ca.DM(model.disturbance[kept])
+
+        def arrival(z: Any, start: Any, mean: Any, spread: Any, data: Any) -> list[Any]:
+            return [ca.sumsqr(start) / 2, z - mean - ca.mtimes(ca.reshape(spread, nz, nz), start)]
+
+        def step(z: Any, after: Any, v: Any, u: Any, data: Any) -> list[Any]:
+            return [ca.sumsqr(v) / 2, model.f(z, u, v) - after, ca.mtimes(reach, v)]
+
+        def sample(z: Any, u: Any, y: Any, data: Any) -> list[Any]:
+            missed = ca.mtimes(ca.reshape(y[ny:], ny, ny), model.h(z, u) - y[:ny])
+            return [ca.sumsqr(missed) / 2]
+
+        first = {"z": z[:, :1], "start": self.at["start"][:, None], "mean": self.at["mean"][:, None],
+                 "spread": self.at["spread"][:, None]}  # fmt: skip
+        width = nz + int(kept.sum())
+        rows = (1 + nz + np.arange(steps * width)).reshape(steps, width).T
+        none = np.zeros((0, samples), dtype=int)
+        pieces = [
+            _piece(arrival, kind, first, 1 + np.arange(nz)[:, None]),
+            _piece(sample, kind_of(model.h), {"z": z, "u": u, "y": y}, none),
+        ]
+        if steps:
+            pieces.append(_piece(step, kind, {"z": z[:, :-1], "after": z[:, 1:], "v": v, "u": u[:, 1:]}, rows))
+        count, equations = int(cuts[-1]), int(nz + rows.size)
+        size = np.ones(count)
+        size[self.at["z"]] = np.tile(model.sizes, samples)
+        least, most = (
+            np.concatenate([np.zeros(nz), np.tile(np.concatenate([np.zeros(nz), side[kept]]), steps)])
+            for side in (low, high)
+        )
+        row_size = np.concatenate([model.sizes, np.tile(np.concatenate([model.sizes, np.ones(kept.sum())]), steps)])
+        free = np.full(count, np.inf)
+        self.program = SizedProgram(-free, free, size, least, most, row_size, Derivatives(pieces, count, equations))
+
+    def solved(self, window: Window, tolerance: float) -> tuple[Array, bool]:
+        """Most likely course (k, nz), and whether it was confirmed to be an optimum."""
+        at, model = self.at, self.model
+        deviation = np.sqrt(np.maximum(np.diag(window.covariance), 0.0))
+        unit = np.where(deviation > 0, deviation, 1.0)
+        share, turn = np.linalg.eigh(window.covariance / unit / unit[:, None])
+        spread = unit[:, None] * turn * np.sqrt(np.maximum(share, 0.0))
+        held = {"mean": window.mean, "spread": spread.T, "u": window.inputs,
+                "y": whitened(window.outputs, model.V)}  # fmt: skip
+        low, high, guess = self.program.lower.copy(), self.program.upper.copy(), np.zeros(len(self.program.lower))
+        for name, value in held.items():
+            low[at[name]] = high[at[name]] = np.ravel(value)
+        for side, bound in zip((low, high), model.bounds):
+            side[at["z"]] = np.tile(bound, len(window.outputs))
+        guess[at["z"]] = window.course.ravel()
+        guess = np.clip(guess, low, high)
+        settings = Settings(tolerance, USUAL_ITERATIONS, np.inf, WARM)
+        found = once(replace(self.program, lower=low, upper=high), guess, None, settings)
+        good = found.ended and found.residuals.worst <= KKT_REPORTED
+        return found.v[at["z"]].reshape(window.course.shape), bool(good)
+
+
+def _piece(values: Callable[..., Any], kind: Any, places: dict[str, Any], rows: Any) -> Piece:
+    """Piece of a cost, and rows (k, M) of equations."""
+    count = rows.shape[1]
+    function = piece_function(values, kind, {name: len(at) for name, at in places.items()}, 0)
+    targets = np.vstack([np.zeros((1, count), dtype=int), rows])
+    return Piece(function, np.vstack(list(places.values())), np.zeros((0, count)), targets, np.ones(len(targets)))
