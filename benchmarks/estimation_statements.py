@@ -20,7 +20,7 @@ from estimation_problems import (
     lotka_volterra_with_product,
 )
 
-from mpc.optimal_control import estimate_parameters
+from mpc.optimal_control.estimation import estimate_parameters
 
 
 def published() -> None:

@@ -11,6 +11,7 @@ DOORS = (
     "ccdtools", *(f"ccdtools.{group}" for group in ccdtools.GROUPS), "ccdtools.cli", "ccdtools.plants.library",
     "ccdtools.studies", "invariant_sets",
     "invariant_sets.exceptions", "learning", "learning.exceptions", "mpc", "mpc.exceptions", "mpc.optimal_control",
+    "mpc.optimal_control.estimation",
 )  # fmt: skip
 PACKAGES = {door.split(".")[0] for door in DOORS}
 

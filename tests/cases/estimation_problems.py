@@ -11,7 +11,8 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from mpc.optimal_control import Experiment
+from ccdtools import KalmanFilter
+from mpc.optimal_control.estimation import Experiment, MovingHorizonEstimator
 
 NAN = np.nan
 
@@ -112,3 +113,39 @@ def lotka_volterra_with_product() -> dict[str, Any]:
 
     own = {"dynamics": rates, "p_bounds": ([0] * 5, [5] * 5), "p_guess": [1, 0.1, 1, 0.1, 1]}
     return LOTKA_VOLTERRA.statement | own
+
+
+def kalman_difference(seed: int, window: int, samples: int = 60) -> float:
+    """Largest difference of moving-horizon estimates from Kalman's, in his deviations, on a random linear plant.
+
+    Its units are drawn, too; the plant may be unstable, and some samples have no outputs.
+    """
+    rng = np.random.default_rng(seed)
+    nx, nu, ny = (int(size) for size in (rng.integers(1, 5), rng.integers(1, 3), rng.integers(1, 3)))
+    unit, scale = 10 ** rng.uniform(-3, 3, nx), 10 ** rng.uniform(-3, 3, ny)
+    A = rng.normal(size=(nx, nx))
+    A *= rng.uniform(0.5, 1.05) / np.abs(np.linalg.eigvals(A)).max() / unit * unit[:, None]
+    B, C = unit[:, None] * rng.normal(size=(nx, nu)), scale[:, None] * rng.normal(size=(ny, nx)) / unit
+    root, own = unit[:, None] * rng.normal(size=(nx, nx)), scale[:, None] * rng.normal(size=(ny, ny))
+    W, V, P0 = 0.1 * root @ root.T, own @ own.T, np.diag(unit**2)
+    kalman = KalmanFilter(A, B, C, W, V, steady=False, P0=P0)
+    horizon = MovingHorizonEstimator(
+        lambda x, u, w: A @ x + B @ u + w, lambda x: C @ x, nx, nu, window=window, W=W, V=V, P0=P0
+    )
+    first, second = kalman.start(1), horizon.start(1)
+    x, u, apart = unit * rng.normal(size=nx), np.zeros((1, nu)), 0.0
+    for k in range(samples):
+        if k:
+            first, second = kalman.predict(first, u), horizon.predict(second, u)
+        y = (C @ x + own @ rng.normal(size=ny))[None]
+        if rng.uniform() < 0.1:
+            second = horizon.update(second, np.full((1, ny), np.nan), u)
+        else:
+            first, second = kalman.update(first, y, u), horizon.update(second, y, u)
+        deviation = np.sqrt(np.diag(first.covariance))
+        apart = max(apart, float(np.abs((first.mean - second.mean) / deviation).max()))
+        if {status.name for status in second.status} != {"SOLVED"}:
+            apart = np.inf
+        u = rng.normal(size=(1, nu))
+        x = A @ x + B @ u[0] + np.sqrt(0.1) * root @ rng.normal(size=nx)
+    return apart

@@ -180,7 +180,8 @@ class MovingHorizonEstimator:
             kind.sym(name, size) for name, size in (("z", nx + count), ("u", self.inputs), ("v", nw + len(moving)))
         )
         after = f(z[:nx], u, ca.mtimes(ca.DM(of_w), v[:nw]), z[nx:])
-        whole = ca.vertcat(after, z[nx:] + ca.mtimes(ca.DM(drift), v[nw:]))
+        moved = ca.mtimes(ca.DM(drift), v[nw:]) if len(moving) else 0
+        whole = ca.vertcat(after, z[nx:] + moved) if count else after
         other = type(symbols_of(h)["x"])
         seen, held = other.sym("z", nx + count), other.sym("u", self.inputs)
         sizes = np.abs(np.concatenate([self.x0, self.p])) + np.sqrt(np.diag(self._first_covariance))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.budgets import GUESSED_STEPS
-from mpc.checks import Array, as_array, as_weight
+from mpc.checks import Array, as_array, as_count, as_weight
 from mpc.exceptions import InputError, NotConvexError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
@@ -74,6 +74,7 @@ def estimate_parameters(
     Bonner Mathematische Schriften 183, 1987; Biegler, *Nonlinear Programming*, SIAM 2010, chapter 10.
     """
     given = as_experiments(experiments)
+    states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
     ny, nu = given[0].outputs.shape[1], signal_width(given)
     if disturbance is not None and noise is None:
@@ -84,7 +85,7 @@ def estimate_parameters(
     h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
     covariance = np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
     residual = _residual(h, ny)
-    guess = np.zeros(len(bounds[0])) if p_guess is None else np.atleast_1d(as_array("p_guess", p_guess, (None,)))
+    guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
     phases = [
         _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
                as_names("state_names", state_names, "x", states))
