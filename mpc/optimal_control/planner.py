@@ -17,7 +17,7 @@ from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.shooting import ShootingProgram
-from mpc.optimal_control.sqp import TINY, Sequential, Step
+from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
 from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
@@ -168,11 +168,12 @@ class Planner:
         follow = first.name == SHIFTED
         if follow and self.iterations is not None:
             at, last = self._real_time(sample, replace(first, name=REAL_TIME), self.iterations)
-            return at, last, _status(last, Status.FOLLOWED)
+            return (first, None, Status.REPLACED) if last is None else (at, last, _status(last, Status.FOLLOWED))
         at, last = self._contracted(sample, replace(first, name=CONVERGING))
         if sample.clock.up:
             return at, last, _status(last, Status.LATE)
-        if follow and _status(last) is Status.SOLVED and not self._law_does_better(sample, at):
+        enough = not self._law_does_better(sample, at) if follow else at.inputs is first.inputs
+        if _status(last) is Status.SOLVED and enough:
             return at, last, Status.SOLVED
         found = self._from_starts(sample, first)
         if found is None or (_status(last) is Status.SOLVED and self._total(sample, at) < self._total(sample, found[0])):
@@ -266,7 +267,7 @@ class Planner:
         """Whether the linear law, simulated, costs less than a plan."""
         law = self._total(sample, self._linear_law(sample.x, sample.w, sample.given))
         own = self._total(sample, at)
-        return law < own - COST_ROUNDING * abs(own)
+        return law < own - COST_ROUNDING * abs(own) - rounding_of_cost(self.law, sample.given)
 
     def _total(self, sample: _Sample, path: _Path) -> float:
         """Cost with violations at their price; infinite where it is no number."""

@@ -143,7 +143,7 @@ class Sequential:
             of_states, of_inputs = self._slopes(x_ref, u_ref)
             terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
             lost = COST_ROUNDING * terms
-            lost_cost = COST_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
+            lost_cost = rounding_of_cost(problem, given)
         rows, bounds = self._limits(states, inputs, G, F, given)
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 
@@ -199,6 +199,13 @@ class Sequential:
             np.concatenate([program.gradient, np.full(N, linear)]), np.concatenate([program.bounds, np.zeros(N)])
         )
         return result.z[:n], relaxed, not result.infeasible
+
+
+def rounding_of_cost(problem: MPCProblem, given: Given) -> float:
+    """Cost of states and inputs at their references but for rounding."""
+    nothing = np.zeros((problem.horizon + 1, problem.nx)), np.zeros((problem.horizon, problem.nu))
+    error, effort = deviations(*nothing, given)
+    return COST_ROUNDING**2 * cost_of(problem, effort, error, {})
 
 
 def _diagonal(blocks: Array) -> Array:
