@@ -95,6 +95,14 @@ class Planner:
 
     def __post_init__(self) -> None:
         _ = self.programs, self.gain  # built, and compiled, before a clock runs
+        if np.isfinite(self.time_limit):
+            self._shooting.build()
+
+    @property
+    def _shooting(self) -> ShootingProgram:
+        """Nonlinear program of a plan."""
+        rows = len(self.law.state_rows[1]) + len(self.law.terminal_rows[1])
+        return self.model.shooting(self.law, priced=rows > 0, most=self.most)
 
     @cached_property
     def programs(self) -> Sequential:
@@ -176,7 +184,9 @@ class Planner:
         if _status(last) is Status.SOLVED and enough:
             return at, last, Status.SOLVED
         found = self._from_starts(sample, first)
-        if found is None or (_status(last) is Status.SOLVED and self._total(sample, at) < self._total(sample, found[0])):
+        if found is None or (
+            _status(last) is Status.SOLVED and self._total(sample, at) < self._total(sample, found[0])
+        ):
             return (first, None, Status.REPLACED) if last is None else (at, last, _status(last))
         return *found, _status(found[1])
 
@@ -221,8 +231,7 @@ class Planner:
 
     def _from_starts(self, sample: _Sample, first: _Path) -> tuple[_Path, Step] | None:
         """Best local optimum found from the starts, with its quadratic program; the first where a plan is followed."""
-        soft, rows = self.law.soft, len(self.law.state_rows[1]) + len(self.law.terminal_rows[1])
-        program = self.model.shooting(self.law, priced=rows > 0, most=self.most)
+        soft, program = self.law.soft, self._shooting
         best: tuple[_Path, Step] | None = None
         for path in self._starting_paths(sample, first):
             if sample.clock.up:

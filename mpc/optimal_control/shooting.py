@@ -15,6 +15,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given
 from mpc.tolerances import INTERIOR_POINT
 
+
 class ShootingProgram:
     """Program of a problem with the dynamics `step`, unknowns and rows in the order of time.
 
@@ -69,6 +70,10 @@ class ShootingProgram:
         stages = np.hstack([states, *[np.vstack([last, inputs])] * self.limited, *none])
         return np.concatenate([np.hstack([stages[:-1], inputs, *(part[1:] for part in none)]).ravel(), stages[-1]])
 
+    def build(self) -> None:
+        """Make the solver now, before a clock runs."""
+        _ = self._solver
+
     @cached_property
     def _solver(self) -> Any:
         """Ipopt for the statement, built on demand."""
@@ -97,7 +102,7 @@ def _program(own: ShootingProgram, law: MPCProblem, step: ca.Function) -> tuple[
     after = _next_stage(own, step)
     stage_cost, input_rows, state_rows = _of_a_stage(own, law)
     kept: list[tuple[Any, bool]] = []
-    cost = 0
+    cost: Any = 0
     for k, (stage, move) in enumerate(zip(stages, moves)):
         kept.append((stages[k + 1] - after(stage, move, w[:, k], given["p"], given["size"]), True))
         if k == 0:

@@ -183,9 +183,7 @@ class Sequential:
             return result.z, False, not result.infeasible
         return self._priced(program, dear, dear, True)
 
-    def _priced(
-        self, program: _Program, linear: float, quadratic: float, relaxed: bool
-    ) -> tuple[Array, bool, bool]:
+    def _priced(self, program: _Program, linear: float, quadratic: float, relaxed: bool) -> tuple[Array, bool, bool]:
         """Solution as of `_solve`, with priced violations per step."""
         N, n, m = self.problem.horizon, self.n, len(program.rows)
         columns = np.zeros((m, N))
