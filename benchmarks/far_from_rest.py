@@ -1,6 +1,7 @@
 """Nonlinear MPC that begins far from rest, beside Ipopt in the same closed loops: swing-ups, ignition, flip, parking.
 
-    python benchmarks/far_from_rest.py [NAME …]
+    python benchmarks/far_from_rest.py [NAME …]           # closed loops
+    python benchmarks/far_from_rest.py --first [NAME …]   # first plans from states by chance, one to ten starts
 
 Every loop is run to the optimum with the defaults, as a real-time iteration, and by plain Ipopt (multiple shooting,
 1e-8, begun at the state held, then at the shifted plan). One thread; the models are sampled by Runge–Kutta steps.
@@ -108,6 +109,43 @@ def cases() -> Iterator[Case]:
                [[0, 0.5, 0.01], [-1, 0.5, 3], [1, 1, 1.5]], [20, 20, 2])  # fmt: skip
 
 
+def library_pole() -> Case:
+    """Swing-up of the library's pole on a cart, 60 steps of 40 ms, dear at the end: many local optima."""
+    from bench_nonlinear_mpc import cases as near_rest
+
+    near = near_rest()[0]
+    x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 1)
+    after = x
+    for _ in range(4):
+        after = near.step(after, u)
+    rails = np.array([2.0, FREE, FREE, FREE])
+    return replace(
+        near, name="pole of the library", step=ca.Function("step", [x, u], [after], ["x", "u"], ["value"]),
+        Q=np.diag([1, 0.1, 5, 0.1]), R=np.array([[0.01]]), P=np.diag([100.0, 10, 500, 10]), X=(-rails, rails),
+        horizon=60, starts=np.array([[0, 0, np.pi, 0], [0.5, 0, 2.5, 0]]),
+    )  # fmt: skip
+
+
+def first_plans(names: list[str], states: int = 6) -> None:
+    """Print costs of first plans from states about the starts, beside Ipopt's from the state held."""
+    print(
+        "cost of first plans, of Ipopt's from the state held, with 1, 3, 6, 10 starts; SOLVED where nothing is marked"
+    )
+    rng = np.random.default_rng(5)
+    for one in [*cases(), library_pole()]:
+        if names and not any(name in one.name for name in names):
+            continue
+        made = ours(one, None)
+        controllers = [replace(made, starts=count) for count in (1, 3, 6, 10)]
+        for i in range(states):
+            x = one.starts[i % len(one.starts)] + 0.3 * rng.normal(size=len(one.Q))
+            x = np.clip(x, 0.9 * one.X[0], 0.9 * one.X[1])
+            plain = Shooting(one).plan(x)
+            plans = [controller.solve(x) for controller in controllers]
+            told = [f"{plan.cost / plain:9.4f}{'' if plan.feasible else plan.status.name}" for plan in plans]
+            print(f"{one.name:25s}", *told, flush=True)
+
+
 class Told:
     """Controller that counts the statuses of its plans."""
 
@@ -149,4 +187,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    first_plans(sys.argv[2:]) if sys.argv[1:2] == ["--first"] else main(sys.argv[1:])

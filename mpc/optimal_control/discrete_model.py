@@ -75,13 +75,13 @@ class DiscreteModel:
         self._along = Buffered(step.map("along", "serial", horizon, [3], []))
         self._one = Buffered(step)
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
-        self._shooting: dict[tuple[bool, int, int], ShootingProgram] = {}
+        self._shooting: dict[tuple[bool, int, float, int], ShootingProgram] = {}
 
-    def shooting(self, law: LinearMPC, *, priced: bool, most: int) -> ShootingProgram:
+    def shooting(self, law: LinearMPC, *, priced: bool, most: int, seconds: float) -> ShootingProgram:
         """Nonlinear program of a plan for all p, built on demand."""
-        key = priced, most, len(law.terminal_rows[1])
+        key = priced, most, seconds, len(law.terminal_rows[1])
         if key not in self._shooting:
-            self._shooting[key] = ShootingProgram(law, self.step, priced=priced, most=most)
+            self._shooting[key] = ShootingProgram(law, self.step, priced=priced, most=most, seconds=seconds)
         return self._shooting[key]
 
     def linearised(self, states: Array, inputs: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:

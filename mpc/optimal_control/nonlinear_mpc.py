@@ -63,7 +63,8 @@ class NonlinearMPC:
         the straight way to the reference, then inputs by chance. They are tried again where a plan that is followed
         leads to no optimum, or to a worse one than the linear law's simulation.
     time_limit : float, optional
-        Wall time of a sample [s]. No quadratic program is begun that would probably end later; the plan is then `LATE`.
+        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops by itself after as
+        long; the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------

@@ -102,7 +102,7 @@ class Planner:
     def _shooting(self) -> ShootingProgram:
         """Nonlinear program of a plan."""
         rows = len(self.law.state_rows[1]) + len(self.law.terminal_rows[1])
-        return self.model.shooting(self.law, priced=rows > 0, most=self.most)
+        return self.model.shooting(self.law, priced=rows > 0, most=self.most, seconds=self.time_limit)
 
     @cached_property
     def programs(self) -> Sequential:
@@ -183,12 +183,17 @@ class Planner:
         enough = not self._law_does_better(sample, at) if follow else at.inputs is first.inputs
         if _status(last) is Status.SOLVED and enough:
             return at, last, Status.SOLVED
-        found = self._from_starts(sample, first)
-        if found is None or (
-            _status(last) is Status.SOLVED and self._total(sample, at) < self._total(sample, found[0])
-        ):
-            return (first, None, Status.REPLACED) if last is None else (at, last, _status(last))
-        return *found, _status(found[1])
+        candidates = [*([] if last is None else [(at, last)]), *self._from_starts(sample, first)]
+        if not candidates:
+            return first, None, Status.REPLACED
+        at, last = min(candidates, key=lambda one: self._rank(sample, *one))
+        return at, last, _status(last)
+
+    def _rank(self, sample: _Sample, at: _Path, last: Step) -> tuple[bool, float]:
+        """Rank of a path: optima first, then by what it costs when it is followed."""
+        return _status(last) is not Status.SOLVED, self._total(
+            sample, self._followed(sample.x, at, sample.w, sample.given)
+        )
 
     def _real_time(self, sample: _Sample, at: _Path, iterations: int) -> tuple[_Path, Step | None]:
         """Path after so many quadratic programs, and the last of them."""
@@ -229,13 +234,12 @@ class Planner:
         finite_step = step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()
         return step if finite_step else None
 
-    def _from_starts(self, sample: _Sample, first: _Path) -> tuple[_Path, Step] | None:
-        """Best local optimum found from the starts, with its quadratic program; the first where a plan is followed."""
+    def _from_starts(self, sample: _Sample, first: _Path) -> Iterator[tuple[_Path, Step]]:
+        """Paths that Ipopt comes to from the starts, with the quadratic program there; one where a plan leads to it."""
         soft, program = self.law.soft, self._shooting
-        best: tuple[_Path, Step] | None = None
         for path in self._starting_paths(sample, first):
             if sample.clock.up:
-                break
+                return
             shot = program.solve(
                 self.law, sample.x, path.states, path.inputs, sample.w, self.p, sample.given, cost=sample.size,
                 prices=(sample.dear, sample.dear) if soft is None else soft,
@@ -244,13 +248,10 @@ class Planner:
             if shot is None:
                 continue
             at, last = self._contracted(sample, replace(path, states=shot[0], inputs=shot[1], name=INTERIOR))
-            if last is None or _status(last) is not Status.SOLVED:
-                continue
-            if best is None or self._total(sample, at) < self._total(sample, best[0]):
-                best = at, last
-            if path is first and first.name == SHIFTED:
-                break
-        return best
+            if last is not None:
+                yield at, last
+            if path is first and first.name == SHIFTED and _status(last) is Status.SOLVED:
+                return
 
     def _starting_paths(self, sample: _Sample, first: _Path) -> Iterator[_Path]:
         """Plan to follow; linear law; state held; straight way to the reference; inputs by chance."""

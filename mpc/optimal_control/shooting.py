@@ -21,12 +21,12 @@ class ShootingProgram:
 
     A stage has the state, with a rate limit the input before it, with `priced` limits of states their violation; then
     inputs. What depends on p or changes from call to call is a parameter: one program serves all problems with these
-    weights and limits. The solver is Ipopt, of `most` iterations; Fatrop, a third faster, does not return where the
-    model is no number.
+    weights and limits. The solver is Ipopt, of `most` iterations and `seconds` at most; Fatrop, a third faster, does
+    not return where the model is no number.
     """
 
-    def __init__(self, problem: MPCProblem, step: ca.Function, *, priced: bool, most: int) -> None:
-        self._made_of = (problem, step, priced, most)
+    def __init__(self, problem: MPCProblem, step: ca.Function, *, priced: bool, most: int, seconds: float) -> None:
+        self._made_of = (problem, step, priced, most, seconds)
         self.priced = priced
         self.limited = problem.rate_limit is not None
         self.size_u = np.where(problem.input_extent > 0, problem.input_extent, 1.0)
@@ -34,16 +34,17 @@ class ShootingProgram:
         self.carried = np.concatenate([self.size_u if self.limited else [], [1.0] if priced else []])
         self.moves = np.concatenate([self.size_u, [1.0] if priced else []])
         self._statement, self._equal = _program(self, problem, step)
-        self._most = most
+        self._most, self._seconds = most, seconds
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, self._made_of
 
     def solve(self, law: MPCProblem, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, *,
               cost: float, prices: tuple[float, float]) -> tuple[Array, Array] | None:  # fmt: skip
-        """Local optimum near a plan (N + 1, nx), (N, nu) from x (nx,), or None.
+        """Plan that the solver comes to from another, (N + 1, nx) and (N, nu), from x (nx,); None of no numbers.
 
-        `cost` is the size of the cost, `prices` are those of a violation, linear and quadratic.
+        Whether it is an optimum or where the solver stopped, a quadratic program there tells. `cost` is the size of the
+        cost, `prices` are those of a violation, linear and quadratic.
         """
         N, nx, nu = law.horizon, law.nx, law.nu
         signals = {"x_ref": np.zeros((N + 1) * nx), "u_ref": np.zeros(N * nu), "u_prev": np.zeros(nu)} | given
@@ -56,8 +57,6 @@ class ShootingProgram:
         if not (np.isfinite(guess).all() and np.isfinite(parameters).all()):
             return None
         found = self._solver(x0=guess, p=parameters, lbg=np.where(self._equal, 0.0, -np.inf), ubg=0.0)
-        if not self._solver.stats()["success"]:
-            return None
         stages, end = np.split(np.asarray(found["x"]).ravel(), [-(nx + len(self.carried))])
         stages, first = stages.reshape(N, -1), nx + len(self.carried)
         scaled = np.vstack([stages[:, :nx], end[:nx]])
@@ -77,15 +76,16 @@ class ShootingProgram:
     @cached_property
     def _solver(self) -> Any:
         """Ipopt for the statement, built on demand."""
-        return ca.nlpsol("plan", "ipopt", self._statement, {
+        limit = {"ipopt.max_wall_time": self._seconds} if np.isfinite(self._seconds) else {}
+        return ca.nlpsol("plan", "ipopt", self._statement, limit | {
             "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": INTERIOR_POINT, "ipopt.max_iter": self._most,
             "print_time": False, "show_eval_warnings": False, "calc_lam_p": False,
         })  # fmt: skip
 
 
-def _rebuilt(problem: MPCProblem, step: ca.Function, priced: bool, most: int) -> ShootingProgram:
-    """Program made anew, without its solvers."""
-    return ShootingProgram(problem, step, priced=priced, most=most)
+def _rebuilt(problem: MPCProblem, step: ca.Function, priced: bool, most: int, seconds: float) -> ShootingProgram:
+    """Program made anew, without its solver."""
+    return ShootingProgram(problem, step, priced=priced, most=most, seconds=seconds)
 
 
 def _program(own: ShootingProgram, law: MPCProblem, step: ca.Function) -> tuple[dict[str, Any], Array]:

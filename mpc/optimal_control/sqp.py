@@ -100,13 +100,16 @@ class Sequential:
         after, A, B = self.model.linearised(states[:-1], inputs, w, p)
         gaps = after - states[1:]
         defects = max(_largest(gaps / self.size), _largest((x - states[0]) / self.size))
-        if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
-            none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
-            return Step(states, inputs, none, defects, np.inf, False, False)
+        none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
+        failed = Step(states, inputs, none, defects, np.inf, False, False)
+        if not all(np.isfinite(part).all() for part in (after, A, B)):
+            return failed
         gains, deviating = gains_along(A, B, *self._regulated)
         G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
         curved = _diagonal(2 * deviating) if self._separate else self._hessian(G, F)
         program = self._program(states + drift, inputs + lead, G, F, curved, given)
+        if not all(np.isfinite(part).all() for part in (program.H, program.gradient, program.rows, program.bounds)):
+            return failed
         z, relaxed, solved = self._solve(program, dear, relaxed)
         moved, change = drift + G @ z, lead + F @ z
         curvature = program.H @ z

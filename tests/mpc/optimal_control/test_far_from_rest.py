@@ -75,6 +75,18 @@ def test_it_swings_up_and_every_plan_on_the_way_is_solved():
     assert np.abs(x).max() < 0.05
 
 
+def test_a_solver_that_is_stopped_goes_on_in_the_next_sample():
+    controller, x = law(most_iterations=10, starts=1), HANGING
+    statuses = []
+    for _ in range(80):
+        u = controller(x)
+        statuses.append(controller.last_plans[0].status)
+        x = np.asarray(arm(x, u)).ravel()
+    assert statuses[0] is not Status.SOLVED
+    assert statuses[-1] is Status.SOLVED
+    assert np.abs(x).max() < 0.01
+
+
 def test_after_a_kick_it_is_the_optimum_again():
     controller = law()
     controller(0.1 * HANGING)
