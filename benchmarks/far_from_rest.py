@@ -2,6 +2,7 @@
 
     python benchmarks/far_from_rest.py [NAME …]           # closed loops
     python benchmarks/far_from_rest.py --first [NAME …]   # first plans from states by chance, one to ten starts
+    python benchmarks/far_from_rest.py --limit 0.03       # closed loops with a time limit for every sample [s]
 
 Every loop is run to the optimum with the defaults, as a real-time iteration, and by plain Ipopt (multiple shooting,
 1e-8, begun at the state held, then at the shifted plan). One thread; the models are sampled by Runge–Kutta steps.
@@ -11,6 +12,7 @@ Required: cost never above 1.005 times Ipopt's, every plan SOLVED, median never 
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -186,5 +188,26 @@ def main(names: list[str]) -> None:
             )
 
 
+def within(limit: float) -> None:
+    """Print how loops end, and how long samples take, with a time limit [s]."""
+    for one in cases():
+        controller = Told(replace(ours(one, None), time_limit=limit))
+        times, x = [], one.starts[0]
+        for _ in range(one.samples):
+            began = time.perf_counter()
+            u = controller(x)
+            times.append(time.perf_counter() - began)
+            x = np.asarray(one.step(x, u)).ravel()
+        print(
+            f"{one.name:20s} longest {max(times):.3f} s, ends at {np.abs(x).max():.3f}  {dict(controller.told)}",
+            flush=True,
+        )
+
+
 if __name__ == "__main__":
-    first_plans(sys.argv[2:]) if sys.argv[1:2] == ["--first"] else main(sys.argv[1:])
+    if sys.argv[1:2] == ["--first"]:
+        first_plans(sys.argv[2:])
+    elif sys.argv[1:2] == ["--limit"]:
+        within(float(sys.argv[2]))
+    else:
+        main(sys.argv[1:])
