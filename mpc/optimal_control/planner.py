@@ -175,11 +175,10 @@ class Planner:
         """Path, the last quadratic program of it, and its status."""
         follow = first.name == SHIFTED
         if follow and self.iterations is not None:
-            at, last = self._real_time(sample, replace(first, name=REAL_TIME), self.iterations)
-            return (first, None, Status.REPLACED) if last is None else (at, last, _status(last, Status.FOLLOWED))
+            return self._real_time(sample, first, self.iterations)
         at, last = self._contracted(sample, replace(first, name=CONVERGING))
         if sample.clock.up:
-            return at, last, _status(last, Status.LATE)
+            return (first, None, Status.LATE) if last is None else (at, last, _status(last, Status.LATE))
         enough = not self._law_does_better(sample, at) if follow else at.inputs is first.inputs
         if _status(last) is Status.SOLVED and enough:
             return at, last, Status.SOLVED
@@ -191,41 +190,41 @@ class Planner:
 
     def _rank(self, sample: _Sample, at: _Path, last: Step) -> tuple[bool, float]:
         """Rank of a path: optima first, then by what it costs when it is followed."""
-        return _status(last) is not Status.SOLVED, self._total(
-            sample, self._followed(sample.x, at, sample.w, sample.given)
-        )
+        followed = self._followed(sample.x, at, sample.w, sample.given)
+        return _status(last) is not Status.SOLVED, self._total(sample, followed)
 
-    def _real_time(self, sample: _Sample, at: _Path, iterations: int) -> tuple[_Path, Step | None]:
-        """Path after so many quadratic programs, and the last of them."""
-        last: Step | None = None
+    def _real_time(self, sample: _Sample, first: _Path, iterations: int) -> tuple[_Path, Step | None, Status]:
+        """Path after so many quadratic programs, the last of them, and its status."""
+        at, last = replace(first, name=REAL_TIME), None
         for _ in range(iterations):
-            step = self._program(sample, at, last is not None and last.relaxed)
-            if step is None or (last is not None and sample.clock.up):
-                break
+            if last is not None and sample.clock.up:
+                return at, last, _status(last, Status.LATE)
+            step = self._program(sample, at, relaxed=last is not None and last.relaxed)
+            if step is None:
+                return (first, None, Status.REPLACED) if last is None else (at, last, _status(last))
             at, last = at.moved(step), step
-        return at, last
+        return at, last, _status(last, Status.FOLLOWED)
 
-    def _contracted(self, sample: _Sample, at: _Path, *, relaxed: bool = False) -> tuple[_Path, Step | None]:
+    def _contracted(self, sample: _Sample, at: _Path) -> tuple[_Path, Step | None]:
         """Best path by quadratic programs with full steps, and the program there.
 
         They end at the optimum, or where so many more are to be expected that another solver will be sooner there.
         """
         best: tuple[_Path, Step | None] = at, None
-        before = np.inf
+        before: float | None = None
         while best[1] is None or not sample.clock.up:
-            step = self._program(sample, at, relaxed)
+            step = self._program(sample, at, relaxed=best[1] is not None and best[1].relaxed)
             if step is None:
                 break
             left = _error(step)
             if best[1] is None or left < _error(best[1]):
                 best = replace(at, gains=step.gains), step
-            if left <= KKT or (np.isfinite(before) and not _soon(left, before)):
+            if left <= KKT or (before is not None and not _soon(left, before)):
                 break
-            relaxed = step.relaxed  # from then on all violations have their price: one problem
             at, before = at.moved(step), left
         return best
 
-    def _program(self, sample: _Sample, at: _Path, relaxed: bool) -> Step | None:
+    def _program(self, sample: _Sample, at: _Path, *, relaxed: bool) -> Step | None:
         """Quadratic program at a path, if it has a solution."""
         step = self.programs.step(
             sample.x, at.states, at.inputs, sample.w, self.p, sample.given, sample.dear, relaxed=relaxed
