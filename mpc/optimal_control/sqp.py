@@ -104,7 +104,10 @@ class Sequential:
         failed = Step(states, inputs, none, defects, np.inf, False, False)
         if not all(np.isfinite(part).all() for part in (after, A, B)):
             return failed
-        gains, deviating = gains_along(A, B, *self._regulated)
+        try:
+            gains, deviating = gains_along(A, B, *self._regulated)
+        except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
+            return failed
         G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
         curved = _diagonal(2 * deviating) if self._separate else self._hessian(G, F)
         program = self._program(states + drift, inputs + lead, G, F, curved, given)

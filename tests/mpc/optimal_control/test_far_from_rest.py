@@ -1,5 +1,7 @@
 """Plans that begin far from rest are the best of what Ipopt finds from several places, and every one is an optimum."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -106,6 +108,17 @@ def test_limits_of_states_that_cannot_be_kept_far_from_rest_are_softened():
     assert plan.status is Status.SOFTENED
     assert plan.violation > 1.0
     assert (np.abs(plan.inputs) <= STRONGEST * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("far", [1e80, 1e150, 1e200])
+def test_a_plan_whose_slopes_overflow_is_left_for_another(far):
+    controller = NonlinearMPC(lambda x, u: x + 0.1 * x**3 + u, 2, 2, Q=[1, 1], R=[1, 1], horizon=5, U=(-1, 1))
+    plan = controller.solve([0.5, 0.2])
+    states = plan.states.copy()
+    states[1:] = far
+    again = controller.solve([0.5, 0.2], start=replace(plan, states=states))
+    assert again.status is Status.SOLVED
+    assert again.inputs == pytest.approx(plan.inputs, abs=1e-5)
 
 
 @pytest.mark.parametrize("starts", [0, -1, 1.5, "all"])
