@@ -142,10 +142,11 @@ def first_plans(names: list[str], states: int = 6) -> None:
         for i in range(states):
             x = one.starts[i % len(one.starts)] + 0.3 * rng.normal(size=len(one.Q))
             x = np.clip(x, 0.9 * one.X[0], 0.9 * one.X[1])
-            plain = Shooting(one).plan(x)
+            ipopt = Shooting(one)
+            plain = ipopt.plan(x)
             plans = [controller.solve(x) for controller in controllers]
             told = [f"{plan.cost / plain:9.4f}{'' if plan.feasible else plan.status.name}" for plan in plans]
-            print(f"{one.name:25s}", *told, flush=True)
+            print(f"{one.name:25s}", *told, "  Ipopt failed" if ipopt.failed else "", flush=True)
 
 
 class Told:
