@@ -21,8 +21,8 @@ class ShootingProgram:
 
     A stage has the state, with a rate limit the input before it, with `priced` limits of states their violation; then
     inputs. What depends on p or changes from call to call is a parameter: one program serves all problems with these
-    weights and limits. The solver is Ipopt, of `most` iterations and `seconds` at most; Fatrop, a third faster, does
-    not return where the model is no number.
+    weights and limits. The solver is Ipopt, of `most` iterations and `seconds` at most; Fatrop, mostly
+    faster, does not return where the model is no number.
     """
 
     def __init__(self, problem: MPCProblem, step: ca.Function, *, priced: bool, most: int, seconds: float) -> None:
