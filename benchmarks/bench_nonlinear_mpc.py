@@ -119,14 +119,21 @@ class Shooting:
         self._plan = np.zeros(len(self._low))
         self._first = True
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        nx, nu, N = self._shape
+    def plan(self, x: np.ndarray) -> float:
+        """Cost of the plan from here, which becomes the plan to follow."""
+        nx, _, N = self._shape
         if self._first:
             self._plan[: nx * (N + 1)] = np.tile(x, N + 1)
             self._first = False
         found = self._solver(x0=self._plan, p=x, lbx=self._low, ubx=self._high, lbg=0, ubg=0)
         self.failed += not self._solver.stats()["success"]
-        z = np.asarray(found["x"]).ravel()
+        self._plan = np.asarray(found["x"]).ravel()
+        return float(found["f"])
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        nx, nu, N = self._shape
+        self.plan(x)
+        z = self._plan
         states, inputs = z[: nx * (N + 1)].reshape(-1, nx), z[nx * (N + 1) :].reshape(-1, nu)
         self._plan = np.r_[states[1:].ravel(), states[-1], inputs[1:].ravel(), inputs[-1]]
         return inputs[0]

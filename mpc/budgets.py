@@ -23,6 +23,9 @@ USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says o
 LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
 NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
 
+# ---- nonlinear MPC ----
+PROGRAMS_TO_GO = 8  # Quadratic programs that may still be expected before an interior-point solver is asked
+
 # ---- optimal control: meshes ----
 HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points still have twelve digits.
 OBSTACLE_DOUBLINGS = 11  # Doublings of its depth beyond which an obstacle must go on: 1/1000 of a radius [-]

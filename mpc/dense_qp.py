@@ -145,7 +145,7 @@ class DenseQP:
             over = self._G @ z - b
             force = max(_length(Hz), _length(q), _length(Gy), tiny)
             size = np.maximum(np.abs(b), max(_length(z), tiny))
-            active = max(_length(y), force)
+            active = max(force, _length(y))  # NaN where the force is
             return Residuals(
                 stationarity=_length(Hz + q + Gy) / force,
                 primal=float((over / size).max(initial=0.0)),

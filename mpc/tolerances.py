@@ -143,7 +143,7 @@ IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is nam
 # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
 AT_BOUND = 1e-6
 SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
-# Part of a merit, or of the squared costs of scenarios, that is rounding [-]: added to the variance of equal costs it
+# Part of the squared costs of scenarios that is rounding [-]: added to the variance of equal costs it
 # gives their spread a slope
 COST_DIGITS = 1e-12
 
@@ -175,8 +175,6 @@ NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a pa
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
-MERIT_DECREASE = 1e-4  # Part of the predicted decrease of the merit that a step has to reach [-]
-LEAST_CURVED = 1e-6  # Least eigenvalue of a Hessian with curvature, relative to one without [-]
 GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
 TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]
 TARGET_STEADY = 1e-8  # Drift of a target, in sizes of the states, up to which it is steady [-]

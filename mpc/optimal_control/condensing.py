@@ -20,7 +20,6 @@ def compile_kernels() -> None:
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains, _ = gains_along(one, one, column, column, column, column)
     responses(one, one, gains, column, np.ones(1))
-    costates_along(one, one, gains, np.ones((2, 1)), column)
 
 
 @njit(cache=True)
@@ -76,21 +75,6 @@ def responses(A: Array, B: Array, gains: Array, gaps: Array, first: Array) -> tu
                 for c in range((k + 1) * nu):
                     by_state[k + 1, i, c] += B[k, i, j] * by_input[k, j, c]
     return by_state, by_input, states, inputs
-
-
-@njit(cache=True)
-def costates_along(A: Array, B: Array, gains: Array, by_state: Array, by_input: Array) -> Array:
-    """Costates (N + 1, nx) from slopes by states (N + 1, nx) and inputs (N, nu).
-
-    Backwards along the closed loop: what the inputs' slopes leave, zero at an optimum, keeps the digits.
-    """
-    N, nx, _ = B.shape
-    found = np.zeros((N + 1, nx))
-    found[N] = by_state[N]
-    for k in range(N - 1, -1, -1):
-        left = by_input[k] + B[k].T @ found[k + 1]
-        found[k] = by_state[k] + A[k].T @ found[k + 1] - gains[k].T @ left
-    return found
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
+from mpc.optimal_control.shooting import ShootingProgram
 from mpc.sensitivities.changes import PlanModel
 from mpc.tolerances import INTERIOR_POINT, TARGET_COST
 from mpc.tracking import sizes_of
@@ -74,6 +75,14 @@ class DiscreteModel:
         self._along = Buffered(step.map("along", "serial", horizon, [3], []))
         self._one = Buffered(step)
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
+        self._shooting: dict[tuple[bool, int, float, int], ShootingProgram] = {}
+
+    def shooting(self, law: LinearMPC, *, priced: bool, most: int, seconds: float) -> ShootingProgram:
+        """Nonlinear program of a plan for all p, built on demand."""
+        key = priced, most, seconds, len(law.terminal_rows[1])
+        if key not in self._shooting:
+            self._shooting[key] = ShootingProgram(law, self.step, priced=priced, most=most, seconds=seconds)
+        return self._shooting[key]
 
     def linearised(self, states: Array, inputs: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
         """Next states (N, nx), A (N, nx, nx) and B (N, nx, nu) along a plan."""

@@ -57,9 +57,14 @@ class NonlinearMPC:
         Quadratic programs a sample: 1 is the real-time iteration, which follows the optimum from sample to sample; the
         first sample, with no plan to follow, goes to the optimum. By default every sample does.
     most_iterations : int
-        Of a sample that goes to the optimum.
+        Of a solver, for one plan that goes to the optimum.
+    starts : int
+        Plans that a first sample begins at, of which the best optimum is taken: that of the linear law, the state held,
+        the straight way to the reference, then inputs by chance. They are tried again where a plan that is followed
+        leads to no optimum, or to a worse one than the linear law's simulation.
     time_limit : float, optional
-        Wall time of a sample [s]. No quadratic program is begun that would probably end later; the plan is then `LATE`.
+        Wall time of a sample [s]. No program is begun that would probably end later, and Ipopt stops by itself after as
+        long; the plan is then `LATE`, and the next sample goes on from it.
 
     Raises
     ------
@@ -99,7 +104,8 @@ class NonlinearMPC:
     disturbances: int = field(default=0, kw_only=True)
     p: Any = field(default=(), kw_only=True)
     iterations: int | None = field(default=None, kw_only=True)
-    most_iterations: int = field(default=100, kw_only=True)
+    most_iterations: int = field(default=300, kw_only=True)
+    starts: int = field(default=3, kw_only=True)
     time_limit: float | None = field(default=None, kw_only=True)
     uses: tuple[str, ...] = field(default=(), kw_only=True)
     model: DiscreteModel = field(init=False)
@@ -107,7 +113,7 @@ class NonlinearMPC:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        for name in ("states", "inputs", "horizon", "most_iterations"):
+        for name in ("states", "inputs", "horizon", "most_iterations", "starts"):
             set_(self, name, as_count(name, getattr(self, name)))
         if self.iterations is not None:
             set_(self, "iterations", as_count("iterations", self.iterations))
@@ -153,7 +159,7 @@ class NonlinearMPC:
     def planner(self) -> Planner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
-        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, limit)
+        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit)
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"

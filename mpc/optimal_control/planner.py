@@ -1,25 +1,29 @@
-"""Plans by sequential quadratic programs, with substitutes where these fail."""
+"""Plans by quadratic programs near an optimum, by an interior-point solver far from it."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from mpc.budgets import PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.sqp import TINY, Sequential, Step
+from mpc.optimal_control.shooting import ShootingProgram
+from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
-from mpc.tolerances import COST_DIGITS, FEASIBLE, KKT, MERIT_DECREASE, OPTIMAL, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
 
-LINEAR_LAW, SHIFTED, REAL_TIME, CONVERGING = "linear law", "shifted plan", "real-time iteration", "SQP"
+LINEAR_LAW, SHIFTED, REAL_TIME = "linear law", "shifted plan", "real-time iteration"
+CONVERGING, INTERIOR = "SQP", "Ipopt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +35,54 @@ class _Path:
     gains: Array
     name: str
 
-    def moved(self, step: Step, part: float = 1.0) -> _Path:
-        """Path after a part of a step."""
-        return replace(
-            self, states=self.states + part * step.states, inputs=self.inputs + part * step.inputs, gains=step.gains
-        )
+    def moved(self, step: Step) -> _Path:
+        """Path after a step."""
+        return replace(self, states=self.states + step.states, inputs=self.inputs + step.inputs, gains=step.gains)
+
+
+@dataclass
+class _Clock:
+    """Time that is left of a sample, and what its longest program took."""
+
+    limit: float
+    began: float = field(default_factory=time.perf_counter)
+    longest: float = 0.0
+    last: float = field(default_factory=time.perf_counter)
+
+    def program_ended(self) -> None:
+        """Note how long a program took."""
+        now = time.perf_counter()
+        self.longest, self.last = max(self.longest, now - self.last), now
+
+    @property
+    def passed(self) -> float:
+        """Since the sample began [s]."""
+        return time.perf_counter() - self.began
+
+    @property
+    def up(self) -> bool:
+        """Whether one more program would probably end too late."""
+        return self.passed + self.longest > self.limit
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Statement of one sample: state, signals, price of what cannot be kept."""
+
+    x: Array
+    w: Array
+    given: Given
+    size: float  # of the cost
+    dear: float
+    clock: _Clock
 
 
 @dataclass(frozen=True, eq=False)
 class Planner:
     """Plans for one set of parameters p (np,).
 
-    A sample takes so many `iterations`, quadratic programs, or where that is None as many as it needs, `most` at most;
-    none is begun that would probably end later than `time_limit` [s].
+    A sample takes so many `iterations`, quadratic programs, or where that is None as many as it needs. A first one
+    begins at so many `starts`. No program is begun that would probably end later than `time_limit` [s].
     """
 
     law: LinearMPC
@@ -51,10 +90,19 @@ class Planner:
     p: Array
     iterations: int | None
     most: int
+    starts: int
     time_limit: float
 
     def __post_init__(self) -> None:
         _ = self.programs, self.gain  # built, and compiled, before a clock runs
+        if np.isfinite(self.time_limit):
+            self._shooting.build()
+
+    @property
+    def _shooting(self) -> ShootingProgram:
+        """Nonlinear program of a plan."""
+        rows = len(self.law.state_rows[1]) + len(self.law.terminal_rows[1])
+        return self.model.shooting(self.law, priced=rows > 0, most=self.most, seconds=self.time_limit)
 
     @cached_property
     def programs(self) -> Sequential:
@@ -78,21 +126,29 @@ class Planner:
         rate = np.full(self.law.nu, np.inf) if self.law.rate_limit is None else self.law.rate_limit
         return None if box is None else (*box, rate)
 
+    @property
+    def _hard(self) -> bool:
+        """Whether states have limits that must be kept."""
+        return self.law.soft is None and len(self.law.state_rows[1]) + len(self.law.terminal_rows[1]) > 0
+
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
-        """Plan from a state, begun at another or the linear law's."""
-        began = time.perf_counter()
+        """Plan from a state, begun at another or where it is best."""
+        clock = _Clock(self.time_limit)
         w = disturbance(self.law, given)
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, w, given)
+                held = _held(first, given)
             else:
-                first = _Path(before.states, before.inputs, self._gains, SHIFTED)
-            found, last, status = self._iterated(x, first, w, given, began, follow=before is not None)
+                first = held = _Path(before.states, before.inputs, self._gains, SHIFTED)
+            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in (first, held)), TINY)
+            sample = _Sample(x, w, given, size, VIOLATION_PRICE * size if self._hard else 0.0, clock)
+            found, last, status = self._planned(sample, first)
             found = self._followed(x, found, w, given)
             if last is not None and last.relaxed and status in (Status.SOLVED, Status.FOLLOWED):
                 over = relative_violations(self.law, found.states).max()
                 status = Status.SOFTENED if over > FEASIBLE else status
-            if time.perf_counter() - began > self.time_limit:
+            if clock.passed > self.time_limit:
                 status = Status.LATE
             if found.name == REAL_TIME or status not in (Status.SOLVED, Status.SOFTENED):
                 best, cost = self._best(x, found, first, w, given)
@@ -102,11 +158,10 @@ class Planner:
             else:
                 cost = cost_of(self.law, found.inputs, found.states, given)
             residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
-            if last is not None and found.name in (REAL_TIME, CONVERGING):
+            if last is not None and found.name not in (LINEAR_LAW, SHIFTED):
                 residuals = Residuals(last.stationarity, last.defects, 0.0, 0.0)
             violation = violation_of(self.law, found.states)
-        duration = time.perf_counter() - began
-        return Plan(found.inputs, found.states, cost, status, residuals, violation, duration, found.name)
+        return Plan(found.inputs, found.states, cost, status, residuals, violation, clock.passed, found.name)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the linear law's last input."""
@@ -116,67 +171,118 @@ class Planner:
         after = finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p))
         return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
 
-    def _iterated(
-        self, x: Array, first: _Path, w: Array, given: Given, began: float, *, follow: bool
-    ) -> tuple[_Path, Step | None, Status]:
-        """Path by quadratic programs, the last of them, and its status."""
-        real_time = follow and self.iterations is not None
-        at = replace(first, name=CONVERGING if self.iterations is None else REAL_TIME)
-        hard = self.law.soft is None and len(self.law.state_rows[1]) + len(self.law.terminal_rows[1]) > 0
-        dear = VIOLATION_PRICE * max(cost_of(self.law, at.inputs, at.states, given), TINY) if hard else 0.0
-        last: Step | None = None
-        status = Status.FOLLOWED if real_time else Status.INACCURATE
-        relaxed = False
-        gap_price = limit_price = 0.0
-        longest, now = 0.0, time.perf_counter()
-        costates: Array | None = None
-        for count in range(self.iterations or 1 if real_time else self.most):
-            if last is not None and now - began + longest > self.time_limit:
-                return at, last, Status.LATE
-            step = self.programs.step(
-                x, at.states, at.inputs, w, self.p, given, dear, relaxed=relaxed,
-                costates=costates if count >= 6 else None,  # then the curvature of the model counts
+    def _planned(self, sample: _Sample, first: _Path) -> tuple[_Path, Step | None, Status]:
+        """Path, the last quadratic program of it, and its status."""
+        follow = first.name == SHIFTED
+        if follow and self.iterations is not None:
+            return self._real_time(sample, first, self.iterations)
+        at, last = self._contracted(sample, replace(first, name=CONVERGING))
+        if sample.clock.up:
+            return (first, None, Status.LATE) if last is None else (at, last, _status(last, Status.LATE))
+        enough = not self._law_does_better(sample, at) if follow else at.inputs is first.inputs
+        if _status(last) is Status.SOLVED and enough:
+            return at, last, Status.SOLVED
+        candidates = [*([] if last is None else [(at, last)]), *self._from_starts(sample, first)]
+        if not candidates:
+            return first, None, Status.REPLACED
+        at, last = min(candidates, key=lambda one: self._rank(sample, *one))
+        return at, last, _status(last)
+
+    def _rank(self, sample: _Sample, at: _Path, last: Step) -> tuple[bool, float]:
+        """Rank of a path: optima first, then by what it costs when it is followed."""
+        followed = self._followed(sample.x, at, sample.w, sample.given)
+        return _status(last) is not Status.SOLVED, self._total(sample, followed)
+
+    def _real_time(self, sample: _Sample, first: _Path, iterations: int) -> tuple[_Path, Step | None, Status]:
+        """Path after so many quadratic programs, the last of them, and its status."""
+        at, last = replace(first, name=REAL_TIME), None
+        for _ in range(iterations):
+            if last is not None and sample.clock.up:
+                return at, last, _status(last, Status.LATE)
+            step = self._program(sample, at, relaxed=last is not None and last.relaxed)
+            if step is None:
+                return (first, None, Status.REPLACED) if last is None else (at, last, _status(last))
+            at, last = at.moved(step), step
+        return at, last, _status(last, Status.FOLLOWED)
+
+    def _contracted(self, sample: _Sample, at: _Path) -> tuple[_Path, Step | None]:
+        """Best path by quadratic programs with full steps, and the program there.
+
+        They end at the optimum, or where so many more are to be expected that another solver will be sooner there.
+        """
+        best: tuple[_Path, Step | None] = at, None
+        before: float | None = None
+        while best[1] is None or not sample.clock.up:
+            step = self._program(sample, at, relaxed=best[1] is not None and best[1].relaxed)
+            if step is None:
+                break
+            left = _error(step)
+            if best[1] is None or left < _error(best[1]):
+                best = replace(at, gains=step.gains), step
+            if left <= KKT or (before is not None and not _soon(left, before)):
+                break
+            at, before = at.moved(step), left
+        return best
+
+    def _program(self, sample: _Sample, at: _Path, *, relaxed: bool) -> Step | None:
+        """Quadratic program at a path, if it has a solution."""
+        step = self.programs.step(
+            sample.x, at.states, at.inputs, sample.w, self.p, sample.given, sample.dear, relaxed=relaxed
+        )
+        sample.clock.program_ended()
+        finite_step = step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()
+        return step if finite_step else None
+
+    def _from_starts(self, sample: _Sample, first: _Path) -> Iterator[tuple[_Path, Step]]:
+        """Paths that Ipopt comes to from the starts, with the quadratic program there; one where a plan leads to it."""
+        soft, program = self.law.soft, self._shooting
+        for path in self._starting_paths(sample, first):
+            if sample.clock.up:
+                return
+            shot = program.solve(
+                self.law, sample.x, path.states, path.inputs, sample.w, self.p, sample.given, cost=sample.size,
+                prices=(sample.dear, sample.dear) if soft is None else soft,
             )  # fmt: skip
-            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
-                return (first, None, Status.REPLACED) if last is None else (at, last, Status.INACCURATE)
-            last = step
-            if not real_time:
-                if max(step.defects, step.stationarity) <= KKT:
-                    break
-                relaxed = step.relaxed  # from now on all violations have their price: one problem to converge on
-                of_gap, of_limit, costates = self.programs.prices(step, at.states, at.inputs, given)
-                gap_price, limit_price = max(gap_price, of_gap), max(limit_price, of_limit)
-                charged = (dear, dear) if relaxed else (limit_price, 0.0)
-                then = self._after(step, x, at, w, given, gap_price, charged)
-                if then is None:
-                    break
-                at = then
+            sample.clock.program_ended()
+            if shot is None:
+                continue
+            at, last = self._contracted(sample, replace(path, states=shot[0], inputs=shot[1], name=INTERIOR))
+            if last is not None:
+                yield at, last
+            if path is first and first.name == SHIFTED and _status(last) is Status.SOLVED:
+                return
+
+    def _starting_paths(self, sample: _Sample, first: _Path) -> Iterator[_Path]:
+        """Plan to follow; linear law; state held; straight way to the reference; inputs by chance."""
+        if first.name == SHIFTED:
+            yield first
+        law = self._linear_law(sample.x, sample.w, sample.given) if first.name == SHIFTED else first
+        yield law
+        held = _held(law, sample.given)
+        N, rng = self.law.horizon, np.random.default_rng(0)
+        for number in range(1, self.starts):
+            if number == 1:
+                yield held
+            elif number == 2:
+                error, _ = deviations(np.zeros_like(held.states), held.inputs, sample.given)
+                way = np.linspace(0, 1, N + 1)[:, None]
+                yield replace(held, states=(1 - way) * held.states - way * error)
             else:
-                at = at.moved(step)
-            longest, now = max(longest, time.perf_counter() - now), time.perf_counter()
-        assert last is not None
-        if max(last.defects, last.stationarity) <= OPTIMAL:
-            status = Status.SOLVED
-        return at, last, status
+                pieces = rng.uniform(-1, 1, (1 + N // 5, self.law.nu)) * self.programs.input_size
+                by_chance = replace(held, inputs=held.inputs + np.repeat(pieces, 5, axis=0)[:N], gains=0 * held.gains)
+                yield self._followed(sample.x, by_chance, sample.w, sample.given)
 
-    def _after(self, step: Step, x: Array, at: _Path, w: Array, given: Given, gap_price: float,
-               charged: tuple[float, float]) -> _Path | None:  # fmt: skip
-        """Path after a step that lowers the merit, or None."""
+    def _law_does_better(self, sample: _Sample, at: _Path) -> bool:
+        """Whether the linear law, simulated, costs less than a plan."""
+        law = self._total(sample, self._linear_law(sample.x, sample.w, sample.given))
+        own = self._total(sample, at)
+        return law < own - COST_ROUNDING * abs(own) - rounding_of_cost(self.law, sample.given)
 
-        def merit(path: _Path) -> float:
-            return self.programs.merit(x, path.states, path.inputs, w, self.p, given, gap_price, charged)
-
-        now = merit(at)
-        promised = now - self.programs.priced_cost(at.states + step.states, at.inputs + step.inputs, given, charged)
-        for part in 0.5 ** np.arange(11):
-            enough = now - MERIT_DECREASE * part * max(promised, 0.0) + COST_DIGITS * abs(now)
-            planned = at.moved(step, part)
-            if merit(planned) <= enough:  # not so of what is no number
-                return planned
-            followed = self._followed(x, planned, w, given)
-            if merit(followed) <= enough:
-                return followed
-        return None
+    def _total(self, sample: _Sample, path: _Path) -> float:
+        """Cost with violations at their price; infinite where it is no number."""
+        cost, over = self._worth(path, sample.given)
+        total = cost + sample.dear * over
+        return total if np.isfinite(total) else np.inf
 
     def _linear_law(self, x: Array, w: Array, given: Given) -> _Path:
         """Path of the model under the linear law."""
@@ -229,7 +335,29 @@ class Planner:
         cost = cost_of(self.law, path.inputs, path.states, given)
         if self.law.soft is not None:
             return cost, 0.0
-        return cost, float(relative_violations(self.law, path.states, self.law.price_units).sum())
+        over = relative_violations(self.law, path.states, self.law.price_units)
+        return cost, float(over[over > FEASIBLE].sum())
+
+
+def _held(path: _Path, given: Given) -> _Path:
+    """Path that stays where another begins, inputs at their reference."""
+    _, effort = deviations(path.states, np.zeros_like(path.inputs), given)
+    return replace(path, states=np.tile(path.states[0], (len(path.states), 1)), inputs=-effort)
+
+
+def _error(step: Step) -> float:
+    """Larger of gaps and stationarity."""
+    return max(step.defects, step.stationarity)
+
+
+def _status(step: Step | None, otherwise: Status = Status.INACCURATE) -> Status:
+    """SOLVED where the optimality conditions hold."""
+    return Status.SOLVED if step is not None and _error(step) <= OPTIMAL else otherwise
+
+
+def _soon(left: float, before: float) -> bool:
+    """Whether errors that fall at this rate will be gone soon."""
+    return left < before and np.log(KKT / left) / np.log(left / before) <= PROGRAMS_TO_GO
 
 
 def gain_at_rest(law: LinearMPC) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -10,11 +10,11 @@ from scipy.linalg import block_diag
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.feedback import stabilising_weights
-from mpc.optimal_control.condensing import compile_kernels, costates_along, gains_along, responses
+from mpc.optimal_control.condensing import compile_kernels, gains_along, responses
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, cost_of, deviations, relative_violations
-from mpc.tolerances import COST_ROUNDING, LEAST_CURVED
+from mpc.rollout import Given, cost_of, deviations
+from mpc.tolerances import COST_ROUNDING
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -32,8 +32,6 @@ class Step:
     # of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
     # how far inputs would still move, in parts of their limits, and what part of the cost that would save
     stationarity: float
-    multipliers: Array  # (m,): of its limits
-    slopes: tuple[Array, Array]  # of the model along the plan: A (N, nx, nx) and B (N, nx, nu)
     relaxed: bool  # whether limits of states had to be relaxed
     solved: bool
 
@@ -78,6 +76,7 @@ class Sequential:
         self._weights = np.concatenate([np.tile(problem.Q, (N, 1, 1)), problem.P[None]])
         self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
         self.size = problem.state_extent
+        self.input_size = np.where(problem.input_extent > 0, problem.input_extent, 1.0)
         units, prices = problem.row_units, problem.price_units
         self._state_units = np.concatenate([np.tile(units["state"], N), units["terminal"]])
         self._prices = np.concatenate([np.tile(prices["state"], N), prices["terminal"]])
@@ -92,27 +91,29 @@ class Sequential:
 
     def step(
         self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
-        relaxed: bool = False, costates: Array | None = None,
+        relaxed: bool = False,
     ) -> Step:  # fmt: skip
         """Quadratic program at a plan (N + 1, nx), (N, nu) from x (nx,).
 
         `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
-        With `costates` (N + 1, nx) the Hessian takes the curvature of the model in, where it stays definite.
         """
         after, A, B = self.model.linearised(states[:-1], inputs, w, p)
         gaps = after - states[1:]
         defects = max(_largest(gaps / self.size), _largest((x - states[0]) / self.size))
-        if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
-            none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
-            return Step(states, inputs, none, defects, np.inf, np.zeros(0), (A, B), False, False)
-        gains, deviating = gains_along(A, B, *self._regulated)
+        none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
+        failed = Step(states, inputs, none, defects, np.inf, False, False)
+        if not all(np.isfinite(part).all() for part in (after, A, B)):
+            return failed
+        try:
+            gains, deviating = gains_along(A, B, *self._regulated)
+        except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
+            return failed
         G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
         curved = _diagonal(2 * deviating) if self._separate else self._hessian(G, F)
         program = self._program(states + drift, inputs + lead, G, F, curved, given)
-        if costates is not None:
-            bent = self.model.curvature(states[:-1], inputs, w, p, costates[1:])
-            program = _bent(program, np.concatenate([G[:-1], F], axis=1), bent, np.hstack([drift[:-1], lead]))
-        z, multipliers, relaxed, solved = self._solve(program, dear, relaxed)
+        if not all(np.isfinite(part).all() for part in (program.H, program.gradient, program.rows, program.bounds)):
+            return failed
+        z, relaxed, solved = self._solve(program, dear, relaxed)
         moved, change = drift + G @ z, lead + F @ z
         curvature = program.H @ z
         unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
@@ -124,15 +125,7 @@ class Sequential:
             gain = -float(program.gradient @ z + 0.5 * z @ curvature)
             cost = max(abs(cost_of(self.problem, inputs + lead, states + drift, given)), program.lost_cost, TINY)
             stationarity = min(stationarity, max(still, abs(gain) / cost))
-        return Step(moved, change, gains, defects, stationarity, multipliers, (A, B), relaxed, solved)
-
-    def prices(self, step: Step, states: Array, inputs: Array, given: Given) -> tuple[float, float, Array]:
-        """Merit prices of gaps and of violated limits; costates (N + 1, nx)."""
-        forces = self._forces(states + step.states, inputs + step.inputs, step.multipliers, given)
-        found = costates_along(*step.slopes, step.gains, *forces)
-        own = step.multipliers[len(step.multipliers) - len(self._prices) :] * self._prices
-        along = np.bincount(self._step_of, own, minlength=1).astype(float)
-        return 2.0 * _largest(found * self.size), 2.0 * _largest(along), found
+        return Step(moved, change, gains, defects, stationarity, relaxed, solved)
 
     def _hessian(self, G: Array, F: Array) -> Array:
         """Hessian by v, for state responses G and input responses F."""
@@ -156,7 +149,7 @@ class Sequential:
             of_states, of_inputs = self._slopes(x_ref, u_ref)
             terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
             lost = COST_ROUNDING * terms
-            lost_cost = COST_ROUNDING**2 * cost_of(problem, u_ref, x_ref, {})
+            lost_cost = rounding_of_cost(problem, given)
         rows, bounds = self._limits(states, inputs, G, F, given)
         return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
 
@@ -185,36 +178,18 @@ class Sequential:
         bounds += [(h - states[1:] @ H.T).ravel(), at_end - end @ states[-1]]
         return np.vstack(rows), np.concatenate(bounds)
 
-    def _forces(self, states: Array, inputs: Array, multipliers: Array, given: Given) -> tuple[Array, Array]:
-        """Lagrangian slopes (N + 1, nx) and (N, nu) without dynamics."""
-        problem, N, nu = self.problem, self.problem.horizon, self.problem.nu
-        by_state, by_input = self._slopes(*deviations(states, inputs, given))
-        end = len(problem.terminal_rows[1])
-        on_inputs, rest = np.split(multipliers, [N * len(problem.input_rows[1])])
-        along = len(rest) - end
-        by_input += on_inputs.reshape(N, -1) @ problem.input_rows[0]
-        if problem.rate_limit is not None:
-            up, down = rest[: N * nu].reshape(N, nu), rest[N * nu : 2 * N * nu].reshape(N, nu)
-            by_input += (up - down) - np.vstack([(up - down)[1:], np.zeros((1, nu))])
-            rest, along = rest[2 * N * nu :], along - 2 * N * nu
-        by_state[1:] += rest[:along].reshape(N, -1) @ problem.state_rows[0]
-        by_state[-1] += rest[along:] @ problem.terminal_rows[0]
-        return by_state, by_input
-
-    def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, Array, bool, bool]:
-        """Variables, multipliers, whether limits were relaxed, whether it was solved."""
+    def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, bool, bool]:
+        """Variables, whether limits were relaxed, whether it was solved."""
         if self.problem.soft is not None:
             return self._priced(program, *self.problem.soft, False)
         if relaxed:
             return self._priced(program, dear, dear, True)
         result = DenseQP(program.H, program.rows, self._units).solve(program.gradient, program.bounds)
         if not result.infeasible or not len(self._prices):
-            return result.z, result.multipliers, False, not result.infeasible
+            return result.z, False, not result.infeasible
         return self._priced(program, dear, dear, True)
 
-    def _priced(
-        self, program: _Program, linear: float, quadratic: float, relaxed: bool
-    ) -> tuple[Array, Array, bool, bool]:
+    def _priced(self, program: _Program, linear: float, quadratic: float, relaxed: bool) -> tuple[Array, bool, bool]:
         """Solution as of `_solve`, with priced violations per step."""
         N, n, m = self.problem.horizon, self.n, len(program.rows)
         columns = np.zeros((m, N))
@@ -227,23 +202,14 @@ class Sequential:
         result = qp.solve(
             np.concatenate([program.gradient, np.full(N, linear)]), np.concatenate([program.bounds, np.zeros(N)])
         )
-        return result.z[:n], result.multipliers[:m], relaxed, not result.infeasible
+        return result.z[:n], relaxed, not result.infeasible
 
-    def merit(self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, gap_price: float,
-              limit_prices: tuple[float, float]) -> float:  # fmt: skip
-        """Cost of a plan with its gaps and hard violations priced."""
-        gaps = (self.model.along(states[:-1], inputs, w, p) - states[1:]) / self.size
-        first = (x - states[0]) / self.size
-        of_gaps = gap_price * float(np.abs(gaps).sum() + np.abs(first).sum())
-        return of_gaps + self.priced_cost(states, inputs, given, limit_prices)
 
-    def priced_cost(self, states: Array, inputs: Array, given: Given, limit_prices: tuple[float, float]) -> float:
-        """Cost of a plan with its hard violations priced."""
-        cost = cost_of(self.problem, inputs, states, given)
-        if self.problem.soft is not None or not any(limit_prices):
-            return cost
-        over = relative_violations(self.problem, states, self.problem.price_units)
-        return cost + limit_prices[0] * float(over.sum()) + limit_prices[1] * float(over @ over)
+def rounding_of_cost(problem: MPCProblem, given: Given) -> float:
+    """Cost of states and inputs at their references but for rounding."""
+    nothing = np.zeros((problem.horizon + 1, problem.nx)), np.zeros((problem.horizon, problem.nu))
+    error, effort = deviations(*nothing, given)
+    return COST_ROUNDING**2 * cost_of(problem, effort, error, {})
 
 
 def _diagonal(blocks: Array) -> Array:
@@ -252,22 +218,6 @@ def _diagonal(blocks: Array) -> Array:
     whole = np.zeros((N, m, N, m))
     whole[np.arange(N), :, np.arange(N)] = blocks
     return whole.reshape(N * m, N * m)
-
-
-def _bent(program: _Program, answers: Array, curvature: Array, lead: Array) -> _Program:
-    """Program with the model's curvature, if its Hessian stays definite.
-
-    `answers` (N, nx + nu, n) of states and inputs to the variables, which lead nowhere but to `lead` (N, nx + nu) at 0.
-    """
-    n = answers.shape[2]
-    weighted = (curvature @ answers).reshape(-1, n)
-    H = program.H + answers.reshape(-1, n).T @ weighted
-    H = (H + H.T) / 2
-    unit = 1 / np.sqrt(np.diag(program.H))
-    values, vectors = np.linalg.eigh(H * unit * unit[:, None])
-    if values[0] < LEAST_CURVED:  # bent the other way along these directions
-        H = (vectors * np.maximum(np.abs(values), LEAST_CURVED)) @ vectors.T / unit / unit[:, None]
-    return replace(program, H=H, by_state=program.by_state + lead.ravel() @ weighted)
 
 
 def _largest(values: Array) -> float:

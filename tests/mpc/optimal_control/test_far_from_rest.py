@@ -1,0 +1,128 @@
+"""Plans that begin far from rest are the best of what Ipopt finds from several places, and every one is an optimum."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from nonlinear_programs import optimum
+
+from mpc import InputError, Status
+from mpc.optimal_control import NonlinearMPC
+
+Q, R = np.diag([10.0, 10.0, 0.1, 0.1]), np.diag([0.01, 0.01])
+STRONGEST = np.array([6.0, 3.0])
+HANGING = np.array([np.pi, 0.0, 0.0, 0.0])
+
+
+def arm(x, u):
+    """Two links of 1 kg and 0.5 m, angles from upright, 40 ms later."""
+
+    def rate(x):
+        c, s = ca.cos(x[1]), ca.sin(x[1])
+        own, cross, outer = 0.25 * (5 / 3 + c), 0.25 * (1 / 3 + c / 2), 0.25 / 3
+        lower, upper = 0.75 * 9.81 * ca.sin(x[0]), 0.25 * 9.81 * ca.sin(x[0] + x[1])
+        a = u[0] + 0.125 * s * (2 * x[2] * x[3] + x[3] ** 2) + lower + upper
+        b = u[1] - 0.125 * s * x[2] ** 2 + upper
+        whole = own * outer - cross**2
+        return ca.vertcat(x[2], x[3], (outer * a - cross * b) / whole, (own * b - cross * a) / whole)
+
+    for _ in range(2):
+        k1 = rate(x)
+        k2 = rate(x + 0.01 * k1)
+        k3 = rate(x + 0.01 * k2)
+        x = x + 0.02 / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + 0.02 * k3))
+    return x
+
+
+def law(sx=1.0, su=1.0, cost=1.0, **changes):
+    """The arm's controller in other units."""
+    return NonlinearMPC(
+        lambda x, u: sx * arm(x / sx, u / su), 4, 2, Q=cost * Q / sx**2, R=cost * R / su**2, horizon=40,
+        U=(-su * STRONGEST, su * STRONGEST), **changes,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("x", [HANGING, [2.8, 0.5, 0.0, 0.0]])
+def test_the_plan_is_the_best_of_several_starts(x):
+    x = np.asarray(x)
+    controller = law()
+    plan = controller.solve(x)
+    columns = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
+    model = ca.Function("model", columns, [arm(*columns)])
+    way = np.linspace(1, 0, 41)[:, None] * x
+    found = [
+        optimum(model, x, Q=Q, R=R, P=controller.linear.P, horizon=40, U=(-STRONGEST, STRONGEST),
+                guess=(states, np.zeros((40, 2))))[0]
+        for states in (np.tile(x, (41, 1)), way)
+    ]  # fmt: skip
+    assert plan.status is Status.SOLVED
+    assert plan.cost <= min(found) * (1 + 1e-6)
+    assert plan.cost < 0.9 * law(starts=1).solve(x).cost  # the linear law leads to a dearer optimum
+
+
+@pytest.mark.parametrize(("sx", "su", "cost"), [(57.3, 1e3, 1e-4), (1e-3, 1e-2, 1e6)])
+def test_units_do_not_matter(sx, su, cost):
+    plan, other = law().solve(HANGING), law(sx, su, cost).solve(sx * HANGING)
+    assert other.status is Status.SOLVED
+    assert other.cost / cost == pytest.approx(plan.cost, rel=1e-6)
+
+
+def test_it_swings_up_and_every_plan_on_the_way_is_solved():
+    controller, x = law(), HANGING
+    for _ in range(60):
+        u = controller(x)
+        assert controller.last_plans[0].status is Status.SOLVED
+        x = np.asarray(arm(x, u)).ravel()
+    assert np.abs(x).max() < 0.05
+
+
+def test_a_solver_that_is_stopped_goes_on_in_the_next_sample():
+    controller, x = law(most_iterations=10, starts=1), HANGING
+    statuses = []
+    for _ in range(80):
+        u = controller(x)
+        statuses.append(controller.last_plans[0].status)
+        x = np.asarray(arm(x, u)).ravel()
+    assert statuses[0] is not Status.SOLVED
+    assert statuses[-1] is Status.SOLVED
+    assert np.abs(x).max() < 0.01
+
+
+def test_after_a_kick_it_is_the_optimum_again():
+    controller = law()
+    controller(0.1 * HANGING)
+    controller(HANGING)
+    assert controller.last_plans[0].status is Status.SOLVED
+    assert controller.last_plans[0].cost <= law(starts=1).solve(HANGING).cost * (1 + 1e-6)
+
+
+def test_the_same_starts_every_time():
+    plans = [law(starts=5).solve(HANGING) for _ in range(2)]
+    assert (plans[0].inputs == plans[1].inputs).all()
+
+
+def test_limits_of_states_that_cannot_be_kept_far_from_rest_are_softened():
+    wide = np.array([10.0, 10.0, 5.0, 5.0])
+    plan = law(X=(-wide, wide)).solve([np.pi, 0.0, 30.0, 0.0])
+    assert plan.status is Status.SOFTENED
+    assert plan.violation > 1.0
+    assert (np.abs(plan.inputs) <= STRONGEST * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("far", [1e80, 1e150, 1e200])
+def test_a_plan_whose_slopes_overflow_is_left_for_another(far):
+    controller = NonlinearMPC(lambda x, u: x + 0.1 * x**3 + u, 2, 2, Q=[1, 1], R=[1, 1], horizon=5, U=(-1, 1))
+    plan = controller.solve([0.5, 0.2])
+    states = plan.states.copy()
+    states[1:] = far
+    again = controller.solve([0.5, 0.2], start=replace(plan, states=states))
+    assert again.status is Status.SOLVED
+    assert again.inputs == pytest.approx(plan.inputs, abs=1e-5)
+
+
+@pytest.mark.parametrize("starts", [0, -1, 1.5, "all"])
+def test_starts_are_a_count(starts):
+    with pytest.raises(InputError) as caught:
+        law(starts=starts)
+    assert caught.value.argument == "starts"
