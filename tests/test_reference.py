@@ -11,7 +11,15 @@ import ccdtools
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 PAGES = {page.stem: page.read_text(encoding="utf-8") for page in REFERENCE.glob("*.md") if page.stem != "index"}
 PAGES["ccdtools"] += PAGES["ccdtools_codesign"]
-PACKAGES = ["ccdtools", "ccdtools.studies", "invariant_sets", "mpc", "mpc.optimal_control", "learning"]
+PACKAGES = [
+    "ccdtools",
+    "ccdtools.studies",
+    "invariant_sets",
+    "mpc",
+    "mpc.optimal_control",
+    "mpc.optimal_control.estimation",
+    "learning",
+]
 
 
 def documented(text: str) -> list[tuple[str, str, str]]:

@@ -18,6 +18,12 @@ from mpc.tolerances import BOTTOMLESS, FEASIBLE
 
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
+# Options for a start that is nearly the optimum, with or without its multipliers
+WARM: dict[str, Any] = {
+    "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
+    "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6,
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Settings:

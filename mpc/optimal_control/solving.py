@@ -16,7 +16,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
-from mpc.optimal_control.ipopt import Found, Settings, once
+from mpc.optimal_control.ipopt import WARM, Found, Settings, once
 from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
@@ -104,12 +104,8 @@ class _Run:
     def _left(self, warm: bool) -> Settings:
         """Settings of the next call."""
         passed = time.perf_counter() - self.began
-        options = {
-            "mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6,
-            "slack_bound_push": 1e-6, "slack_bound_frac": 1e-6,
-        } if warm else {}  # fmt: skip
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
-                       options=options | self.settings.options)  # fmt: skip
+                       options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
     def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
         """Solve, again where the first sizes were off."""

@@ -59,6 +59,11 @@ PUBLISHED = {
         {"states": 2, "p_bounds": ([0] * 3, [None] * 3)}, 5.2366e-3, (11.847, 8.345, 1.001),
         f"{COPS}, problem 12; parameters: Tjoa and Biegler, Ind. Eng. Chem. Res. 30, 1991",
     ),
+    "gas oil cracking, first states free": Published(
+        Experiment(GAS_OIL[:, 0], GAS_OIL[:, 1:]), _cracking, lambda x: x,
+        {"states": 2, "p_bounds": ([0] * 3, [None] * 3)}, 4.3260205e-3, (11.424, 8.130, 1.655),
+        "PROPT's example of catalytic cracking, which leaves the first states free; parameters measured here",
+    ),
     "α-pinene": Published(
         Experiment(PINENE[:, 0], PINENE[:, 1:], start=[100, 0, 0, 0, 0]), _isomerisation, lambda x: x,
         {"states": 5, "p_bounds": ([0] * 5, [None] * 5)}, 19.872, (5.926e-5, 2.963e-5, 2.047e-5, 27.45e-5, 3.998e-5),

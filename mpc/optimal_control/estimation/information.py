@@ -89,11 +89,11 @@ class Information:
         return np.asarray(found * self.units * self.units[:, None])
 
 
-def information(solution: Solution, residual: ca.Function) -> Information:
+def information(solution: Solution, residual: ca.Function, least_cost: float) -> Information:
     """Information of the constrained problem at its optimum, by the linearised dynamics.
 
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
-    the unknowns themselves count.
+    the unknowns themselves count. Pushes on bounds are judged beside the cost, or a least one where data are exact.
     """
     program, v = solution.program, solution.unknowns
     free = program.lower < program.upper
@@ -113,7 +113,7 @@ def information(solution: Solution, residual: ca.Function) -> Information:
         rows = np.vstack([rows, moves[inputs] * np.sqrt(curvature[inputs])[:, None]])
         Q, _ = np.linalg.qr(rows[:, count:])
         rows = rows[:, :count] - Q @ (Q.T @ rows[:, :count])
-    acting = _acting(solution)
+    acting = _acting(solution, max(solution.program.cost_scale, least_cost))
     acting = np.intersect1d(acting, unknowns) if len(inputs) else acting
     held = moves[acting, :count] * units / program.scale[acting, None]
     directions = null_space(held, rcond=NEGLIGIBLE) if len(held) else np.eye(count)
@@ -163,10 +163,10 @@ def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array
     return solution.unknowns[places], signal_at(part.phase, t), t, known, places
 
 
-def _acting(solution: Solution) -> NDArray[np.int64]:
+def _acting(solution: Solution, cost_size: float) -> NDArray[np.int64]:
     """Unknowns at a bound that holds them: their multiplier is larger than their distance, both scaled."""
     program, v = solution.program, solution.unknowns
-    push = solution.multipliers["bounds"] * program.scale / program.cost_scale
+    push = solution.multipliers["bounds"] * program.scale / cost_size
     room = np.where(push > 0, program.upper - v, v - program.lower) / program.scale
     return np.flatnonzero((program.lower < program.upper) & (np.abs(push) > room))
 

@@ -15,7 +15,7 @@ from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_array, as_count, as_floats, as_weight
 from mpc.exceptions import InputError, NotConvexError
 from mpc.optimal_control.bounds import as_bounds, as_share
-from mpc.optimal_control.estimation.parameter_estimation import as_covariance
+from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
 from mpc.optimal_control.estimation.window import NoisyModel, Window, WindowProgram
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
 
@@ -171,7 +171,7 @@ class MovingHorizonEstimator:
     def model(self) -> NoisyModel:
         """Model of z = (x, p) with unit noise."""
         nx, count, nw = self.states, len(self.p), len(self.W)
-        f = compiled("step", self.step, {"x": nx, "u": self.inputs, "w": nw, "p": count}, nx)
+        f = moved_by_noise("step", compiled("step", self.step, {"x": nx, "u": self.inputs, "w": nw, "p": count}, nx))
         h = compiled("output", self.output, {"x": nx, "u": self.inputs, "p": count}, self.ny)
         moving = np.flatnonzero(self.p_drift > 0)
         of_w, drift = np.linalg.cholesky(self.W), np.diag(np.sqrt(self.p_drift))[:, moving]

@@ -110,7 +110,7 @@ class ParameterEstimate:
         By the normal distribution, or Student's where the noise is estimated; of a linearisation.
         """
         tail = (1 + as_share("level", level)) / 2
-        factor = norm.ppf(tail) if self.noise_known else t.ppf(tail, self.degrees) if self.degrees else np.nan
+        factor = norm.ppf(tail) if self.noise_known else t.ppf(tail, self.degrees)
         return np.asarray(self.p[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
 
 

@@ -81,7 +81,7 @@ def estimate_parameters(
         raise InputError("noise", "nothing", "the noise of the outputs, which a disturbance is weighed against")
     density = np.zeros((0, 0)) if disturbance is None else as_covariance("disturbance", disturbance, None)
     sizes = {"x": states, "u": nu, "w": len(density), "p": len(bounds[0]), "t": 1}
-    f = compiled("dynamics", dynamics, sizes, states)
+    f = moved_by_noise("dynamics", compiled("dynamics", dynamics, sizes, states))
     h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
     covariance = np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
     residual = _residual(h, ny)
@@ -94,9 +94,11 @@ def estimate_parameters(
     problem = OptimalControlProblem(
         phases, p_bounds=bounds, p_guess=p_guess, linked=False, weights=np.ones(len(phases)), p_names=p_names
     )
-    _check_count(problem, given)
+    _check_count(problem, given, 0 if noise is not None else 1)
     solution = refine(problem, **({"intervals": 1} | options))
-    known = information(solution, residual) if solution.solved_on_mesh else None
+    squares = [np.nansum(one.outputs**2) for one in given] if noise is None else [one.measured.sum() for one in given]
+    least = float(sum(squares)) * (NEGLIGIBLE if noise is None else 1.0) / 2
+    known = information(solution, residual, least) if solution.solved_on_mesh else None
     return estimate_of(solution, given, h, known, noise is not None)
 
 
@@ -111,6 +113,16 @@ def as_covariance(name: str, value: ArrayLike, size: int | None) -> Array:
     if not (deviation > 0).all() or np.linalg.eigvalsh(full / deviation / deviation[:, None])[0] < NEGLIGIBLE**2:
         raise InputError(name, "a singular matrix", "a positive definite one", "Give what is exact a small variance.")
     return full
+
+
+def moved_by_noise(name: str, function: ca.Function) -> ca.Function:
+    """Function, if it depends on every w that has a covariance."""
+    s = symbols_of(function)
+    idle = [i for i in range(s["w"].numel()) if not ca.depends_on(function(*s.values()), s["w"][i])]
+    if idle:
+        got = f"a function that does not depend on {', '.join(f'w[{i}]' for i in idle)}"
+        raise InputError(name, got, "one that does, as w has a covariance", "Name an argument w, and add it.")
+    return function
 
 
 def signal_width(given: Sequence[Experiment]) -> int:
@@ -172,13 +184,13 @@ def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Arra
     return np.stack([np.interp(times, times[seen], column[seen]) for column in x.T], axis=1)
 
 
-def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment]) -> None:
-    """Raise where more is unknown than was measured."""
+def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment], of_noise: int) -> None:
+    """Raise where more is unknown than was measured, the variance of the noise included."""
     low, high = problem.p_bounds
     p = int((low < high).sum())
     starts = sum(int((phase.start[0] < phase.start[1]).sum()) for phase in problem.phases)
     values = sum(int(one.measured.sum()) for one in given)
-    if p + starts > values:
-        cure = "Measure more, or give parameters or starts: equal bounds hold them."
-        got = f"{p} parameters and {starts} first states from {values} measured values"
+    if p + starts + of_noise > values:
+        cure = "Measure more, give `noise`, or give parameters or starts: equal bounds hold them."
+        got = f"{p} parameters, {starts} first states{' and the noise' * of_noise} from {values} measured values"
         raise InputError("experiments", got, "at least as many values as unknowns", cure)

@@ -15,12 +15,10 @@ from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.functions import symbols_of
-from mpc.optimal_control.ipopt import Settings, once
+from mpc.optimal_control.ipopt import WARM, Settings, once
 from mpc.optimal_control.pieces import Piece, kind_of, piece_function
 from mpc.optimal_control.program import SizedProgram
 from mpc.tolerances import KKT_REPORTED
-
-WARM = {"mu_init": 1e-5, "bound_mult_init_method": "mu-based", "bound_push": 1e-6, "bound_frac": 1e-6}
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,130 @@
+"""Moving-horizon estimates beside the Kalman filter, a conic solver, and a loop."""
+
+import casadi as ca
+import clarabel
+import numpy as np
+import pytest
+from estimation_problems import kalman_difference
+from scipy import sparse
+
+from ccdtools import KalmanFilter
+from ccdtools.controllers import Observed
+from mpc import InputError
+from mpc.optimal_control import NonlinearMPC, sampled
+from mpc.optimal_control.estimation import MovingHorizonEstimator
+
+NO_INPUT = np.zeros((1, 0))
+WALK = {"window": 3, "W": [1.0], "V": [1.0], "P0": [1.0]}
+
+
+def followed(estimator, outputs):
+    """Beliefs after each row of outputs, of a plant without inputs."""
+    belief, found = estimator.start(1), []
+    for k, y in enumerate(outputs):
+        belief = estimator.predict(belief, NO_INPUT) if k else belief
+        belief = estimator.update(belief, np.reshape(y, (1, -1)), NO_INPUT)
+        found.append(belief)
+    return found
+
+
+@pytest.mark.parametrize(("seed", "window"), [(0, 2), (1, 5), (2, 12), (3, 5), (4, 1)])
+def test_on_linear_plants_it_is_the_kalman_filter(seed, window):
+    assert kalman_difference(seed, window, samples=25) < 1e-8
+
+
+def test_a_drifting_parameter_is_a_state_that_nothing_moves_but_noise():
+    filter_ = KalmanFilter([[0.9, 1], [0, 1]], np.zeros((2, 1)), [[1, 0]], np.diag([0.01, 0.002]), [[0.04]],
+                           steady=False, P0=np.diag([1, 0.5]))  # fmt: skip
+    estimator = MovingHorizonEstimator(
+        lambda x, w, p: 0.9 * x + p + w, lambda x: x, 1, 0, window=6, W=[0.01], V=[0.04], P0=[1], p=[0], P_p=[0.5],
+        p_drift=[0.002],
+    )  # fmt: skip
+    outputs = 3 + np.random.default_rng(0).normal(size=40)
+    known = filter_.start(1)
+    for k, belief in enumerate(followed(estimator, outputs)):
+        known = filter_.predict(known, np.zeros((1, 1))) if k else known
+        known = filter_.update(known, outputs[k].reshape(1, 1), np.zeros((1, 1)))
+        np.testing.assert_allclose([belief.mean[0, 0], belief.parameters[0, 0]], known.mean[0], atol=1e-9)
+
+
+def test_limits_give_the_optimum_of_the_quadratic_program():
+    A, W, steps, limit = np.array([[1, 0.1], [0, 0.95]]), np.diag([1e-3, 1e-2]), 7, ([-0.1, -0.2], [0.5, 0.2])
+    y = np.random.default_rng(2).normal(size=8) * 0.5 + 0.4
+    estimator = MovingHorizonEstimator(
+        lambda x, w: A @ x + w, lambda x: x[0], 2, 0, window=8, W=W, V=[0.05], P0=[1, 1], x_bounds=limit,
+        w_bounds=(-0.05, 0.05),
+    )  # fmt: skip
+    last = followed(estimator, y)[-1]
+    n, m = 2 * (steps + 1), 2 * steps
+    Q = np.diag(np.r_[np.tile([20.0, 0.0], steps + 1), np.tile(1 / np.diag(W), steps)])
+    Q[:2, :2] += np.eye(2)
+    g = np.r_[np.stack([-20 * y, 0 * y], axis=1).ravel(), np.zeros(m)]
+    move = np.hstack([np.kron(np.eye(steps, steps + 1), A) - np.kron(np.eye(steps, steps + 1, 1), np.eye(2)),
+                      np.eye(m)])  # fmt: skip
+    low, high = (np.r_[np.tile(side, steps + 1), sign * np.full(m, 0.05)] for side, sign in zip(limit, (-1, 1)))
+    rows = sparse.csc_matrix(np.vstack([move, np.eye(n + m), -np.eye(n + m)]))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    cones = [clarabel.ZeroConeT(m), clarabel.NonnegativeConeT(2 * (n + m))]
+    found = clarabel.DefaultSolver(sparse.csc_matrix(np.triu(Q)), g, rows, np.r_[np.zeros(m), high, -low], cones,
+                                   settings).solve()  # fmt: skip
+    assert str(found.status) == "Solved"
+    assert last.status[0].name == "SOLVED"
+    np.testing.assert_allclose(last.windows[0].course.ravel(), np.array(found.x)[:n], atol=1e-6)
+
+
+def test_a_loop_on_measured_angles_swings_to_rest_with_its_unknown_friction_found():
+    step = sampled(lambda x, u, p: ca.vertcat(x[1], ca.sin(x[0]) - p * x[1] + u), 0.1)
+    law = NonlinearMPC(lambda x, u: step(x, u, 0.1), 2, 1, Q=np.eye(2), R=[[0.1]], horizon=20, U=([-2], [2]))
+    estimator = MovingHorizonEstimator(
+        lambda x, u, w, p: step(x, u, p) + w, lambda x: x[0], 2, 1, window=10, W=[1e-8, 1e-7], V=[1e-4],
+        P0=[0.1, 0.1], x0=[0.8, 0], p=[0.1], P_p=[1.0], p_bounds=([0], [None]),
+    )  # fmt: skip
+    loop, x, u = Observed(law, estimator), np.array([1.0, 0.0]), np.zeros(1)
+    rng, belief = np.random.default_rng(0), estimator.start(1)
+    for k in range(60):
+        y = x[:1] + 0.01 * rng.normal(size=1)
+        belief = estimator.update(estimator.predict(belief, u[None]) if k else belief, y[None], u[None])
+        u = loop(None, y=y, u_prev=u)
+        x = np.array(step(x, u, 0.6)).ravel()
+    assert np.abs(x).max() < 0.05
+    np.testing.assert_allclose(belief.mean[0], x, atol=0.03)
+    assert 0.3 < belief.parameters[0, 0] < 0.9
+    assert belief.status[0].name == "SOLVED"
+
+
+def test_an_estimate_stays_within_limits_however_far_an_output_is():
+    estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **WALK, x_bounds=([0], [1]))
+    belief = followed(estimator, [1e9])[-1]
+    assert belief.status[0].name == "SOLVED"
+    np.testing.assert_allclose(belief.mean, 1.0, atol=1e-6)
+
+
+def test_limits_that_cannot_hold_together_leave_the_filter_and_say_so():
+    estimator = MovingHorizonEstimator(
+        lambda x, w: x + 5 + w, lambda x: x, 1, 0, **WALK, x_bounds=([0], [1]), w_bounds=(-1, 1)
+    )
+    first, second = followed(estimator, [0.5, 0.5])
+    assert (first.status[0].name, second.status[0].name) == ("SOLVED", "FILTERED")
+    assert "Kalman" in second.status[0].advice
+    assert np.isfinite(second.mean).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "name"),
+    [
+        ({"W": [-1.0]}, "W"), ({"W": [0.0]}, "W"), ({"V": [0.0]}, "V"), ({"P0": [-1.0]}, "P0"),
+        ({"window": 0}, "window"), ({"x0": [1, 2]}, "x0"), ({"x_bounds": ([1], [0])}, "x_bounds"), ({"p": [1.0], "p_drift": [-1.0]}, "p_drift"),
+        ({"p": [1.0], "P_p": [1.0, 1.0]}, "P_p"), ({"W": [1.0, 1.0]}, "step"), ({"tolerance": 2.0}, "tolerance"),
+    ],
+)  # fmt: skip
+def test_wrong_statements_are_named(wrong, name):
+    with pytest.raises(InputError, match=f"^{name}"):
+        MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **(WALK | wrong))
+
+
+@pytest.mark.parametrize("y", [[[np.inf]], [[1.0, 2.0]], [[1.0], [2.0]]])
+def test_wrong_outputs_are_named(y):
+    estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **WALK)
+    with pytest.raises(InputError, match=r"^y: "):
+        estimator.update(estimator.start(1), y, NO_INPUT)
