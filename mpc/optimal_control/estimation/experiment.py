@@ -87,7 +87,7 @@ class Experiment:
 
     @cached_property
     def signal(self) -> Callable[[Array], ArrayLike] | None:
-        """Inputs as a function of time; those of a table until a time, and at the first its first row."""
+        """Inputs as a function of time, a table's until its next row."""
         if self.inputs is None or callable(self.inputs):
             return self.inputs  # type: ignore[no-any-return]
         times, table = self.times, self.inputs
@@ -114,9 +114,9 @@ def as_experiments(value: Any) -> tuple[Experiment, ...]:
 
 
 def whitened(outputs: Array, covariance: Array) -> Array:
-    """Rows [y, vec M] of outputs (n, ny): M y has noise of unit variance, and none of what is NaN.
+    """Rows [y, vec M] of outputs (n, ny), M y of unit noise.
 
-    Of outputs that were measured M is the inverse Cholesky factor of their own covariance.
+    NaN has no part in M y; of outputs that were measured M is the inverse Cholesky factor of their own covariance.
     """
     n, ny = outputs.shape
     seen = ~np.isnan(outputs)

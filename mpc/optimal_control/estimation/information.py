@@ -1,4 +1,4 @@
-"""What measurements tell of parameters: sensitivities, covariance and combinations that stay open."""
+"""Covariance of parameters, and combinations that data leave open."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Information:
 
     @cached_property
     def modes(self) -> tuple[Array, Array]:
-        """Singular values (k,), falling, and combinations (m, k) that they belong to."""
+        """Singular values (k,), falling, and their combinations (m, k)."""
         _, found, V = np.linalg.svd(self.slopes @ self.directions, full_matrices=True)
         values = np.zeros(self.directions.shape[1])
         values[: len(found)] = found[: len(values)]
@@ -59,7 +59,7 @@ class Information:
         return np.asarray(values > TOLD_APART * values.max(initial=0.0))
 
     def named(self, deviation: float) -> tuple[dict[str, float], ...]:
-        """Combinations that noise of this standard deviation leaves open: shares by name.
+        """Combinations left open by noise of a deviation: shares by name.
 
         Those of which the data tell nothing in sizes of the estimates, as few names in each as may be.
         """
@@ -78,7 +78,10 @@ class Information:
         return tuple(found)
 
     def covariance(self) -> Array:
-        """Covariance (m, m) at unit noise; variances are infinite and the rest NaN where nothing is told."""
+        """Covariance (m, m) at unit noise.
+
+        Variances are infinite and the rest NaN where nothing is told.
+        """
         values, modes = self.modes
         told = self.told
         parts = modes[:, told] / values[told]
@@ -90,7 +93,7 @@ class Information:
 
 
 def information(solution: Solution, residual: ca.Function, least_cost: float) -> Information:
-    """Information of the constrained problem at its optimum, by the linearised dynamics.
+    """Information at the optimum, by the linearised dynamics.
 
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
     the unknowns themselves count. Pushes on bounds are judged beside the cost, or a least one where data are exact.
@@ -129,7 +132,7 @@ def _of(part: PhasePart, *, states: bool) -> NDArray[np.int64]:
 
 
 def _moves(program: NonlinearProgram, v: Array, by: NDArray[np.int64]) -> Array:
-    """Changes (n, m) of all unknowns by m of them, along the linearised dynamics."""
+    """Changes (n, m) of all unknowns by m of them."""
     states = np.concatenate([_of(part, states=True) for part in program.parts])
     rows = np.concatenate([np.arange(part.defects.start, part.defects.stop) for part in program.parts])
     slope = csc_matrix(program.derivatives.jacobian[1](v)[1].sparse())[rows]
@@ -155,7 +158,7 @@ def _sampled(part: PhasePart, solution: Solution, residual: ca.Function, moves: 
 
 
 def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array, Array, NDArray[np.int64]]:
-    """States (n, nx), signals (n, nw), times (n,), data (n, k) and places (n, nx) of a phase's samples."""
+    """States, signals, times, data and places (n, ·) of a phase's samples."""
     times, known = part.phase.samples
     at = np.searchsorted(part.mesh, times / part.phase.duration[0] - LEAST_INTERVAL)
     places = part.first + part.layout.column * at[:, None] + np.arange(part.layout.nx)
@@ -164,7 +167,7 @@ def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array
 
 
 def _acting(solution: Solution, cost_size: float) -> NDArray[np.int64]:
-    """Unknowns at a bound that holds them: their multiplier is larger than their distance, both scaled."""
+    """Unknowns held by a bound: scaled multiplier above scaled distance."""
     program, v = solution.program, solution.unknowns
     push = solution.multipliers["bounds"] * program.scale / cost_size
     room = np.where(push > 0, program.upper - v, v - program.lower) / program.scale

@@ -53,9 +53,10 @@ class MovingHorizonBelief:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MovingHorizonEstimator:
-    """Most likely states and parameters of x⁺ = f(x, u, w, p), y_k = h(x_k, u_{k-1}, p) + v_k over the last samples.
+    """Most likely states and parameters over the last samples, within limits.
 
-    Within limits. What came before the window is kept as mean and covariance, which an extended Kalman filter carries
+    Of x⁺ = f(x, u, w, p), y_k = h(x_k, u_{k-1}, p) + v_k.
+    What came before the window is kept as mean and covariance, which an extended Kalman filter carries
     on, linearised at the smoothed states (arrival cost). On a linear model without limits it is the Kalman filter.
     It has no memory itself and is called like one: ``Observed(controller, estimator)`` closes the loop.
 
@@ -215,7 +216,7 @@ class MovingHorizonEstimator:
         return self._belief(found)
 
     def update(self, belief: MovingHorizonBelief, y: ArrayLike, u: ArrayLike) -> MovingHorizonBelief:
-        """Belief after outputs (n, ny), NaN where there are none, measured after inputs (n, nu)."""
+        """Belief after outputs (n, ny), or NaN, of inputs (n, nu)."""
         outputs = as_floats("y", y)
         if outputs.shape != (len(belief.windows), self.ny) or np.isinf(outputs).any():
             got = "infinite values" if np.isinf(outputs).any() else f"shape {outputs.shape}"

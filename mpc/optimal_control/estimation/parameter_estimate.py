@@ -121,7 +121,7 @@ def in_words(combination: dict[str, float]) -> str:
 
 def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Function, known: Information | None,
                 noise_known: bool) -> ParameterEstimate:  # fmt: skip
-    """Estimate from a solution; with NaN for what an unsolved one does not tell."""
+    """Estimate from a solution, NaN where an unsolved one tells nothing."""
     program = solution.program
     firsts = np.stack([part.first + np.arange(part.layout.nx) for part in program.parts])
     residuals = []

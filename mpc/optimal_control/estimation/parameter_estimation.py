@@ -29,8 +29,9 @@ def estimate_parameters(
     disturbance: ArrayLike | None = None, x_bounds: Bounds = (-INF, INF), p_names: Sequence[str] = (),
     state_names: Sequence[str] = (), **options: Any,
 ) -> ParameterEstimate:  # fmt: skip
-    """Most likely parameters and first states of dx/dt = f(x, u, w, p, t), y = h(x, u, p, t) + noise.
+    """Most likely parameters and first states, from measurements.
 
+    Of dx/dt = f(x, u, w, p, t), y = h(x, u, p, t) + noise.
     Least squares by direct collocation, trajectories and parameters in one program, on a mesh that is refined.
 
     Parameters
@@ -134,7 +135,10 @@ def signal_width(given: Sequence[Experiment]) -> int:
 
 
 def _residual(h: ca.Function, ny: int) -> ca.Function:
-    """Function (x, w, p, t, y) → whitened residual (ny,), w being the inputs and y rows of `whitened`."""
+    """Function (x, w, p, t, y) → whitened residual (ny,).
+
+    w are the inputs, y rows of `whitened`.
+    """
     s = symbols_of(h)
     y = type(s["x"]).sym("y", ny * (1 + ny))
     value = ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny])
@@ -143,7 +147,7 @@ def _residual(h: ca.Function, ny: int) -> ca.Function:
 
 def _phase(one: Experiment, f: ca.Function, residual: ca.Function, density: Array, limits: tuple[Any, ...],
            covariance: Array, names: tuple[str, ...]) -> Phase:  # fmt: skip
-    """Phase of an experiment, its unknown disturbance of unit density as input, its inputs as signal."""
+    """Phase of an experiment: disturbance as input, inputs as signal."""
     s, r = symbols_of(f), symbols_of(residual)
     unit = type(s["x"]).sym("unit", len(density))
     rates = f(s["x"], s["u"], ca.mtimes(ca.DM(np.linalg.cholesky(density)), unit), s["p"], s["t"])
@@ -167,7 +171,7 @@ def _phase(one: Experiment, f: ca.Function, residual: ca.Function, density: Arra
 
 def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Array, start: tuple[Array, Array],
                  bounds: tuple[Array, Array]) -> Array:  # fmt: skip
-    """States (n, nx) nearest to the start, of those that explain each row of outputs best; between rows linear."""
+    """States (n, nx) nearest to the start that explain the outputs."""
     s = symbols_of(residual)
     value = residual(*s.values())
     both = ca.Function("both", list(s.values()), [value, ca.vec(ca.jacobian(value, s["x"]))])
@@ -185,7 +189,7 @@ def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Arra
 
 
 def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment], of_noise: int) -> None:
-    """Raise where more is unknown than was measured, the variance of the noise included."""
+    """Raise where more is unknown than was measured."""
     low, high = problem.p_bounds
     p = int((low < high).sum())
     starts = sum(int((phase.start[0] < phase.start[1]).sum()) for phase in problem.phases)

@@ -69,7 +69,7 @@ class NoisyModel:
         return f + slope @ (mean - at), (after + after.T) / 2
 
     def updated(self, at: Array, u: Array, y: Array, mean: Array, P: Array) -> tuple[Array, Array]:
-        """Mean (nz,) and covariance after outputs (ny,), NaN where there are none, linearised at a point."""
+        """Mean (nz,) and covariance after outputs (ny,) or NaN."""
         h, H = (np.asarray(part, dtype=float).ravel() for part in self.seen(at, u))
         known = ~np.isnan(y)
         slope, V = H.reshape(len(at), -1).T[known], self.V[np.ix_(known, known)]
@@ -83,7 +83,7 @@ class NoisyModel:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Samples of one run, and what is known of the first by those before.
+    """Samples of one run, and what came before them.
 
     Attributes
     ----------
@@ -106,13 +106,13 @@ class Window:
     last: Array
 
     def shortened(self, model: NoisyModel) -> Window:
-        """Window without its first sample, which the arrival mean and covariance take in."""
+        """Window without its first sample, which mean and covariance take in."""
         first = model.updated(self.course[0], self.inputs[0], self.outputs[0], self.mean, self.covariance)
         mean, P = model.predicted(self.course[0], self.inputs[1], *first)
         return Window(mean, P, self.outputs[1:], self.inputs[1:], self.course[1:], self.last)
 
     def filtered(self, model: NoisyModel) -> tuple[Array, Array]:
-        """Mean and covariance at the last sample by Kalman's filter, linearised along the course."""
+        """Mean and covariance at the last sample by the extended Kalman filter."""
         at, known = self.course, (self.mean, self.covariance)
         for k in range(len(at)):
             known = known if k == 0 else model.predicted(at[k - 1], self.inputs[k], *known)

@@ -114,8 +114,9 @@ def test_limits_that_cannot_hold_together_leave_the_filter_and_say_so():
     ("wrong", "name"),
     [
         ({"W": [-1.0]}, "W"), ({"W": [0.0]}, "W"), ({"V": [0.0]}, "V"), ({"P0": [-1.0]}, "P0"),
-        ({"window": 0}, "window"), ({"x0": [1, 2]}, "x0"), ({"x_bounds": ([1], [0])}, "x_bounds"), ({"p": [1.0], "p_drift": [-1.0]}, "p_drift"),
-        ({"p": [1.0], "P_p": [1.0, 1.0]}, "P_p"), ({"W": [1.0, 1.0]}, "step"), ({"tolerance": 2.0}, "tolerance"),
+        ({"window": 0}, "window"), ({"x0": [1, 2]}, "x0"), ({"x_bounds": ([1], [0])}, "x_bounds"),
+        ({"p": [1.0], "p_drift": [-1.0]}, "p_drift"), ({"p": [1.0], "P_p": [1.0, 1.0]}, "P_p"),
+        ({"W": [1.0, 1.0]}, "step"), ({"tolerance": 2.0}, "tolerance"),
     ],
 )  # fmt: skip
 def test_wrong_statements_are_named(wrong, name):
