@@ -35,6 +35,8 @@ class OffsetFreeMPC:
         Share of the newest one-step error taken into the estimate, in (0, 1].
     disturbance : (nw,) array, optional
         Estimate w; zero at first.
+    reference : (ny,) array, optional
+        What the outputs are to reach where a call names none; a loop then asks for none.
 
     Raises
     ------
@@ -57,6 +59,7 @@ class OffsetFreeMPC:
     C: Any
     gain: float = field(default=0.5, kw_only=True)
     disturbance: Any = field(default=None, kw_only=True)
+    reference: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mpc", self._disturbed())
@@ -70,6 +73,8 @@ class OffsetFreeMPC:
             ("disturbance", as_array("disturbance", estimate, (problem.nw,))),
         ):  # fmt: skip
             object.__setattr__(self, name, value)
+        if self.reference is not None:
+            object.__setattr__(self, "reference", as_array("reference", self.reference, (len(self.C),)))
 
     def _disturbed(self) -> Any:
         """Regulator, checked, of a model with disturbances."""
@@ -93,7 +98,7 @@ class OffsetFreeMPC:
     @property
     def needs(self) -> frozenset[str]:
         """Signals a closed loop hands over; see `LinearMPC.needs`."""
-        return self.mpc.needs | {"reference"}
+        return self.mpc.needs | ({"reference"} if self.reference is None else set())
 
     def observe(self, x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> OffsetFreeMPC:
         """Controller after one observed transition."""
@@ -157,8 +162,10 @@ class OffsetFreeMPC:
 
     def _reference(self, reference: ArrayLike | None, x_ref: ArrayLike | None) -> ArrayLike:
         """Output reference, given itself or by a state's first row."""
+        if reference is None and x_ref is None:
+            reference = self.reference
         if reference is not None:
-            return reference
+            return np.asarray(reference)
         if x_ref is None:
             raise InputError("reference", "nothing", "the outputs to reach, or x_ref")
         state = as_floats("x_ref", x_ref)

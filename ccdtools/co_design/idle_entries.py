@@ -178,5 +178,7 @@ def _disturbance(problem: Any, runs: int) -> Array:
 
 
 def _extents(problem: Any, disturbance: Any) -> dict[str, Any]:
-    """Largest size of each state, input and disturbance."""
-    return {"x": problem.state_scale, "u": np.max(np.abs(problem.input_bounds), axis=0), "w": disturbance}
+    """Largest size of each state, input and disturbance, without errors that are added to states."""
+    model = problem.model
+    entering = np.atleast_1d(disturbance)[: model.plant.nw] if isinstance(model, SampledModel) else disturbance
+    return {"x": problem.state_scale, "u": np.max(np.abs(problem.input_bounds), axis=0), "w": entering}

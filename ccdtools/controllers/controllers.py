@@ -66,29 +66,34 @@ class Passive:
 
 @dataclass(frozen=True, eq=False)
 class LinearFeedback(Immutable):
-    """Saturated static gain u = clip(−K x, lower, upper), such as LQR.
+    """Saturated static gain u = clip(offset − K x, lower, upper), such as LQR.
 
     Parameters
     ----------
     K : (nu, nx) array_like
     lower, upper : (nu,) array_like
         Input bounds, in the units of u; none by default.
+    offset : (nu,) array_like
+        Input at x = 0, 0 by default.
     """
 
     K: ArrayField
     lower: ArrayField = field(default_factory=lambda: np.array(-np.inf))
     upper: ArrayField = field(default_factory=lambda: np.array(np.inf))
+    offset: ArrayField = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         K = np.atleast_2d(as_floats("K", self.K))
         if K.ndim != 2 or K.size == 0:
             raise InputError("K", f"shape {K.shape}", "a gain (nu, nx)")
         object.__setattr__(self, "K", frozen(finite("K", K)))
+        offset = as_array("offset", self.offset, (), (len(K),))
+        object.__setattr__(self, "offset", frozen(np.broadcast_to(finite("offset", offset), (len(K),)).copy()))
         _set_bounds(self, len(K))
 
     def __call__(self, x: ArrayLike) -> Array:
         """Saturated inputs (n, nu) or (nu,)."""
-        u: Array = np.clip(-as_states(x, self.K.shape[1]) @ self.K.T, self.lower, self.upper)
+        u: Array = np.clip(self.offset - as_states(x, self.K.shape[1]) @ self.K.T, self.lower, self.upper)
         return u
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.expert import admissible_inputs
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Risk, WorstCase, has_cases
@@ -25,6 +26,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
+from ccdtools.studies.names import IDENTIFIED, OFFSET_FREE
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
@@ -33,11 +35,13 @@ from ccdtools.studies.warm_up import warm_up
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
+from ccdtools.twin.identified import identified_lqr
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals, is_common
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
+from mpc import NotStabilisableError, OffsetFreeMPC
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,9 +205,17 @@ class Evaluation:
         """Unused baselines of a design, tuned once."""
         return cache(lambda design: baselines(self.problem, np.array(design), rng=self.rng("baselines")))
 
-    def baselines(self, design: Array) -> dict[str, Controller]:
-        """Baselines at a design, tuned once and copied."""
-        return deepcopy(self._tuned(tuple(design)))
+    def baselines(self, design: Array, logs: Sequence[Residuals]) -> dict[str, Controller]:
+        """Baselines at a design, tuned once and copied, with those that know the logs."""
+        informed: dict[str, Controller] = {}
+        if logs:
+            at_rest = OffsetFreeMPC(
+                linear_mpc(self.problem, design), np.zeros((0, self.problem.model.nx)), reference=()
+            )
+            informed[OFFSET_FREE] = at_rest
+            with suppress(NotStabilisableError):
+                informed[IDENTIFIED] = identified_lqr(self.problem, design, logs)
+        return deepcopy(self._tuned(tuple(design))) | informed
 
     def comparison(
         self, rng: np.random.Generator, generation: int, designed: Deployable, deployed: Deployable,
@@ -215,7 +227,7 @@ class Evaluation:
         """
         at("baselines at the design")
         design = designed.design
-        controllers = self.baselines(design)
+        controllers = self.baselines(design, logs)
         rows: list[dict[str, Any]] = []
         arrays: dict[str, Array] = {}
         for plant, name, scenario, one in (
@@ -276,7 +288,7 @@ class Evaluation:
         """Table rows of controllers compared in one place, of which MPC sees a few runs."""
         scores = compare(
             everyone, scenario, design=design, objective=self.study.objective, X=self.problem.state_limits(design),
-            limit=self.problem.limit, few={"MPC": mpc_runs}, metrics=self.study.metrics,
+            limit=self.problem.limit, few={"MPC": mpc_runs, OFFSET_FREE: mpc_runs}, metrics=self.study.metrics,
             output_limits=self.problem.output_limits, risk=risk,
         )  # fmt: skip
         return [place | self._row(design, score) for score in scores]

@@ -88,7 +88,7 @@ class Generations:
         service = history[-1].after
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
-        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history))
+        beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history, twin.logs))
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
         contents = self._results(history, beyond)

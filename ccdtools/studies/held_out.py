@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from ccdtools.studies.evaluation import Evaluation
     from ccdtools.studies.service import Deployed
     from ccdtools.twin.deployable import Deployable
+    from ccdtools.twin.residuals import Residuals
 
 Step: TypeAlias = tuple[str, Controller, Array]  # source of a change, the controller changed to, and its design
 
@@ -47,11 +48,11 @@ class GenerationRecord:
     stages: Mapping[str, Stage] = field(default_factory=dict)  # by kind
 
 
-def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> Stage:
+def held_out_stage(evaluation: Evaluation, history: Sequence[GenerationRecord], logs: Sequence[Residuals]) -> Stage:
     """Comparison and gains on held-out runs, first and last design."""
     first = history[0].after
     last = history[-1].after
-    rows = held_out_rows(evaluation, 0, first) + held_out_rows(evaluation, len(history) - 1, last)
+    rows = held_out_rows(evaluation, 0, first, ()) + held_out_rows(evaluation, len(history) - 1, last, logs)
     steps = steps_of(evaluation, history)
     places = places_of(evaluation)
     gains = [{"place": name} | gains_in(evaluation, scenario, steps) for name, scenario in places.items()]
@@ -88,9 +89,11 @@ def formerly_deployed(history: Sequence[GenerationRecord], current: Deployable) 
     return found
 
 
-def held_out_rows(evaluation: Evaluation, generation: int, service: Deployable) -> list[dict[str, Any]]:
+def held_out_rows(
+    evaluation: Evaluation, generation: int, service: Deployable, logs: Sequence[Residuals]
+) -> list[dict[str, Any]]:
     """Comparison rows of one design on every held-out disturbance."""
-    everyone = evaluation.baselines(service.design) | {"learned": evaluation.deployed(service)}
+    everyone = evaluation.baselines(service.design, logs) | {"learned": evaluation.deployed(service)}
     rows = []
     for name, scenario in list(places_of(evaluation).items())[1:]:
         place = {"plant": f"held out: {name}", "model": name, "generation": generation}

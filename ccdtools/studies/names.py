@@ -3,3 +3,5 @@
 SOURCES = ("start", "design", "policy", "updates", "redesign")  # what a gain is due to, from LQR at the start design on
 FORMER = "return to "  # begins the name of a proposal that was deployed before, or is the start
 POLICY_ALONE = "its policy at the present design"
+IDENTIFIED = "LQR, identified"  # by least squares from the logs that the twin has, with its offset
+OFFSET_FREE = "MPC, offset-free"

@@ -60,3 +60,14 @@ def test_bad_input_is_refused(regulator):
         OffsetFreeMPC(regulator, [[1.0, 0.0]])([0.0, 0.0], [1.0, 2.0])
     with pytest.raises(InputError, match="no steady state"):
         OffsetFreeMPC(regulator, [[1.0, 0.0]], disturbance=[0.0, 3.0]).target([0.0])
+
+
+def test_a_reference_of_its_own_needs_none_in_the_loop():
+    regulator = LinearMPC([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], Q=np.eye(2), R=0.1, horizon=20, U=(-1, 1))
+    law, asked = OffsetFreeMPC(regulator, [[1.0, 0.0]], reference=[0.3]), OffsetFreeMPC(regulator, [[1.0, 0.0]])
+    assert "reference" not in law.needs
+    assert "reference" in asked.needs
+    np.testing.assert_array_equal(law([0.1, 0.0]), asked([0.1, 0.0], reference=[0.3]))
+    np.testing.assert_array_equal(law([0.1, 0.0], reference=[0.2]), asked([0.1, 0.0], reference=[0.2]))
+    with pytest.raises(InputError, match="reference"):
+        OffsetFreeMPC(regulator, [[1.0, 0.0]], reference=[0.3, 0.0])

@@ -7,7 +7,7 @@ from typing import Any
 
 from ccdtools.evidence.percent import number, share, signed_percent, with_minus
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.studies.names import FORMER
+from ccdtools.studies.names import FORMER, IDENTIFIED
 from ccdtools.studies.report.formatting import capitalised, design_text, limits_of
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
@@ -94,9 +94,9 @@ def _brought(generation: Mapping[str, Any]) -> bool:
 
 
 def _row(results: Results, generation: int, controller: str) -> dict[str, Any]:
-    """Row of the comparison on the real plant."""
+    """Row of the comparison on the real plant, empty if there is none."""
     rows = (r for r in results["comparison"] if r["plant"] == "real" and r["generation"] == generation)
-    return next(r for r in rows if r["controller"] == controller)
+    return next((r for r in rows if r["controller"] == controller), {})
 
 
 def _cost(results: Results, last: int) -> str:
@@ -147,7 +147,7 @@ def _policy(results: Results, last: int) -> str:
             words.setdefault(word, []).append(row["model"] + cost)
     elsewhere = [f"worse than LQR with {', '.join(words['worse'])}"] if "worse" in words else []
     elsewhere += [f"not told apart from LQR with {', '.join(words['open'])}"] if "open" in words else []
-    there = _where_deployed(results, last)
+    there = ", ".join(part for part in (_where_deployed(results, last), _informed(results, last)) if part)
     return ", but ".join(part for part in (there, f"it is {' and '.join(elsewhere)}" if elsewhere else "") if part)
 
 
@@ -166,6 +166,18 @@ def _where_deployed(results: Results, last: int) -> str:
     if word.startswith("worse"):
         return f"{sentence}, which leaves {left} further ({outside_text(reference, results['comparison'])})"
     return f"{sentence}, but leaves {left} further ({outside_text(row, results['comparison'])})"
+
+
+def _informed(results: Results, last: int) -> str:
+    """Phrase for LQR identified from the former logs; empty without one."""
+    row = _row(results, last, IDENTIFIED)
+    percent = percent_of_reference(row, _row(results, last, "LQR")) if row else None
+    if percent is None:
+        return ""
+    word = verdict(row, _row(results, last, "LQR")).removesuffix(" in return only")
+    part = signed_percent(abs(percent[0])).removeprefix("+")
+    costs = {"better": f"costs {part} less", "worse": f"costs {part} more", "equal": "costs as much"}
+    return f"LQR identified from the former logs {costs.get(word, 'cannot be told apart from it')}"
 
 
 def _limits(results: Results, last: int) -> str:

@@ -72,6 +72,7 @@ def test_logged_errors_and_their_replay_are_those_of_the_exact_model(pair):
     for model in pair:
         twin = DigitalTwin(model).remembering(log)
         problem = replay_problem(problem_of(model), twin.logs, 30)
+        assert problem.notes == problem_of(model).notes
         x0, w = problem.scenarios.sample(5, 30, np.random.default_rng(0))
         run = simulate(problem.model, LinearFeedback([[2.0, 0.5]]), x0=x0, steps=30, disturbance=w, design=[1.4, 0.2])
         replayed.append((twin.logs[0].e_next, run.states))

@@ -1,0 +1,81 @@
+"""LQR of what logs tell, by least squares: a baseline that knows as much as the twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_instance, shown
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.exceptions import InputError
+from ccdtools.twin.budgets import RIDGES
+from ccdtools.twin.residuals import Residuals, check_errors
+from ccdtools.twin.transport import carried
+from mpc import lqr
+
+
+def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Sequence[Residuals]) -> LinearFeedback:
+    """LQR with an offset, of the affine model that explains logs best.
+
+    The one-step errors of the nominal model are fitted by (ΔA, ΔB, c), each state by ridge regression towards no change
+    in A and B whose weight generalised cross-validation chooses; c is free. Clipped to U. Least squares mistake a
+    disturbance that lasts for a consequence of the state, as they do in practice.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    design : (np,) array_like
+        Logs of other designs are carried to it.
+    logs : sequence of Residuals
+
+    Raises
+    ------
+    InputError
+        If there is no log, or one of another plant.
+    mpc.NotStabilisableError
+        If the model found cannot be stabilised.
+
+    References
+    ----------
+    Golub, Heath and Wahba, "Generalized cross-validation as a method for choosing a good ridge parameter",
+    Technometrics 21, 1979.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    p = problem.design.check_one(design)
+    if not isinstance(logs, list | tuple) or not logs:
+        raise InputError("logs", shown(logs), "at least one log, from residuals(model, log)")
+    for i, log in enumerate(logs):
+        check_errors(f"logs[{i}]", problem.model, as_instance(f"logs[{i}]", log, Residuals, "Residuals"))
+    A, B, _ = problem.model.matrices(p)
+    dA, dB, c = fitted_change(
+        [carried(problem.model, log, p, problem.state_scale) for log in logs], problem.state_scale
+    )
+    A, B = A + dA, B + dB
+    weights = problem.weights(p).keywords()
+    K, P = lqr(A, B, **weights)
+    ahead = P @ c + np.linalg.solve(
+        np.eye(len(A)) - (A - B @ K).T, (A - B @ K).T @ P @ c
+    )  # half the slope of x'Px + 2s'x
+    offset = -np.linalg.solve(weights["R"] + B.T @ P @ B, B.T @ ahead)
+    return LinearFeedback(K, *problem.input_bounds_at(p), offset=offset)
+
+
+def fitted_change(logs: Sequence[Residuals], scale: Array) -> tuple[Array, Array, Array]:
+    """ΔA (nx, nx), ΔB (nx, nu) and c (nx,) of errors, by ridge regression."""
+    x, u, e = (np.concatenate([getattr(log, name).reshape(-1, getattr(log, name).shape[2]) for log in logs])
+               for name in ("x", "u", "e_next"))  # fmt: skip
+    z, e = np.hstack([x, u]), e / scale
+    mean, spread = z.mean(axis=0), z.std(axis=0)
+    spread = np.where(spread > 0, spread, 1.0)
+    U, s, V = np.linalg.svd((z - mean) / spread, full_matrices=False)
+    parts = U.T @ (e - e.mean(axis=0))
+    kept = s[:, None] ** 2 / (s[:, None] ** 2 + max(s[0], 1.0) ** 2 * RIDGES)  # (m, ridges); none for the last
+    left = np.square(e - e.mean(axis=0)).sum(axis=0)[:, None] - np.square(parts).T @ (1 - (1 - kept) ** 2)
+    best = np.argmin(left / (len(z) - 1 - kept.sum(axis=0)) ** 2, axis=1)
+    share = np.divide(kept[:, best], s[:, None], out=np.zeros_like(parts), where=s[:, None] > 0)
+    change = (V.T @ (share * parts)).T * scale[:, None] / spread
+    return change[:, : x.shape[1]], change[:, x.shape[1] :], e.mean(axis=0) * scale - change @ mean

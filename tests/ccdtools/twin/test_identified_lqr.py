@@ -1,0 +1,128 @@
+"""LQR re-identified from logs: least squares, the offset, and what it is worth."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    Plant,
+    QuadraticObjective,
+    Scenario,
+    deploy,
+    discretise,
+    saturated_lqr,
+)  # fmt: skip
+from ccdtools.twin import DigitalTwin, identified_lqr
+
+DESIGN, Q, R = [2.0, 0.5], np.eye(2), np.array([[0.1]])
+
+
+def oscillator(mass=1.0, force=0.0, unit=1.0):
+    """A mass with stiffness and damping to be designed, positions in a unit, pushed by a constant force."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    space = DesignSpace(["k", "c"], lower=[1.0, 0.1], upper=[5.0, 1.0])
+    push = (-p[0] * x[0] / unit - p[1] * x[1] / unit + u + w + force) / mass
+    return Plant(x, u, w, p, ca.vertcat(x[1], push * unit), space, dt=0.1)
+
+
+def problem_of(unit=1.0):
+    scale = np.array([unit, unit])
+    return CoDesignProblem(
+        discretise(oscillator(unit=unit)), X=(-9 * scale, 9 * scale), U=(-9, 9),
+        objective=QuadraticObjective(Q / unit**2, R), scenarios=FixedStart(0.5 * scale, Gaussian([0.1])), steps=100,
+    )  # fmt: skip
+
+
+def logged(problem, real, controller, noise=0.0, runs=10, unit=1.0):
+    """Errors of the nominal model along runs on the real plant."""
+    rng = np.random.default_rng(0)
+    x0 = unit * rng.uniform(-1, 1, (runs, 2))
+    log = deploy(real, controller, DESIGN, noise * rng.standard_normal((runs, 200, 1)), x0=x0)
+    return DigitalTwin(problem.model).remembering(log).logs
+
+
+def wandering(x):
+    """Inputs that no linear law gives."""
+    return np.sin(7 * x[..., :1]) + 0.3 * np.cos(11 * x[..., 1:])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_a_law_of_exact_logs_is_the_best_affine_one_of_the_real_plant(unit):
+    problem, real = problem_of(unit), oscillator(1.6, 0.4, unit)
+    law = identified_lqr(problem, DESIGN, logged(problem, real, lambda x: wandering(x / unit), unit=unit))
+    A, B, _ = discretise(oscillator(1.6, 0.0, unit)).matrices(DESIGN)
+    c = 0.4 * B[:, 0]  # the force acts where the input does
+
+    def cost(offset):
+        state = np.linalg.solve(np.eye(2) - A + B @ law.K, B[:, 0] * offset + c)
+        push = offset - law.K[0] @ state
+        return state @ Q @ state / unit**2 + R[0, 0] * push**2
+
+    truth = problem.objective.weights(np.array(DESIGN), 2, 1).keywords()
+    np.testing.assert_allclose(law.K, lqr_gain(A, B, **truth), rtol=1e-5)
+    np.testing.assert_allclose(law.offset[0], minimize_scalar(cost, tol=1e-12).x, rtol=1e-5)
+
+
+def lqr_gain(A, B, Q, R, **_):
+    """Gain by iterating the Riccati equation."""
+    P = Q
+    for _ in range(3000):
+        K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+        P = Q + A.T @ P @ (A - B @ K)
+    return K
+
+
+def test_noise_alone_changes_the_law_little_and_a_wrong_model_gains_by_it():
+    problem = problem_of()
+    own = saturated_lqr(problem, DESIGN)
+    unchanged = identified_lqr(problem, DESIGN, logged(problem, oscillator(), own, noise=0.3))
+    np.testing.assert_allclose(unchanged.K, own.K, atol=0.15)
+    np.testing.assert_allclose(unchanged.offset, 0.0, atol=0.05)
+
+    real = oscillator(1.6, 0.4)
+    law = identified_lqr(problem, DESIGN, logged(problem, real, own, noise=0.3))
+    w = 0.3 * np.random.default_rng(9).standard_normal((50, 200, 1))
+    scenario = Scenario(real, np.tile([0.5, 0.0], (50, 1)), w)
+    before, after = (scenario.run(one, design=DESIGN).returns(problem.objective) for one in (own, law))
+    assert ((after - before) > 0).mean() > 0.95
+    assert after.mean() > 0.85 * before.mean()
+
+
+def test_a_log_whose_inputs_follow_its_states_exactly_gives_a_law_all_the_same():
+    problem, real = problem_of(), oscillator(1.3)
+    own = LinearFeedback(saturated_lqr(problem, DESIGN).K)
+    logs = logged(problem, real, own)
+    law = identified_lqr(problem, DESIGN, logs)
+    assert np.isfinite(law.K).all()
+    assert np.abs(law.K - own.K).max() < 1.0
+
+
+def test_logs_of_another_design_are_carried_to_this_one():
+    problem = problem_of()
+    rng = np.random.default_rng(0)
+    log = deploy(oscillator(force=0.4), wandering, [4.0, 0.2], np.zeros((5, 200, 1)), x0=rng.uniform(-1, 1, (5, 2)))
+    law = identified_lqr(problem, DESIGN, DigitalTwin(problem.model).remembering(log).logs)
+    np.testing.assert_allclose(law.K, saturated_lqr(problem, DESIGN).K, atol=1e-4)
+    assert law.offset[0] < -0.05
+
+
+@pytest.mark.parametrize("logs", [(), None, [1]])
+def test_wrong_logs_are_named(logs):
+    with pytest.raises(InputError, match="logs"):
+        identified_lqr(problem_of(), DESIGN, logs)
+
+
+def test_a_gain_with_an_offset():
+    law = LinearFeedback([[1.0, 2.0]], -1, 1, offset=[0.5])
+    np.testing.assert_allclose(law([0.1, 0.1]), [0.2])
+    np.testing.assert_allclose(law([[9.0, 0.0], [0.0, 0.0]]), [[-1.0], [0.5]])
+    for wrong in ([1.0, 2.0], [np.nan]):
+        with pytest.raises(InputError, match="offset"):
+            LinearFeedback([[1.0, 2.0]], offset=wrong)
