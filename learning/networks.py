@@ -227,11 +227,12 @@ class ActorCritic(nn.Module):
         return (observations - self.observation_offset) / self.observation_scale
 
     @torch.no_grad()
-    def see(self, observations: Tensor, *, given: int = 0) -> None:
+    def see(self, observations: Tensor, *, given: int = 0, keep: bool | None = None) -> None:
         """Normalise by mean and spread of all observations so far.
 
         `observations` (..., n_obs) are added to them. The ranges that the agent was made with serve until the first
-        ones are seen; those of the last `given` entries stay. What an agent that imitates has been taught stays, too.
+        ones are seen; those of the last `given` entries stay. With `keep`, by default where the agent imitates, what it
+        does stays, too: only the units of its first weights change.
         """
         x = observations.reshape(-1, len(self.observation_offset)).double()
         before = self.observations_seen.item()
@@ -245,7 +246,7 @@ class ActorCritic(nn.Module):
         scale = torch.maximum(variance.sqrt(), least).float()
         first = len(offset) - given
         offset[first:], scale[first:] = self.observation_offset[first:], self.observation_scale[first:]
-        if self.imitates:
+        if self.imitates if keep is None else keep:
             shift, ratio = (offset - self.observation_offset) / self.observation_scale, scale / self.observation_scale
             for network in (self.mean_network, self.value_network, self.std_network):
                 if network is not None:

@@ -25,13 +25,13 @@ from torch import Tensor
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.budgets import FEW_PARAMETERS, LITTLE_EXPLORATION, QUIET_BLOCKS, QUIET_BLOCKS_LIMITED
+from ccdtools.co_design.budgets import FEW_PARAMETERS, LITTLE_EXPLORATION, QUIET_BLOCKS, QUIET_BLOCKS_LIMITED, SEEN_RUNS
 from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
-from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, scenario_tensors, to_design
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
-from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs
+from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs, mean_law, simulated
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
 from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
@@ -144,6 +144,8 @@ class Ascent:
             if task.moving else None
         )  # fmt: skip
         self.generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
+        if task.pathwise:
+            self._see(scenario_tensors(problem, fewer_runs(SEEN_RUNS, problem.steps), rng))
         self.env = EpisodeEnv(problem, self._p(), runs=fewer_runs(config.runs, problem.steps), rng=rng)
         if task.smooth:  # nothing is explored, and the sampled policy is reported too
             decay_exploration(agent, 1.0, config.ppo.final_std or LITTLE_EXPLORATION, 1.0)
@@ -163,6 +165,26 @@ class Ascent:
         self.gain = PairedDifference(float("nan"), (float("nan"), float("nan")))
         self.slope = Slope.none(len(self.v))
         self.status: CoDesignStatus | None = None  # once it has settled or spent its budget
+
+    @torch.no_grad()
+    def _see(self, scenarios: ScenarioTensors) -> None:
+        """Normalise by the states that the policy visits; what it does stays.
+
+        Where they fill little of X, weights in the units of X are so far from what matters that a climb ends early.
+        """
+        states: list[Tensor] = []
+        own = mean_law(self.agent, self._p())
+
+        def watched(x: Tensor) -> Tensor:
+            """Inputs (n, nu)."""
+            states.append(x)
+            return own(x)
+
+        simulated(Stepper.at(self.task.problem, self._p()), watched, scenarios)
+        limit = torch.as_tensor(self.task.problem.limit, dtype=torch.float32)
+        x = torch.cat(states).clamp(-limit, limit)
+        self.agent.see(torch.cat([x, self._p().detach().expand(len(x), -1)], dim=1), given=self.task.problem.design.dim,
+                       keep=True)  # fmt: skip
 
     @property
     def limited(self) -> bool:

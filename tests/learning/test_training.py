@@ -64,15 +64,16 @@ def test_without_an_ended_episode_the_best_agent_is_the_last_after_a_break_too(t
     assert "0 episodes ended, too few" in again.describe()
 
 
-@pytest.mark.parametrize("skip", [True, False])
-def test_new_scales_leave_an_agent_that_imitates_as_it_was(skip):
-    net = ActorCritic([-1, -1], [1, 1], [-2], [2], config=NetworkConfig(skip=skip, std_network=True), imitates=True)
+@pytest.mark.parametrize(("skip", "imitates", "keep"), [(True, True, None), (False, True, None), (True, False, True)])
+def test_new_scales_leave_an_agent_that_imitates_or_is_to_be_kept_as_it_was(skip, imitates, keep):
+    shape = NetworkConfig(skip=skip, std_network=True)
+    net = ActorCritic([-1, -1], [1, 1], [-2], [2], config=shape, imitates=imitates)
     torch.nn.init.normal_(net.std_network.head.weight)
     x = torch.randn(50, 2) * torch.tensor([30.0, 1e-3]) + torch.tensor([70.0, 2.0])
     answers = (net.latent, net.value, net.std)
     before = [answer(x).detach() for answer in answers]
     for part in x[:20], x[20:]:
-        net.see(part)
+        net.see(part, keep=keep)
     for answer, same in zip(answers, before):
         torch.testing.assert_close(answer(x).detach(), same, atol=1e-3, rtol=1e-3)
 

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.check
 @pytest.fixture(scope="module")
 def found():
     """Return a climb along the gradient through bounces, as it was handed out."""
-    config = CoDesignConfig(design_rate=0.0, iterations=160)
+    config = CoDesignConfig(design_rate=0.0, iterations=280)
     return codesign(Case().problem(), rng=np.random.default_rng(2), config=config, design=DESIGN)
 
 
