@@ -120,7 +120,7 @@ class _Trial:
         """PID of gains `z`, (3, nu) or flat, in full inputs, half-widths of X, samples."""
         lower, upper = self.problem.input_bounds_at(self.design)
         reach = np.abs(C) @ self.problem.state_scale
-        unit = (upper - lower) / 2 / np.maximum(reach, np.finfo(float).tiny)
+        unit = np.divide((upper - lower) / 2, reach, out=np.zeros_like(reach), where=reach > 0)
         kp, ki, kd = z.reshape(3, -1) * unit
         dt = self.problem.model.dt
         return PID(C, kp, ki / dt, kd * dt, dt=dt, lower=lower, upper=upper)

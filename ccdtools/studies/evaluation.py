@@ -203,7 +203,13 @@ class Evaluation:
     @cached_property
     def _tuned(self) -> Callable[[tuple[float, ...]], dict[str, Controller]]:
         """Unused baselines of a design, tuned once."""
-        return cache(lambda design: baselines(self.problem, np.array(design), rng=self.rng("baselines")))
+
+        def tuned(design: tuple[float, ...]) -> dict[str, Controller]:
+            p = np.array(design)
+            own = {name: law(self.problem, p) for name, law in self.study.laws.items()}
+            return baselines(self.problem, p, rng=self.rng("baselines")) | own
+
+        return cache(tuned)
 
     def baselines(self, design: Array, logs: Sequence[Residuals]) -> dict[str, Controller]:
         """Baselines at a design, tuned once and copied, with those that know the logs."""

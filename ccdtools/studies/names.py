@@ -5,3 +5,4 @@ FORMER = "return to "  # begins the name of a proposal that was deployed before,
 POLICY_ALONE = "its policy at the present design"
 IDENTIFIED = "LQR, identified"  # by least squares from the logs that the twin has, with its offset
 OFFSET_FREE = "MPC, offset-free"
+TAKEN = ("passive", "LQR", "PID", "MPC", IDENTIFIED, OFFSET_FREE, "learned", "learned (sampled)", "learned, no filter")

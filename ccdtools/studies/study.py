@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,7 @@ from ccdtools.checks import (
     as_count,
     as_instance,
     as_limit_tolerance,
+    as_mapping,
     as_positive,
     as_vector,
     as_weight,
@@ -25,6 +27,7 @@ from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.co_design.risk import MEAN, Risk, of_logged_runs
 from ccdtools.comparison.metrics import Metrics, as_metrics, try_metrics
+from ccdtools.controllers.controllers import Controller
 from ccdtools.design_limits import Limits, as_limits_over, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
@@ -35,6 +38,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.tolerances import ACCURACY
 from ccdtools.studies.budgets import MODEL_RUNS
+from ccdtools.studies.names import TAKEN
 from ccdtools.studies.options import CHOICES
 from ccdtools.studies.plant_checks import check_finite, check_real_step, check_same_plant, extent_of
 from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, accepted_loss
@@ -103,6 +107,8 @@ class Study(Immutable):
     starts : Polytope, distribution or (n, nx) array, optional
         Where episodes and evaluations on the model start, see `RandomStarts`; at `x0` by default. The real plant starts
         at its own x0.
+    laws : mapping of names to functions, optional
+        Control laws of the field that every comparison shows beside LQR, PID and MPC: (problem, design) → controller.
     metrics : function, optional
         `Trajectory` → mapping of names, with units, to numbers, such as a `Ride`: what every comparison shows beside
         the returns.
@@ -141,6 +147,7 @@ class Study(Immutable):
     method: str = "auto"
     starts: Any = None
     metrics: Metrics | None = None
+    laws: Mapping[str, Callable[[CoDesignProblem, Array], Controller]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -194,6 +201,10 @@ class Study(Immutable):
         metrics = as_metrics(self.metrics)
         if metrics is not None:
             try_metrics(metrics, self.plant)
+        for name, law in as_mapping("laws", self.laws, "a mapping of names to functions of (problem, design)").items():
+            if not isinstance(name, str) or name in TAKEN or not callable(law):
+                expected = f"a function of (problem, design), by a name other than {', '.join(TAKEN)}"
+                raise InputError("laws", f"{shown(law)} by the name {shown(name)}", expected)
 
     def _check_limits(self) -> None:
         """Raise unless X and U hold the origin, and X the start."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ccdtools.checks import as_flag
+from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.plant import Plant
@@ -41,7 +42,7 @@ class QuarterCar(Parameters):
     lag: float = 1 / 60
 
 
-def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bool = False,
+def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, semi_active: bool = False, real: bool = False,
                 car: QuarterCar | None = None, strut: RealStrut | None = None, dt: float = 0.01) -> Plant:  # fmt: skip
     """Quarter car about its static equilibrium.
 
@@ -51,6 +52,8 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
         Whether the spring hardens and the damper is stiffer in rebound than in bump; slopes at rest stay the same.
     actuator_lag : bool
         Whether the active force follows u with a lag, as a fifth state.
+    semi_active : bool
+        Whether there is no actuator, and u from −1 to 1 sets the damper between a tenth of c_s and c_s.
     real : bool
         Nonlinear, and besides with dry friction (smoothed), a largest active force and a tyre that cannot pull.
     car : QuarterCar, optional
@@ -68,16 +71,19 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
     """
     car = given_or_default("car", car, QuarterCar)
     lagging = as_flag("actuator_lag", actuator_lag)
+    if as_flag("semi_active", semi_active) and lagging:
+        raise InputError("semi_active, actuator_lag", "both", "one of them: a damper that is set has no actuator")
     x = ca.SX.sym("x", 5 if lagging else 4)
     u = ca.SX.sym("u")
     w = ca.SX.sym("w")
     p = ca.SX.sym("p", 2)
+    damping = p[1] * (0.55 + 0.45 * u) if semi_active else p[1]
     corner = Corner(
-        p[0], p[1], car.tyre, GRAVITY * (car.sprung + car.unsprung), given_or_default("strut", strut, RealStrut),
+        p[0], damping, car.tyre, GRAVITY * (car.sprung + car.unsprung), given_or_default("strut", strut, RealStrut),
         nonlinear=as_flag("nonlinear", nonlinear), real=as_flag("real", real),
     )  # fmt: skip
     deflection, wheel, travel, body = ca.vertsplit(x[:4])
-    demanded = corner.active(u)
+    demanded = 0 * u if semi_active else corner.active(u)
     lift = (x[4] if lagging else demanded) - corner.passive(travel, body - wheel)
     ground = corner.ground(deflection)
     dynamics = ca.vertcat(wheel - w, (ground - lift) / car.unsprung, body - wheel, lift / car.sprung)
@@ -85,5 +91,7 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, real: bo
     if lagging:
         dynamics = ca.vertcat(dynamics, (demanded - x[4]) / car.lag)
         names.append("active force [N]")
-    design = DesignSpace(["k_s", "c_s"], lower=[1e4, 500.0], upper=[4e4, 3000.0], units=["N/m", "N·s/m"])
-    return Plant(x, u, w, p, dynamics, design, dt=dt, state_names=names, input_names=["u [N]"])
+    least, most = (1000.0, 6000.0) if semi_active else (500.0, 3000.0)
+    design = DesignSpace(["k_s", "c_s"], lower=[1e4, least], upper=[4e4, most], units=["N/m", "N·s/m"])
+    inputs = ["damper [-]" if semi_active else "u [N]"]
+    return Plant(x, u, w, p, dynamics, design, dt=dt, state_names=names, input_names=inputs)

@@ -7,7 +7,7 @@ from typing import Any
 
 from ccdtools.evidence.percent import number, share, signed_percent, with_minus
 from ccdtools.plants.tolerances import SAME_DESIGN
-from ccdtools.studies.names import FORMER, IDENTIFIED
+from ccdtools.studies.names import FORMER
 from ccdtools.studies.report.formatting import capitalised, design_text, limits_of
 from ccdtools.studies.report.gains import gain_percent, held_out_phrase
 from ccdtools.studies.report.summary import bare, deployed_codesign, of_word
@@ -147,7 +147,7 @@ def _policy(results: Results, last: int) -> str:
             words.setdefault(word, []).append(row["model"] + cost)
     elsewhere = [f"worse than LQR with {', '.join(words['worse'])}"] if "worse" in words else []
     elsewhere += [f"not told apart from LQR with {', '.join(words['open'])}"] if "open" in words else []
-    there = ", ".join(part for part in (_where_deployed(results, last), _informed(results, last)) if part)
+    there = ", ".join(part for part in (_where_deployed(results, last), _best_other(results, last)) if part)
     return ", but ".join(part for part in (there, f"it is {' and '.join(elsewhere)}" if elsewhere else "") if part)
 
 
@@ -168,16 +168,16 @@ def _where_deployed(results: Results, last: int) -> str:
     return f"{sentence}, but leaves {left} further ({outside_text(row, results['comparison'])})"
 
 
-def _informed(results: Results, last: int) -> str:
-    """Phrase for LQR identified from the former logs; empty without one."""
-    row = _row(results, last, IDENTIFIED)
-    percent = percent_of_reference(row, _row(results, last, "LQR")) if row else None
-    if percent is None:
+def _best_other(results: Results, last: int) -> str:
+    """Phrase for the best baseline if it is better than LQR; else empty."""
+    lqr = _row(results, last, "LQR")
+    rows = [row for row in results["comparison"] if (row["plant"], row["generation"]) == ("real", last)]
+    rows = [row for row in rows if not row["controller"].startswith("learned") and verdict(row, lqr) == "better"]
+    if not rows:
         return ""
-    word = verdict(row, _row(results, last, "LQR")).removesuffix(" in return only")
-    part = signed_percent(abs(percent[0])).removeprefix("+")
-    costs = {"better": f"costs {part} less", "worse": f"costs {part} more", "equal": "costs as much"}
-    return f"LQR identified from the former logs {costs.get(word, 'cannot be told apart from it')}"
+    gains = [(percent_of_reference(row, lqr) or (0.0,))[0] for row in rows]
+    best = max(range(len(rows)), key=gains.__getitem__)
+    return f"{rows[best]['controller']} {signed_percent(gains[best]).removeprefix('+')} less"
 
 
 def _limits(results: Results, last: int) -> str:

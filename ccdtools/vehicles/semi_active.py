@@ -1,0 +1,90 @@
+"""Laws that engineers use for a damper between two bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_floats
+from ccdtools.co_design.closed_loop import closed_loop_returns
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.plants.discretisation import discretise
+from ccdtools.vehicles.budgets import SKYHOOK_EVALUATIONS, SKYHOOK_RUNS
+from ccdtools.vehicles.quarter_car import quarter_car
+from mpc import lqr
+
+
+@dataclass(frozen=True, eq=False)
+class SemiActive(Immutable):
+    """Damper whose force comes nearest to a demanded one, f = −F x on the body.
+
+    Of a quarter car with `semi_active`; its input is the damping between a tenth of c_s and c_s.
+
+    Attributes
+    ----------
+    F : (4,) array
+        Demanded force by state.
+    largest : float
+        c_s [N·s/m].
+    """
+
+    F: Array
+    largest: float
+
+    def __call__(self, x: ArrayLike) -> Array:
+        """Inputs (n, 1) or (1,) from −1 to 1."""
+        states = as_floats("x", x)
+        rate, demanded = states[..., 3] - states[..., 1], states @ self.F
+        moving = np.abs(rate) > np.finfo(float).tiny
+        damping = np.where(moving, demanded / np.where(moving, rate, 1.0), 0.55 * self.largest)
+        u: Array = (np.clip(damping / self.largest, 0.1, 1.0)[..., None] - 0.55) / 0.45
+        return u
+
+
+def skyhook(problem: CoDesignProblem, design: Array) -> SemiActive:
+    """Damper to the sky and one to the ground, tuned at the design.
+
+    References
+    ----------
+    Karnopp, Crosby and Harwood, "Vibration control using semi-active force generators", Journal of Engineering for
+    Industry 96, 1974; Valášek et al., "Extended ground-hook", Vehicle System Dynamics 29, 1998.
+    """
+
+    def of(gains: Array) -> SemiActive:
+        return SemiActive(np.array([0.0, -gains[1], 0.0, gains[0]]) * design[1], design[1])
+
+    def cost(gains: Array) -> float:
+        found = closed_loop_returns(problem, of(gains), design, rng=np.random.default_rng(0), runs=SKYHOOK_RUNS)
+        return -float(found.values.mean())
+
+    first = np.array([[1.0, 0.2], [2.0, 0.2], [1.0, 0.6]])
+    options = {"maxfev": SKYHOOK_EVALUATIONS, "initial_simplex": first}
+    return of(minimize(cost, first[0], method="Nelder-Mead", options=options).x)
+
+
+Weights = Callable[[Array], tuple[Array, Array, Array]]
+
+
+def clipped_lqr(weights: Weights) -> Callable[[CoDesignProblem, Array], SemiActive]:
+    """Law: LQR of an actuator in the damper's place, clipped to what a damper can do.
+
+    Parameters
+    ----------
+    weights : function of the design
+        Q (4, 4), R (1, 1) and S (4, 1) of the force.
+    """
+
+    def law(problem: CoDesignProblem, design: Array) -> SemiActive:
+        car = quarter_car()
+        undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0))
+        A, B, _ = discretise(undamped, sampling_guard="ignore").matrices([design[0], car.design.lower[1]])
+        Q, R, S = weights(design)
+        return SemiActive(lqr(A, B, Q=Q, R=R, S=S)[0][0], design[1])
+
+    return law
