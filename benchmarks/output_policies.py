@@ -1,6 +1,6 @@
 """Policies of measured outputs that imitate an expert, beside LQG on the same runs.
 
-    python benchmarks/output_policies.py [--seeds 3] [--only suspension]
+    python benchmarks/output_policies.py [--seeds 3] [--only suspension] [--ppo 300]
 
 Every other state is measured, with noise of a fiftieth of its range. On linear plants with normal disturbances LQG (two
 Riccati equations, and the mean and spread of the starts) is the optimum but for the limits; the policy imitates it from
@@ -41,7 +41,7 @@ from ccdtools import (
     saturated_lqr,
 )
 from ccdtools.co_design import EpisodeEnv
-from ccdtools.controllers import Observed
+from ccdtools.controllers import History, Observed
 from learning import train
 
 LINEAR = ("dc_servo", "suspension", "mass_chain", "wind_turbine")
@@ -107,6 +107,24 @@ def wall() -> Measured:
     return measured(problem, [1.0], 4, trained)
 
 
+def imitated(case: Measured, expert: Any, rounds: int, rng: np.random.Generator) -> Any:
+    """Policy that imitates an expert on the outputs."""
+    limits = case.problem.input_bounds_at(case.design)
+    return imitate(
+        expert, case.drawn, objective=case.problem.objective, limits=limits, design=case.design, history=case.history,
+        rounds=rounds, rng=rng, limit=case.problem.limit,
+    ).controller  # fmt: skip
+
+
+def by_ppo(case: Measured, updates: int, seed: int) -> History:
+    """Policy that PPO learns on the outputs from scratch, without an expert; the last one."""
+    sensor = Measurement(case.C, noise=case.noise)
+    env = EpisodeEnv(case.problem, case.design, rng=np.random.default_rng(seed), output=sensor, history=case.history)
+    generator = torch.Generator().manual_seed(seed)
+    found = train(env, env.agent(seed=seed), iterations=updates, steps=case.problem.steps, generator=generator)
+    return History(LearnedPolicy(found.agent, case.design), case.history)
+
+
 def cases(name: str) -> Measured:
     """A case by its name."""
     if name in LINEAR:
@@ -120,35 +138,32 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", choices=(*LINEAR, "pendulum", "wall"))
+    parser.add_argument("--ppo", type=int, default=0, help="updates of PPO on the outputs, in the place of imitation")
     asked = parser.parse_args()
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")  # the jump of the wall, which is the point there
     for name in (*LINEAR, "pendulum", "wall") if asked.only is None else (asked.only,):
-        case = cases(name)
+        case, rounds = cases(name), 3 if name in LINEAR else 6
         for seed in range(asked.seeds):
             rng = np.random.default_rng([seed, 1])
             expert = case.expert(seed)
             start = time.process_time()
-            found = imitate(
-                expert, case.drawn, objective=case.problem.objective, limits=case.problem.input_bounds_at(case.design),
-                design=case.design, history=case.history, rounds=3 if name in LINEAR else 6, rng=rng,
-                limit=case.problem.limit,
-            )  # fmt: skip
+            policy = by_ppo(case, asked.ppo, seed) if asked.ppo else imitated(case, expert, rounds, rng)
             seconds = time.process_time() - start
             table = compare(
-                {"LQG": case.lqg, "policy": found.controller, "expert": expert},
+                {"LQG": case.lqg, "policy": policy, "expert": expert},
                 case.drawn(np.random.default_rng(10**6), 2000), design=case.design, objective=case.problem.objective,
                 X=case.problem.X, limit=case.problem.limit, baseline="LQG",
             )  # fmt: skip
-            base, policy, own = (table[kind] for kind in ("LQG", "policy", "expert"))
+            base, found, own = (table[kind] for kind in ("LQG", "policy", "expert"))
             size = abs(base.summary.mean) / 100
-            gain = policy.paired_to_lqr
+            gain = found.paired_to_lqr
             ends = ", ".join(f"{end / size:+.2f}" for end in gain.ci95)
             print(
-                f"{name:13s} seed {seed}  LQG {base.summary.mean:9.3f}  policy {policy.summary.mean:9.3f}  "
-                f"{gain.mean / size:+6.2f} % [{ends}]  expert {own.summary.mean:9.3f}  lost {policy.diverged:.1%} "
+                f"{name:13s} seed {seed}  LQG {base.summary.mean:9.3f}  policy {found.summary.mean:9.3f}  "
+                f"{gain.mean / size:+6.2f} % [{ends}]  expert {own.summary.mean:9.3f}  lost {found.diverged:.1%} "
                 f"({base.diverged:.1%})  "
-                f"{1e6 * policy.step_time:3.0f} µs (LQG {1e6 * base.step_time:.0f})  {seconds:.0f} s",
+                f"{1e6 * found.step_time:3.0f} µs (LQG {1e6 * base.step_time:.0f})  {seconds:.0f} s",
                 flush=True,
             )
 

@@ -3,6 +3,7 @@
 # --- what a slope or a gain may say -----------------------------------------------------------------------------------
 FEW_PARAMETERS = 6  # For at most so many parameters differences may take the place of the gradient through the model.
 
+RANGE_POINTS = 256  # The range of outputs is that at so many states in X.
 SEEN_RUNS = 64  # The states that normalise a policy are those of so many episodes of 100 steps.
 LITTLE_EXPLORATION = 0.02  # A policy that no PPO trains explores so much, in parts of half the input's range.
 

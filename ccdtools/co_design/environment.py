@@ -11,9 +11,12 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from ccdtools.checks import as_count, as_generator, as_instance
+from ccdtools.co_design.budgets import RANGE_POINTS
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
+from ccdtools.estimation.measurement import as_measurement
+from ccdtools.exceptions import InputError
 from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
 from learning.rollout import collect
@@ -34,6 +37,10 @@ class EpisodeEnv:
     runs : int
     rng : numpy.random.Generator
         Draws fresh scenarios at each reset.
+    output : Measurement or what it takes, optional
+        What is measured, with its noise.
+    history : int
+        An agent sees so many last outputs and inputs in the place of x, as `History` hands them over; 0 for the state.
 
     Attributes
     ----------
@@ -53,12 +60,18 @@ class EpisodeEnv:
     """
 
     def __init__(
-        self, problem: CoDesignProblem, design: ArrayLike | Tensor, *, runs: int = 32, rng: np.random.Generator
-    ) -> None:
+        self, problem: CoDesignProblem, design: ArrayLike | Tensor, *, runs: int = 32, rng: np.random.Generator,
+        output: Any = None, history: int = 0,
+    ) -> None:  # fmt: skip
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
         self.runs = as_count("runs", runs)
         self.given = problem.design.dim
         self._rng = as_generator("rng", rng)
+        self.history = as_count("history", history, least=0)
+        if (output is None) != (self.history == 0):
+            got = "an output without a history" if self.history == 0 else "a history without an output"
+            raise InputError("output, history", got, "both, or neither")
+        self._measurement = None if output is None else as_measurement(output)
         if not isinstance(design, Tensor):
             design = torch.tensor(problem.design.check_feasible(design), dtype=torch.float32)
         self.move(design)
@@ -69,11 +82,21 @@ class EpisodeEnv:
         bounds = self.problem.action_bounds
         limits = bounds if isinstance(bounds, DesignLimits) else None
         lower, upper = limits.box if limits is not None else self.problem.input_bounds
+        if self.history:
+            nx = self.problem.model.nx
+            x = np.random.default_rng(seed).uniform(low[:nx], high[:nx], (RANGE_POINTS, nx))
+            extent = np.abs(self._output.of(x, np.zeros((len(x), len(lower))))).max(axis=0)
+            most, least = (np.concatenate([np.tile(sign * extent, self.history), np.tile(bound, self.history), end])
+                           for sign, bound, end in ((1, upper, high[nx:]), (-1, lower, low[nx:])))  # fmt: skip
+            low, high = least, np.maximum(most, least + np.finfo(np.float32).eps)
         return ActorCritic(low, high, lower, upper, config=config, seed=seed, action_limits=limits)
 
     def move(self, p: Tensor) -> None:
         """Change the design from the next reset on."""
         self._step = Stepper.at(self.problem, p.detach())
+        model = self.problem.model
+        if self._measurement is not None:
+            self._output = self._measurement.at(model.nx, model.nu, self._step.p.double().numpy())
 
     def reset(self) -> Tensor:
         """Fresh scenarios; observations (runs, nx + np)."""
@@ -81,11 +104,15 @@ class EpisodeEnv:
         self._x = self._x0
         self._e = torch.zeros_like(self._x0)
         self._k = 0
-        return observe(self._x, self._step.p)
+        if self._measurement is not None:
+            noise = self._measurement.drawn(self.runs, self.problem.steps + 1, self._rng).noise
+            self._v = torch.zeros(1, self.problem.steps + 1, 1) if noise is None else torch.tensor(noise).float()
+        return self._begun(self._x0)
 
     def state(self) -> dict[str, Any]:
         """Episodes where they stand, for `restore`."""
-        tensors = {name: getattr(self, name) for name in ("_x0", "_w", "_x", "_e")}
+        kept = ("_x0", "_w", "_x", "_e", *(("_v", "_y", "_u") if self.history else ()))
+        tensors = {name: getattr(self, name) for name in kept}
         return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -105,13 +132,36 @@ class EpisodeEnv:
         if final is not None:  # what comes after the end is paid for: no value stands for it
             reward = reward + torch.where(truncated, final, 0.0)
             terminated, truncated = terminated | truncated, torch.zeros_like(truncated)
-        successor = observe(x, self._step.p)
+        successor = self._seen(x, actions)
         if self._k >= self.problem.steps:
             return self.reset(), successor, reward, terminated, truncated
         restart = terminated[:, None]
         self._x = torch.where(restart, self._x0, x)
         self._e = torch.where(restart, 0.0, e)
-        return observe(self._x, self._step.p), successor, reward, terminated, truncated
+        if not terminated.any():
+            return successor, successor, reward, terminated, truncated
+        kept = (self._y, self._u) if self.history else ()
+        following = torch.where(restart, self._begun(self._x0), successor)
+        for name, before in zip(("_y", "_u"), kept):
+            setattr(self, name, torch.where(restart[:, None], getattr(self, name), before))
+        return following, successor, reward, terminated, truncated
+
+    def _begun(self, x: Tensor) -> Tensor:
+        """Observations of states (runs, nx) with nothing before them."""
+        if self.history:
+            self._u = torch.zeros(self.runs, self.history, self.problem.model.nu)
+            self._y = torch.zeros(self.runs, self.history, 0)
+        return self._seen(x, torch.zeros(self.runs, self.problem.model.nu))
+
+    def _seen(self, x: Tensor, u: Tensor) -> Tensor:
+        """Observations of states (runs, nx) after inputs (runs, nu), which a history takes in."""
+        if not self.history:
+            return observe(x, self._step.p)
+        y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float() + self._v[:, self._k]
+        if not self._y.shape[2]:
+            self._y = torch.zeros(self.runs, self.history, y.shape[1])
+        self._y, self._u = (torch.cat([new[:, None], old[:, :-1]], dim=1) for new, old in ((y, self._y), (u, self._u)))
+        return observe(torch.cat([self._y.flatten(1), self._u.flatten(1)], dim=1), self._step.p)
 
 
 def network_input_gradient(

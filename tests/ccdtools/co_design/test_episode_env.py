@@ -1,11 +1,27 @@
 """Episodes of a problem that step together: PPO learns from scratch in them."""
 
+import casadi as ca
 import numpy as np
 import pytest
 import torch
 
-from ccdtools import InputError, LearnedPolicy, closed_loop_returns
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    Gaussian,
+    InputError,
+    LearnedPolicy,
+    Measurement,
+    Plant,
+    QuadraticObjective,
+    RandomStarts,
+    closed_loop_returns,
+    discretise,
+    simulate,
+)  # fmt: skip
 from ccdtools.co_design import EpisodeEnv
+from ccdtools.controllers import History
+from ccdtools.disturbances import Uniform
 from learning import train
 
 
@@ -39,6 +55,50 @@ def test_a_return_is_that_of_the_closed_loop(suspension):
     np.testing.assert_allclose(total, expected.values + paid, rtol=1e-4)
 
 
+@pytest.mark.parametrize("noise", [None, "drawn"])
+def test_a_policy_of_measured_outputs_returns_what_it_does_in_a_closed_loop(suspension, noise):
+    problem = suspension.problem()
+    design = problem.design.centre
+    x0, w = problem.scenarios.sample(3, problem.steps, np.random.default_rng(4))
+    drawn = None if noise is None else 0.01 * np.random.default_rng(5).standard_normal((3, problem.steps + 1, 2))
+    sensor = Measurement(np.eye(4)[::2], noise=drawn)
+    env = EpisodeEnv(problem, design, runs=3, rng=np.random.default_rng(4), output=sensor, history=5)
+    law = LearnedPolicy(env.agent(seed=2), design)
+    observation, total = env.reset(), torch.zeros(3)
+    assert observation.shape == (3, 5 * (2 + 1) + 2)
+    for _ in range(problem.steps):
+        u = torch.as_tensor(law(observation[:, : law.nx].double().numpy()), dtype=torch.float32)
+        observation, _, reward, *_ = env.step(u)
+        total += reward
+    run = simulate(
+        problem.model, History(law, 5), x0=x0, steps=problem.steps, disturbance=w, design=design, output=sensor
+    )
+    np.testing.assert_allclose(total, run.returns(problem.objective), rtol=1e-4)
+
+
+def test_what_was_measured_goes_on_from_a_state_and_is_forgotten_where_a_run_begins_anew():
+    x, u, w, p = (ca.SX.sym(name) for name in "xuwp")
+    plant = Plant(x, u, w, p, 1.3 * p * x + u + w, DesignSpace(["p"], [0.9], [1.1]), dt=1.0, continuous=False)
+    problem = CoDesignProblem(discretise(plant), X=(-4, 4), U=(-1, 1), objective=QuadraticObjective([[1.0]], [[1.0]]),
+                              scenarios=RandomStarts(Uniform([-0.3], [3.0]), Gaussian([0.1])), steps=30)  # fmt: skip
+    env = EpisodeEnv(problem, [1.0], runs=16, rng=np.random.default_rng(0), output=Measurement([[1.0]], noise=[0.1]),
+                     history=3)  # fmt: skip
+    env.reset()
+    seen, lost = [], 0
+    for k in range(40):
+        if k == 12:
+            kept = env.state()
+        action = torch.full((16, 1), 0.1 * k)
+        observation, _, _, terminated, _ = env.step(action)
+        lost += int(terminated.sum())
+        assert (observation[terminated][:, 1:6] == 0).all()  # one output, and nothing before it
+        seen.append(observation)
+    assert lost
+    env.restore(kept)
+    for k in range(12, 40):
+        torch.testing.assert_close(env.step(torch.full((16, 1), 0.1 * k))[0], seen[k], rtol=0, atol=0)
+
+
 def test_wrong_calls_name_their_argument(illustrative):
     problem = illustrative.problem()
     rng = np.random.default_rng(0)
@@ -47,6 +107,8 @@ def test_wrong_calls_name_their_argument(illustrative):
         (lambda: EpisodeEnv(problem, [9.0], rng=rng), "design"),
         (lambda: EpisodeEnv(problem, [1.0], runs=0, rng=rng), "runs"),
         (lambda: EpisodeEnv(problem, [1.0], rng=3), "rng"),
+        (lambda: EpisodeEnv(problem, [1.0], rng=rng, history=3), "output, history"),
+        (lambda: EpisodeEnv(problem, [1.0], rng=rng, output=np.eye(2)), "output, history"),
     ):
         with pytest.raises(InputError) as caught:
             call()
