@@ -7,3 +7,4 @@ from ccdtools.vehicles.iso_road import ISORoad as ISORoad
 from ccdtools.vehicles.ride import Ride as Ride
 from ccdtools.vehicles.ride_comfort import comfort as comfort, weighted_acceleration as weighted_acceleration
 from ccdtools.vehicles.roads import GeneratedRoad as GeneratedRoad, road_disturbance as road_disturbance
+from ccdtools.vehicles.semi_active import SemiActive as SemiActive, clipped_lqr as clipped_lqr, skyhook as skyhook
