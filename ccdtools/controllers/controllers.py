@@ -52,9 +52,10 @@ NO_GAINS = "no gains were found that are better than none: this is the passive p
 
 @dataclass(frozen=True, eq=False)
 class Passive:
-    """Controller u = 0: what the plant does alone."""
+    """Controller u = 0: what the plant does alone, with a remark where it stands for another."""
 
     nu: int = 1
+    remark: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nu", as_count("nu", self.nu))

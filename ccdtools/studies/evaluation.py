@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
@@ -18,7 +17,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import Risk, WorstCase, has_cases
 from ccdtools.comparison.comparison import Score, compare
 from ccdtools.comparison.pid_tuning import baselines
-from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.controllers import Controller, Passive
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.evidence.evidence import summary_of
@@ -26,7 +25,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.studies.names import IDENTIFIED, OFFSET_FREE
+from ccdtools.studies.names import IDENTIFIED, NOT_IDENTIFIED, OFFSET_FREE
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.study import Study
@@ -211,7 +210,7 @@ class Evaluation:
 
         return cache(tuned)
 
-    def baselines(self, design: Array, logs: Sequence[Residuals]) -> dict[str, Controller]:
+    def baselines(self, design: Array, logs: Sequence[Residuals] = ()) -> dict[str, Controller]:
         """Baselines at a design, tuned once and copied, with those that know the logs."""
         informed: dict[str, Controller] = {}
         if logs:
@@ -219,8 +218,10 @@ class Evaluation:
                 linear_mpc(self.problem, design), np.zeros((0, self.problem.model.nx)), reference=()
             )
             informed[OFFSET_FREE] = at_rest
-            with suppress(NotStabilisableError):
+            try:
                 informed[IDENTIFIED] = identified_lqr(self.problem, design, logs)
+            except NotStabilisableError:
+                informed[IDENTIFIED] = Passive(self.problem.model.nu, remark=NOT_IDENTIFIED)
         return deepcopy(self._tuned(tuple(design))) | informed
 
     def comparison(

@@ -58,6 +58,7 @@ def test_clipped_lqr_demands_what_lqr_of_an_actuator_in_the_place_of_the_damper_
     np.testing.assert_allclose(law.F, K[0], rtol=1e-6, atol=1e-6 * np.abs(K).max())
 
 
+@pytest.mark.check
 def test_laws_of_the_field_gain_what_lqr_of_the_tangent_cannot(study):
     problem = study.problem()
     x0, w = problem.scenarios.sample(20, 300, np.random.default_rng(1))

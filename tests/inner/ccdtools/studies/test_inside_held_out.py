@@ -19,6 +19,7 @@ from ccdtools.studies.held_out import (
 )
 from ccdtools.twin.deployable import Deployable
 from learning import ActorCritic
+from mpc import NotStabilisableError
 
 
 @pytest.fixture(scope="module")
@@ -134,3 +135,13 @@ def test_the_start_and_what_was_deployed_before_is_proposed_once_and_failures_ar
     assert formerly_deployed(history[:1], start) == {}
     returned = [*history, GenerationRecord(start, third, stayed=False)]  # the start has been tried, and has failed
     assert formerly_deployed(returned, third) == {"generation 1": first}
+
+
+def test_a_baseline_that_no_log_can_give_says_so_and_stands_for_no_other(evaluation, monkeypatch):
+    def unstable(*_):
+        raise NotStabilisableError("nothing pushes it")
+
+    monkeypatch.setattr("ccdtools.studies.evaluation.identified_lqr", unstable)
+    found = evaluation.baselines(evaluation.study.p0, [object()])["LQR, identified"]
+    assert "no input stabilises" in found.remark
+    assert (found(np.ones((3, evaluation.study.plant.nx))) == 0).all()
