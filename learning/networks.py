@@ -227,12 +227,14 @@ class ActorCritic(nn.Module):
         return (observations - self.observation_offset) / self.observation_scale
 
     @torch.no_grad()
-    def see(self, observations: Tensor, *, given: int = 0, keep: bool | None = None) -> None:
+    def see(
+        self, observations: Tensor, *, given: int = 0, keep: bool | None = None, least: Tensor | float = 0.0
+    ) -> None:  # fmt: skip
         """Normalise by mean and spread of all observations so far.
 
         `observations` (..., n_obs) are added to them. The ranges that the agent was made with serve until the first
         ones are seen; those of the last `given` entries stay. With `keep`, by default where the agent imitates, what it
-        does stays, too: only the units of its first weights change.
+        does stays, too: only the units of its first weights change. Nothing is divided by less than `least` (n_obs,).
         """
         x = observations.reshape(-1, len(self.observation_offset)).double()
         before = self.observations_seen.item()
@@ -242,8 +244,8 @@ class ActorCritic(nn.Module):
         variance = (1 - share) * self.observation_scale.double().square() + share * x.var(0, correction=0)
         variance += (1 - share) * share * gap.square() if before else 0.0
         offset = (self.observation_offset + share * gap).float()
-        least = (LEAST_PART * offset.abs()).clamp(min=LEAST_SPREAD)
-        scale = torch.maximum(variance.sqrt(), least).float()
+        rounding = (LEAST_PART * offset.abs()).clamp(min=LEAST_SPREAD)
+        scale = torch.maximum(variance.sqrt(), rounding).float().clamp(min=torch.as_tensor(least))
         first = len(offset) - given
         offset[first:], scale[first:] = self.observation_offset[first:], self.observation_scale[first:]
         if self.imitates if keep is None else keep:

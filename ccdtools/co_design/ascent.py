@@ -29,7 +29,7 @@ from ccdtools.co_design.budgets import FEW_PARAMETERS, LITTLE_EXPLORATION, QUIET
 from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
-from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
 from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs, mean_law, simulated
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
@@ -39,7 +39,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import HistoryRow
 from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.status import CoDesignStatus
-from ccdtools.co_design.tolerances import FINER_STEPS, WORTHWHILE_VIOLATION
+from ccdtools.co_design.tolerances import FINER_STEPS, LEAST_FILL, WORTHWHILE_VIOLATION
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
@@ -182,9 +182,13 @@ class Ascent:
 
         simulated(Stepper.at(self.task.problem, self._p()), watched, scenarios)
         limit = torch.as_tensor(self.task.problem.limit, dtype=torch.float32)
-        x = torch.cat(states).clamp(-limit, limit)
-        self.agent.see(torch.cat([x, self._p().detach().expand(len(x), -1)], dim=1), given=self.task.problem.design.dim,
-                       keep=True)  # fmt: skip
+        x = torch.cat(states)
+        x = x[(x.abs() <= limit).all(dim=1)]  # of runs that are lost, what came before
+        if len(x):
+            seen = observe(x, self._p().detach())
+            fill = seen.std(dim=0, correction=0) / self.agent.observation_scale
+            least = LEAST_FILL * fill[: x.shape[1]].max() * self.agent.observation_scale
+            self.agent.see(seen, given=self.task.problem.design.dim, keep=True, least=least)
 
     @property
     def limited(self) -> bool:

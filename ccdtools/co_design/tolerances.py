@@ -9,6 +9,8 @@ LEVEL_SLOPE = 1e-3
 SIGNIFICANT = 3.0  # A slope or a difference of more standard errors than this is not chance.
 SLOPE_AHEAD = 0.1  # Over this distance in the unit box a slope must predict a gain that matters.
 UNRESOLVED_SLOPE = 0.05  # A slope says nothing if its error over `SLOPE_AHEAD` exceeds this part of the return.
+# A state is scaled by this part, or more, of what the state that fills its range best fills of it [-]
+LEAST_FILL = 0.1
 FINER_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # Central differences of a return try these half steps in the unit box in turn.
 COST_STEP = 1e-4  # Central differences of a cost have this half step in the unit box.
 POLICY_STEPS = (1e-2, 1e-3)  # Differences of a policy have these half steps, in parts of what it does.
