@@ -169,15 +169,22 @@ def _where_deployed(results: Results, last: int) -> str:
 
 
 def _best_other(results: Results, last: int) -> str:
-    """Phrase for the best baseline if it is better than LQR; else empty."""
-    lqr = _row(results, last, "LQR")
+    """Phrase for the best baseline if it costs less than LQR; else empty."""
     rows = [row for row in results["comparison"] if (row["plant"], row["generation"]) == ("real", last)]
-    rows = [row for row in rows if not row["controller"].startswith("learned") and verdict(row, lqr) == "better"]
-    if not rows:
+    others = [row for row in rows if not row["controller"].startswith("learned") and not row.get("remark")]
+    gains = {row["controller"]: _gain(row) for row in others if row["paired_to_lqr"]["mean"] is not None}
+    best = max(gains, key=gains.__getitem__, default="LQR")
+    row: dict[str, Any] = next((row for row in others if row["controller"] == best), {})
+    if not row or gains[best] < NOT_WORSE_PERCENT or verdict(row, _row(results, last, "LQR")).startswith("worse"):
         return ""
-    gains = [(percent_of_reference(row, lqr) or (0.0,))[0] for row in rows]
-    best = max(range(len(rows)), key=gains.__getitem__)
-    return f"{rows[best]['controller']} {signed_percent(gains[best]).removeprefix('+')} less"
+    unsure = "" if percent_of_reference(row, _row(results, last, "LQR")) else " (without an interval)"
+    return f"the best other law ({best}) {signed_percent(gains[best]).removeprefix('+')} less{unsure}"
+
+
+def _gain(row: Mapping[str, Any]) -> float:
+    """Gain of a row over LQR in per cent of LQR's cost; 0 where that is none."""
+    size = size_of(row, "lqr_mean") or abs(row["lqr_mean"] or 0.0)
+    return float(100 * row["paired_to_lqr"]["mean"] / size) if size else 0.0
 
 
 def _limits(results: Results, last: int) -> str:

@@ -1,5 +1,6 @@
 """The report of small but real runs: a two-state study, and one with other dimensions throughout."""
 
+import copy
 import csv
 import json
 import re
@@ -24,6 +25,7 @@ from ccdtools.studies import Generations, RealPlant, RunFolder, Study, configura
 from ccdtools.studies.report import set_figure
 from ccdtools.studies.report.finished_run import FinishedRun
 from ccdtools.studies.report.gains import gain_text
+from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.landscape import draw_curve, draw_path
 from ccdtools.studies.report.report import render, write_report
 from ccdtools.studies.report.set_figure import feasible_set_figure
@@ -421,3 +423,18 @@ def test_the_page_states_cross_weight_risk_and_limits_of_outputs(masses):
         assert text in page[other]
         assert text not in page[study]
     assert "free [m]" not in page[other]
+
+
+@pytest.mark.parametrize(("interval", "unsure"), [((0.08, 0.12), ""), ((None, None), " (without an interval)")])
+def test_the_headline_names_the_best_other_law_where_it_costs_less_than_lqr(spring, interval, unsure):
+    results = copy.deepcopy(spring[1])
+    last = len(results["generations"])
+    lqr = next(row for row in results["comparison"]
+               if (row["plant"], row["generation"], row["controller"]) == ("real", last, "LQR"))  # fmt: skip
+    size = abs(lqr["lqr_mean"])
+    ends = [None if end is None else end * size for end in interval]
+    gain = lqr["paired_to_lqr"] | {"mean": 0.1 * size, "ci95": ends}
+    results["comparison"].append(lqr | {"controller": "mine", "paired_to_lqr": gain, "design_cost": 0.0})
+    said = headline(results)
+    assert f"the best other law (mine) 10 % less{unsure}" in said
+    assert ("(without an interval)" in said) == bool(unsure)
