@@ -31,7 +31,7 @@ from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
-from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs, mean_law, simulated
+from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs, mean_law, visited
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
 from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
@@ -166,26 +166,17 @@ class Ascent:
         self.slope = Slope.none(len(self.v))
         self.status: CoDesignStatus | None = None  # once it has settled or spent its budget
 
-    @torch.no_grad()
     def _see(self, scenarios: ScenarioTensors) -> None:
         """Normalise by the states that the policy visits; what it does stays.
 
-        Where they fill little of X, weights in the units of X are so far from what matters that a climb ends early.
+        In the units of X, of which a loop may fill little, a climb can end early.
         """
-        states: list[Tensor] = []
-        own = mean_law(self.agent, self._p())
-
-        def watched(x: Tensor) -> Tensor:
-            """Inputs (n, nu)."""
-            states.append(x)
-            return own(x)
-
-        simulated(Stepper.at(self.task.problem, self._p()), watched, scenarios)
+        p = self._p()
+        x, *_ = visited(Stepper.at(self.task.problem, p), mean_law(self.agent, p), scenarios)
         limit = torch.as_tensor(self.task.problem.limit, dtype=torch.float32)
-        x = torch.cat(states)
         x = x[(x.abs() <= limit).all(dim=1)]  # of runs that are lost, what came before
         if len(x):
-            seen = observe(x, self._p().detach())
+            seen = observe(x, p)
             fill = seen.std(dim=0, correction=0) / self.agent.observation_scale
             least = LEAST_FILL * fill[: x.shape[1]].max() * self.agent.observation_scale
             self.agent.see(seen, given=self.task.problem.design.dim, keep=True, least=least)

@@ -72,6 +72,7 @@ class EpisodeEnv:
             got = "an output without a history" if self.history == 0 else "a history without an output"
             raise InputError("output, history", got, "both, or neither")
         self._measurement = None if output is None else as_measurement(output)
+        self._past: Tensor | None = None  # (runs, history, ny + nu), the latest first
         if not isinstance(design, Tensor):
             design = torch.tensor(problem.design.check_feasible(design), dtype=torch.float32)
         self.move(design)
@@ -111,7 +112,7 @@ class EpisodeEnv:
 
     def state(self) -> dict[str, Any]:
         """Episodes where they stand, for `restore`."""
-        kept = ("_x0", "_w", "_x", "_e", *(("_v", "_y", "_u") if self.history else ()))
+        kept = ("_x0", "_w", "_x", "_e", *(("_v", "_past") if self.history else ()))
         tensors = {name: getattr(self, name) for name in kept}
         return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state}
 
@@ -140,17 +141,15 @@ class EpisodeEnv:
         self._e = torch.where(restart, 0.0, e)
         if not terminated.any():
             return successor, successor, reward, terminated, truncated
-        kept = (self._y, self._u) if self.history else ()
+        past = self._past
         following = torch.where(restart, self._begun(self._x0), successor)
-        for name, before in zip(("_y", "_u"), kept):
-            setattr(self, name, torch.where(restart[:, None], getattr(self, name), before))
+        if past is not None and self._past is not None:
+            self._past = torch.where(restart[:, None], self._past, past)
         return following, successor, reward, terminated, truncated
 
     def _begun(self, x: Tensor) -> Tensor:
         """Observations of states (runs, nx) with nothing before them."""
-        if self.history:
-            self._u = torch.zeros(self.runs, self.history, self.problem.model.nu)
-            self._y = torch.zeros(self.runs, self.history, 0)
+        self._past = None
         return self._seen(x, torch.zeros(self.runs, self.problem.model.nu))
 
     def _seen(self, x: Tensor, u: Tensor) -> Tensor:
@@ -158,10 +157,11 @@ class EpisodeEnv:
         if not self.history:
             return observe(x, self._step.p)
         y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float() + self._v[:, self._k]
-        if not self._y.shape[2]:
-            self._y = torch.zeros(self.runs, self.history, y.shape[1])
-        self._y, self._u = (torch.cat([new[:, None], old[:, :-1]], dim=1) for new, old in ((y, self._y), (u, self._u)))
-        return observe(torch.cat([self._y.flatten(1), self._u.flatten(1)], dim=1), self._step.p)
+        latest = torch.cat([y, u], dim=1)[:, None]
+        before = latest.new_zeros(self.runs, self.history, latest.shape[2]) if self._past is None else self._past
+        self._past = torch.cat([latest, before[:, :-1]], dim=1)
+        outputs, inputs = self._past.split([y.shape[1], u.shape[1]], dim=2)
+        return observe(torch.cat([outputs.flatten(1), inputs.flatten(1)], dim=1), self._step.p)
 
 
 def network_input_gradient(

@@ -60,6 +60,21 @@ def episode(
     return simulated(Stepper.at(problem, p), mean_law(agent, p), scenarios, depths=depths)
 
 
+@torch.no_grad()
+def visited(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Episode]:
+    """States (k, nx) that a law meets, lost runs included, its inputs (k, nu), and the episodes."""
+    pairs: list[tuple[Tensor, Tensor]] = []
+
+    def watched(x: Tensor) -> Tensor:
+        """Inputs, remembered with their states."""
+        pairs.append((x, law(x)))
+        return pairs[-1][1]
+
+    episode = simulated(step, watched, scenarios)
+    states, inputs = (torch.cat(part) for part in zip(*pairs))
+    return states, inputs, episode
+
+
 def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
     """Episodes of a law from states (n, nx) to inputs (n, nu)."""
     x0, w = scenarios

@@ -22,7 +22,7 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_gradients import compared
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double
-from ccdtools.co_design.episodes import Episode, latent_law, simulated
+from ccdtools.co_design.episodes import Episode, latent_law, simulated, visited
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LEAST_ACTION, NO_GRADIENT, NOISIER, POLICY_STEPS, RETUNE_STEPS
@@ -77,21 +77,14 @@ class Retuned:
         other.scenarios = (scenarios[0].double(), scenarios[1].double())
         return other
 
-    @torch.no_grad()
     def _root_mean_squares(self) -> tuple[Tensor, Tensor]:
         """Sizes of visited states (nx,) and latent actions (nu,)."""
-        squares: list[Tensor] = []
         limit = self._stepper.limit.double()
-
-        def watched(x: Tensor) -> Tensor:
-            """Inputs (n, nu)."""
-            latent = self._latent(x)
-            squares.append(torch.cat([x.clamp(-limit, limit), latent.clamp(-1.0, 1.0)], dim=1).square().mean(0))
-            return scaled(latent, self._range)
-
-        simulated(self._stepper, watched, self.scenarios)
-        sizes = torch.stack(squares).mean(0).sqrt()
-        return sizes[: len(limit)], sizes[len(limit) :]
+        x, *_ = visited(self._stepper, lambda x: scaled(self._latent(x), self._range), self.scenarios)
+        with torch.no_grad():
+            found = (x.clamp(-limit, limit), self._latent(x).clamp(-1.0, 1.0))
+        states, latents = (value.square().mean(dim=0).sqrt() for value in found)
+        return states, latents
 
 
 def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> GradientCheck:

@@ -17,13 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from torch import Tensor
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_generator, as_instance
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs, simulated
+from ccdtools.co_design.episodes import fewer_runs, visited as of_episodes
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive
@@ -103,17 +102,9 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
 
     def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
         """States and inputs (n, ·) visited before divergence, and the mean return."""
-        pairs = []
-
-        def followed(x: Tensor) -> Tensor:
-            """Inputs, remembered with their states."""
-            u = law(x.numpy())
-            pairs.append((x.numpy(), u))
-            return x.new_tensor(u)
-
-        with torch.no_grad():
-            seen = simulated(Stepper.at(in_double(problem), torch.tensor(p)), followed, scenarios)
-        states, inputs = (np.concatenate(part) for part in zip(*pairs))
+        step = Stepper.at(in_double(problem), torch.tensor(p))
+        *pairs, seen = of_episodes(step, lambda x: x.new_tensor(law(x.numpy())), scenarios)
+        states, inputs = (part.numpy() for part in pairs)
         within = (np.abs(states) <= problem.limit).all(axis=1)
         return states[within], inputs[within], float(seen.total.mean())
 

@@ -23,7 +23,7 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Sequence[R
 
     The one-step errors of the nominal model are fitted by (ΔA, ΔB, c), each state by ridge regression towards no change
     in A and B whose weight generalised cross-validation chooses; c is free. Clipped to U. Least squares mistake a
-    disturbance that lasts for a consequence of the state, as they do in practice.
+    disturbance that lasts for a consequence of the state.
 
     Parameters
     ----------

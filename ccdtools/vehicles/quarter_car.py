@@ -13,6 +13,7 @@ from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_defau
 from ccdtools.plants.plant import Plant
 from ccdtools.vehicles.corner import Corner, RealStrut
 
+SOFTEST = 0.1  # Least damping of a damper that is set, as a part of the largest [-]
 STATES = ("z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]")
 
 
@@ -77,7 +78,7 @@ def quarter_car(*, nonlinear: bool = False, actuator_lag: bool = False, semi_act
     u = ca.SX.sym("u")
     w = ca.SX.sym("w")
     p = ca.SX.sym("p", 2)
-    damping = p[1] * (0.55 + 0.45 * u) if semi_active else p[1]
+    damping = p[1] * (SOFTEST + (1 - SOFTEST) * (1 + u) / 2) if semi_active else p[1]
     corner = Corner(
         p[0], damping, car.tyre, GRAVITY * (car.sprung + car.unsprung), given_or_default("strut", strut, RealStrut),
         nonlinear=as_flag("nonlinear", nonlinear), real=as_flag("real", real),

@@ -16,7 +16,7 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.discretisation import discretise
 from ccdtools.vehicles.budgets import SKYHOOK_EVALUATIONS, SKYHOOK_RUNS
-from ccdtools.vehicles.quarter_car import quarter_car
+from ccdtools.vehicles.quarter_car import SOFTEST, quarter_car
 from mpc import lqr
 
 
@@ -42,8 +42,8 @@ class SemiActive(Immutable):
         states = as_floats("x", x)
         rate, demanded = states[..., 3] - states[..., 1], states @ self.F
         moving = np.abs(rate) > np.finfo(float).tiny
-        damping = np.where(moving, demanded / np.where(moving, rate, 1.0), 0.55 * self.largest)
-        u: Array = (np.clip(damping / self.largest, 0.1, 1.0)[..., None] - 0.55) / 0.45
+        share = np.where(moving, demanded / np.where(moving, rate, 1.0) / self.largest, (1 + SOFTEST) / 2)
+        u: Array = 2 * (np.clip(share, SOFTEST, 1.0)[..., None] - SOFTEST) / (1 - SOFTEST) - 1
         return u
 
 
@@ -68,10 +68,10 @@ def skyhook(problem: CoDesignProblem, design: Array) -> SemiActive:
     return of(minimize(cost, first[0], method="Nelder-Mead", options=options).x)
 
 
-Weights = Callable[[Array], tuple[Array, Array, Array]]
+ForceWeights = Callable[[Array], tuple[Array, Array, Array]]
 
 
-def clipped_lqr(weights: Weights) -> Callable[[CoDesignProblem, Array], SemiActive]:
+def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], SemiActive]:
     """Law: LQR of an actuator in the damper's place, clipped to what a damper can do.
 
     Parameters

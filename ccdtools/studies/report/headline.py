@@ -170,21 +170,20 @@ def _where_deployed(results: Results, last: int) -> str:
 
 def _best_other(results: Results, last: int) -> str:
     """Phrase for the best baseline if it costs less than LQR; else empty."""
+    lqr = _row(results, last, "LQR")
     rows = [row for row in results["comparison"] if (row["plant"], row["generation"]) == ("real", last)]
-    others = [row for row in rows if not row["controller"].startswith("learned") and not row.get("remark")]
-    gains = {row["controller"]: _gain(row) for row in others if row["paired_to_lqr"]["mean"] is not None}
-    best = max(gains, key=gains.__getitem__, default="LQR")
-    row: dict[str, Any] = next((row for row in others if row["controller"] == best), {})
-    if not row or gains[best] < NOT_WORSE_PERCENT or verdict(row, _row(results, last, "LQR")).startswith("worse"):
+    others = [row for row in rows if not (row["controller"].startswith("learned") or row.get("remark"))]
+    best = max(others, key=_gain)  # LQR at worst
+    if _gain(best) < NOT_WORSE_PERCENT or verdict(best, lqr).startswith("worse"):
         return ""
-    unsure = "" if percent_of_reference(row, _row(results, last, "LQR")) else " (without an interval)"
-    return f"the best other law ({best}) {signed_percent(gains[best]).removeprefix('+')} less{unsure}"
+    unsure = "" if percent_of_reference(best, lqr) else " (without an interval)"
+    return f"the best other law ({best['controller']}) {signed_percent(_gain(best)).removeprefix('+')} less{unsure}"
 
 
 def _gain(row: Mapping[str, Any]) -> float:
-    """Gain of a row over LQR in per cent of LQR's cost; 0 where that is none."""
-    size = size_of(row, "lqr_mean") or abs(row["lqr_mean"] or 0.0)
-    return float(100 * row["paired_to_lqr"]["mean"] / size) if size else 0.0
+    """Mean gain over LQR in per cent of LQR's cost; 0 where there is none."""
+    mean, size = row["paired_to_lqr"]["mean"], size_of(row, "lqr_mean")
+    return float(100 * mean / size) if mean is not None and size else 0.0
 
 
 def _limits(results: Results, last: int) -> str:

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+import semi_active_damper
 import torch
 
 from ccdtools import (
@@ -24,42 +25,15 @@ from learning import ActorCritic
 SPRING = [2e4]
 
 
-def damped_corner():
-    """Quarter car of 300 and 50 kg, damping from 300 to 4000 N·s/m by the input, spring as design."""
-    x, u, w, p = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k_s")
-    X = np.array([0.05, 5.0, 0.2, 2.5])
-    force = p * x[2] + (2150 + 1850 * u) * (x[3] - x[1])
-    rates = ca.vertcat(x[1] - w, (force - 2e5 * x[0]) / 50, x[3] - x[1], -force / 300)
-    space = DesignSpace(["k_s"], [1e4], [4e4], ["N/m"])
-    model = discretise(Plant(x, u, w, p, rates, space, dt=0.01), X=(-X, X), U=(-1, 1), W=(-1, 1))
-
-    def cost(x, u, p):
-        force = p[0] * x[2] + (2150 + 1850 * u[0]) * (x[3] - x[1])
-        return (force / 300) ** 2 + 2e4 * x[0] ** 2 + 10 * x[2] ** 2
-
-    objective = CustomObjective(cost, Q=np.diag([2e4, 0.0, 10.0, 0.0]), R=[[1.0]])
-    scenarios = FixedStart(np.zeros(4), Gaussian([0.25]))
-    return CoDesignProblem(model, X=(-X, X), U=(-1, 1), objective=objective, scenarios=scenarios, steps=200,
-                           limit_tolerance="off")  # fmt: skip
-
-
-def skyhook(x):
-    """Inputs of a damper that follows one to the sky and one to the ground, both tuned."""
-    speed = x[..., 1] - x[..., 3]
-    demand = -5157 * x[..., 3] + 604 * x[..., 1]
-    damping = np.clip(demand / np.where(np.abs(speed) > 1e-9, speed, np.inf), 300, 4000)
-    return ((damping - 2150) / 1850)[..., None]
-
-
 @pytest.mark.check
 def test_a_policy_that_begins_with_nothing_to_imitate_passes_the_law_of_engineers():
-    problem = damped_corner()
+    problem = semi_active_damper.problem()
     assert np.abs(saturated_lqr(problem, SPRING).K).max() < 1e-9
     few = CoDesignConfig(iterations=120, design_rate=0.0)
     found = codesign(problem, rng=np.random.default_rng(0), design=SPRING, config=few)
     learned, known = (
         closed_loop_returns(problem, law, SPRING, rng=np.random.default_rng(5), runs=200).values.mean()
-        for law in (LearnedPolicy(found.agent, SPRING), skyhook)
+        for law in (LearnedPolicy(found.agent, SPRING), semi_active_damper.skyhook([5157.0, 604.0]))
     )
     assert learned > 0.96 * known  # both are negative
 
