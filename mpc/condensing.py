@@ -135,15 +135,15 @@ def constraints_of(
         labels.extend(Constraint(kind, step, i) for i in range(len(h)))
 
     for k in range(problem.horizon):
-        impose("input", k, problem.input_rows, U[k])
+        impose("input", k, problem.rows_at("input", k), U[k])
         if problem.rate_limit is not None:
             before = U[k - 1] if k else np.zeros_like(U[0])
             if k == 0:
                 before[:, at["u_prev"]] = np.eye(problem.nu)
             both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
             impose("rate", k, (both, np.tile(problem.rate_limit, 2)), U[k] - before)
-        impose("state", k + 1, problem.state_rows, X[k + 1])
-    impose("terminal", problem.horizon, problem.terminal_rows, X[problem.horizon])
+        impose("state", k + 1, problem.rows_at("state", k + 1), X[k + 1])
+    impose("terminal", problem.horizon, problem.rows_at("terminal", problem.horizon), X[problem.horizon])
     if problem.soft is not None:
         for k in range(problem.horizon):
             impose("slack", k + 1, (-np.eye(1), np.zeros(1)), np.eye(1, nv, at["s"].start + k))

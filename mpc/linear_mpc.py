@@ -56,7 +56,13 @@ class LinearMPC(MPCProblem):
     terminal_set : Polytope or (lower, upper), optional
         Set for x_N, beside X.
     E : (nx, nw) array, optional
-        Disturbance matrix, for disturbances known ahead.
+        Disturbance matrix, for disturbances known ahead, and for W.
+    W : Polytope or (lower, upper), optional
+        Set of disturbances that nobody knows: x⁺ = Ax + Bu + Ew with any w in W (without E, what is added to each
+        state). Limits are tightened along the plan by what they can do under u = v - Kx, and the terminal set is the
+        largest robust invariant one if none is given, so that a loop that begins with a plan has one at every step and
+        keeps X and U (Chisci, Rossiter and Zappa, Automatica 37(7), 2001). A given `terminal_set` must be robustly
+        invariant under `gain` for that. Not beside `rate_limit` or `blocks`.
     rate_limit : float or (nu,) array, optional
         Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
     soft : (linear, quadratic), optional
@@ -74,8 +80,8 @@ class LinearMPC(MPCProblem):
 
     Raises
     ------
-    InputError, NotConvexError, NotStabilisableError
-        Bad shapes or values; an indefinite weight or Hessian; no stabilising terminal weight.
+    InputError, NotConvexError, NotStabilisableError, InfeasibleError
+        Bad shapes or values; an indefinite weight or Hessian; no stabilising terminal weight; too large a W.
 
     Examples
     --------

@@ -24,9 +24,10 @@ from mpc.checks import (
     as_soft,
     as_weight,
 )
-from mpc.exceptions import InputError
+from mpc.exceptions import InfeasibleError, InputError
 from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
 from mpc.riccati import lqr
+from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tightened
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,7 +39,7 @@ class MPCProblem:
     Attributes
     ----------
     state_rows, input_rows, terminal_rows : (H, h)
-        The sets as half-spaces {v : Hv <= h}.
+        The sets as half-spaces {v : Hv <= h}, before they are tightened; see `rows_at`.
     given_P : (nx, nx) array or None
         The terminal weight, if it was given; None where it is the solution of the Riccati equation.
     riccati_gain : (nu, nx) array or None
@@ -56,6 +57,7 @@ class MPCProblem:
     U: Any = field(default=None, kw_only=True)
     terminal_set: Any = field(default=None, kw_only=True)
     E: Any = field(default=None, kw_only=True)
+    W: Any = field(default=None, kw_only=True)
     rate_limit: Any = field(default=None, kw_only=True)
     soft: tuple[float, float] | None = field(default=None, kw_only=True)
     blocks: tuple[int, ...] | None = field(default=None, kw_only=True)
@@ -87,12 +89,52 @@ class MPCProblem:
             self._set(soft=as_soft(self.soft))
         if self.blocks is not None:
             self._set(blocks=as_blocks(self.blocks, self.horizon))
+        if self.W is not None:
+            self._set(W=as_disturbance_set(self.W, self._entry))
         if self.P is None:
             gain, P = lqr(A, B, Q=self.Q, R=self.R, S=self.S)
             self._set(P=P, given_P=None, riccati_gain=gain)
         else:
             P = as_weight("P", self.P, len(A))
             self._set(P=P, given_P=P)
+        if self.W is not None:
+            self._close_robustly()
+
+    def _close_robustly(self) -> None:
+        """Check what W goes with, and find the terminal set where none was given."""
+        for name in ("rate_limit", "blocks"):
+            if getattr(self, name) is not None:
+                raise InputError(name, getattr(self, name), "none beside W", "No input would be free to answer to w.")
+        if self.terminal_set is None and len(self.state_rows[1]) + len(self.input_rows[1]):
+            sets = self.state_rows, self.input_rows
+            self._set(terminal_rows=robust_terminal_rows(self.A, self.B, self.gain, *sets, self._entry, self.W))
+        for kind, k in (("state", self.horizon), ("input", self.horizon - 1), ("terminal", self.horizon)):
+            H, h = self.rows_at(kind, k)
+            if len(h) and is_empty(H, h):
+                raise InfeasibleError(f"disturbances of W leave nothing of the {kind} limits at step {k}. {ADVICE}")
+
+    @property
+    def _entry(self) -> Array:
+        """Matrix by which disturbances of W enter."""
+        return np.eye(self.nx) if self.E is None else self.E
+
+    @cached_property
+    def bounds(self) -> dict[str, Array]:
+        """Bounds h (N + 1, rows) of the "state", "input" and "terminal" limits, step by step, tightened for W."""
+        sets = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}
+        if self.W is None:
+            return {kind: np.broadcast_to(h, (self.horizon + 1, len(h))) for kind, (_, h) in sets.items()}
+        loop = self.A - self.B @ self.gain
+        rows = {kind: -H @ self.gain if kind == "input" else H for kind, (H, _) in sets.items()}
+        return {
+            kind: frozen(h - tightened(rows[kind], loop, self._entry, self.W, self.horizon))
+            for kind, (_, h) in sets.items()
+        }
+
+    def rows_at(self, kind: str, step: int) -> tuple[Array, Array]:
+        """Half-spaces {v : Hv <= h} of a "state", "input" or "terminal" limit at a step, tightened for W."""
+        H = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}[kind][0]
+        return H, self.bounds[kind][step]
 
     def _set(self, **values: Any) -> None:
         """Store checked values, before the object is complete."""

@@ -121,10 +121,14 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
 
 def violation_of(problem: MPCProblem, states: Array) -> float:
     """Largest violation of a state or terminal constraint, in bound units."""
-    (H, h) = problem.state_rows
-    (HT, hT) = problem.terminal_rows
-    along = _largest(states[1:] @ H.T - h) if len(h) else 0.0
-    return max(along, _largest(HT @ states[-1] - hT)) if len(hT) else along
+    excess = np.concatenate([part.ravel() for part in _excesses(problem, states)])
+    return _largest(excess) if len(excess) else 0.0
+
+
+def _excesses(problem: MPCProblem, states: Array) -> tuple[Array, Array]:
+    """Excess over the limits of states (N, rows) and at the end (rows,)."""
+    end, at_end = problem.rows_at("terminal", problem.horizon)
+    return finite(states[1:] @ problem.state_rows[0].T) - problem.bounds["state"][1:], finite(end @ states[-1]) - at_end
 
 
 def _largest(excess: Array) -> float:
@@ -135,11 +139,10 @@ def _largest(excess: Array) -> float:
 
 def relative_violations(problem: MPCProblem, states: Array, units: dict[str, Array] | None = None) -> Array:
     """Largest relative violation (N,) of each step [-]."""
-    (H, h) = problem.state_rows
-    (HT, hT) = problem.terminal_rows
+    excess, at_end = _excesses(problem, states)
     units = problem.row_units if units is None else units
-    along = np.max((finite(states[1:] @ H.T) - h) / units["state"], axis=1, initial=0.0)
-    along[-1] = max(along[-1], float(np.max((finite(HT @ states[-1]) - hT) / units["terminal"], initial=0.0)))
+    along = np.max(excess / units["state"], axis=1, initial=0.0)
+    along[-1] = max(along[-1], float(np.max(at_end / units["terminal"], initial=0.0)))
     return np.asarray(along)
 
 

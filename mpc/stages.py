@@ -158,7 +158,7 @@ class StagewiseQP:
         bounds = [np.zeros(0)]
         units = self.problem.row_units if self.problem.soft is None else self.problem.price_units
         if free:
-            H, h = self.problem.input_rows
+            H, h = self.problem.rows_at("input", k)
             J = np.zeros((len(h), width))
             J[:, n : n + free] = H * self.input_size / units["input"][:, None]
             rows.append(J)
@@ -170,9 +170,8 @@ class StagewiseQP:
                 J[:, nx:n] = -both
                 rows.append(J)
                 bounds.append(np.ones(2 * free))
-        sets = [("state", self.problem.state_rows)] * (k > 0)
-        sets += [("terminal", self.problem.terminal_rows)] * (k == self.problem.horizon)
-        for kind, (H, h) in sets:
+        for kind in ["state"] * (k > 0) + ["terminal"] * (k == self.problem.horizon):
+            H, h = self.problem.rows_at(kind, k)
             J = np.zeros((len(h), width))
             J[:, width - priced :] = -1.0
             J[:, :nx] = H * self.state_size / units[kind][:, None]

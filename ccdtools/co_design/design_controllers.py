@@ -23,6 +23,7 @@ from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from invariant_sets import Polytope
     from mpc.optimal_control import NonlinearMPC
 
 HORIZON = 20  # The MPC looks ahead so many steps.
@@ -67,13 +68,19 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
     return K
 
 
-def linear_mpc(problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON) -> LinearMPC:
-    """MPC of the nominal model, or its linearisation at rest, within a design's limits."""
+def linear_mpc(
+    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, W: Polytope | None = None
+) -> LinearMPC:
+    """MPC of the nominal model, or its linearisation at rest, within a design's limits.
+
+    With `W`, such as `ccdtools.twin.disturbance_set` finds in a log, limits are tightened for x⁺ = Ax + Bu + w with any
+    w (nx,) in W; see `LinearMPC`.
+    """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
     own = problem.weights(p).keywords()
-    return LinearMPC(A, B, **own, horizon=horizon, X=problem.kept_by_mpc(p), U=problem.input_limits(p))
+    return LinearMPC(A, B, **own, horizon=horizon, X=problem.kept_by_mpc(p), U=problem.input_limits(p), W=W)
 
 
 def nonlinear_mpc(

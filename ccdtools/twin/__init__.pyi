@@ -1,4 +1,5 @@
 from ccdtools.twin.deployment import deploy as deploy, deploy_and_update as deploy_and_update
+from ccdtools.twin.disturbance_set import disturbance_set as disturbance_set
 from ccdtools.twin.free_running import free_running_bands as free_running_bands
 from ccdtools.twin.identified import identified_lqr as identified_lqr
 from ccdtools.twin.online import OnlineConfig as OnlineConfig

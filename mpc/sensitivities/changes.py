@@ -55,6 +55,10 @@ def as_changes(problem: MPCProblem, given: Mapping[str, ArrayLike | None], count
     if given.get("dP") is not None and problem.given_P is None:
         cure = "It is the Riccati solution here, whose derivative follows from the others."
         raise InputError("dP", "a derivative", "none, because no P was given", cure)
+    for name, value in given.items():
+        if problem.W is not None and value is not None:
+            cure = "The limits of a problem with W change with its model and weights, which this does not follow."
+            raise InputError(name, "a derivative", "none beside W", cure)
     shapes: dict[str, tuple[int, ...]] = {
         "dA": (nx, nx), "dB": (nx, nu), "dE": (nx, nw), "dQ": (nx, nx), "dR": (nu, nu), "dS": (nx, nu), "dP": (nx, nx),
         "dX": (len(problem.state_rows[1]),), "dU": (len(problem.input_rows[1]),),

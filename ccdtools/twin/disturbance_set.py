@@ -1,0 +1,84 @@
+"""Disturbance set of a log: what a nominal model may be wrong by in one step, jointly over the states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_instance, as_share, shown
+from ccdtools.exceptions import InputError
+from ccdtools.twin.budgets import BLOCKS
+from ccdtools.twin.residuals import Residuals, block_parts, stacked
+from ccdtools.twin.tolerances import HELD_OUT
+from invariant_sets import Polytope
+
+
+def disturbance_set(
+    logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS
+) -> Polytope:
+    """Set W (nx,) that holds one-step errors x⁺ − f(x, u, 0, p) jointly at a level, for `LinearMPC(W=…)`.
+
+    A box along the principal axes of the errors, in units of their standard deviations, between the outer quantiles of
+    each axis. Its size is conformal: the last part of every block of a log, which the axes and quantiles have not seen,
+    says by which factor all sides grow or shrink until the level is held, all coordinates at once. That is exact for
+    samples that could be exchanged; errors of one drive follow each other, and another drive has others.
+
+    Parameters
+    ----------
+    logs : Residuals, or a sequence of them at one design
+        From `residuals(model, log)`, or `twin.carried()`.
+    level : float
+        Share of the errors within the set, in (0, 1).
+    held_out : float
+        Part of every block that calibrates.
+    blocks : int
+        Blocks that a single long run is cut into.
+
+    Returns
+    -------
+    Polytope
+        Flat where errors enter fewer directions than there are states.
+
+    Raises
+    ------
+    InputError
+        Where too few samples calibrate: at least level / (1 − level) are needed.
+
+    References
+    ----------
+    Vovk, Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005 (split conformal prediction).
+    """
+    given = [logs] if isinstance(logs, Residuals) else logs
+    if not isinstance(given, list | tuple) or not given:
+        raise InputError("logs", shown(logs), "Residuals, from residuals(model, log), or several")
+    for i, log in enumerate(given):
+        as_instance(f"logs[{i}]", log, Residuals, "Residuals")
+        if not np.array_equal(log.p, given[0].p):
+            got = f"design {log.p} beside {given[0].p}"
+            raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")
+    level = as_share("level", level)
+    held_out = as_share("held_out", held_out)
+    parts = [
+        [part for log in given for part in block_parts(log, held_out, blocks, last=last)] for last in (False, True)
+    ]
+    count = sum(part.runs * part.steps for part in parts[1])
+    rank = int(np.ceil((count + 1) * level))
+    if rank > count or not parts[0]:
+        got = f"{count} samples held out to calibrate a level of {level:g}"
+        raise InputError("logs", got, f"at least {int(np.ceil(level / (1 - level)))}: a longer log, or a lower level")
+    errors, unseen = (stacked(part)[-1] for part in parts)
+    unit = errors.std(axis=0)
+    unit = np.where(unit > 0, unit, 1.0)
+    axes = np.linalg.svd((errors - errors.mean(axis=0)) / unit, full_matrices=False)[2]
+    low, high = np.quantile(errors / unit @ axes.T, ((1 - level) / 2, (1 + level) / 2), axis=0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    factor = np.partition(_sizes(unseen / unit @ axes.T - middle, half), rank - 1)[rank - 1]
+    return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(unit[:, None] * axes.T)
+
+
+def _sizes(offsets: Array, half: Array) -> Array:
+    """Least factor (n,) by which a box of half widths holds each offset (n, nx)."""
+    least = np.finfo(float).eps * np.abs(offsets).max(initial=np.finfo(float).tiny)
+    return np.asarray((np.abs(offsets) / np.maximum(half, least)).max(axis=1))

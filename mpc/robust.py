@@ -1,0 +1,66 @@
+"""Limits tightened along a horizon by what disturbances within a set can do.
+
+References
+----------
+Chisci, Rossiter and Zappa, "Systems with persistent disturbances: predictive control with restricted constraints",
+Automatica 37(7), 2001. Kolmanovsky and Gilbert, "Theory and computation of disturbance invariant sets for discrete-time
+linear systems", Mathematical Problems in Engineering 4(4), 1998: the terminal set.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ccdtools_ground.door import shown
+from mpc.checks import Array, as_set
+from mpc.exceptions import InfeasibleError, InputError
+
+Rows = tuple[Array, Array]
+ADVICE = "Shrink W, widen X and U, or weigh the states more: a faster loop leaves less room to disturbances."
+
+
+def as_disturbance_set(value: Any, E: Array) -> Any:
+    """Bounded set W with a point, of as many coordinates as E has columns."""
+    W = value if hasattr(value, "support") else as_set("W", value, E.shape[1])
+    if not hasattr(W, "support"):
+        raise InputError("W", shown(value), "a Polytope, or finite bounds (lower, upper)")
+    if W.dim != E.shape[1]:
+        raise InputError("W", f"a set of {W.dim} coordinates", f"one of {E.shape[1]}, one for each column of E")
+    if W.is_empty or not W.is_bounded:
+        raise InputError("W", "an empty set" if W.is_empty else "an unbounded set", "a bounded set with a point")
+    return W
+
+
+def tightened(rows: Array, loop: Array, E: Array, W: Any, steps: int) -> Array:
+    """Room (steps + 1, m) that disturbances of k = 0, 1, … steps take along `rows` (m, nx) of a state.
+
+    The support of ⊕_{i<k} loopⁱ E W: the error of a prediction under the gain that `loop` = A − B K is closed by.
+    """
+    room = np.zeros((steps + 1, len(rows)))
+    for k in range(steps):
+        room[k + 1] = room[k] + (W.support(rows @ E) if len(rows) else 0.0)
+        rows = rows @ loop
+    return room
+
+
+def robust_terminal_rows(A: Array, B: Array, K: Array, state: Rows, action: Rows, E: Array, W: Any) -> Rows:
+    """Half-spaces of the largest set that u = −K x keeps within both limits whatever w ∈ W does.
+
+    Raises
+    ------
+    InfeasibleError
+        There is none.
+    """
+    from invariant_sets import Polytope, maximal_positively_invariant_set
+
+    (HX, hX), (HU, hU) = state, action
+    limits = Polytope(block_diag(HX, HU), np.concatenate([hX, hU]))
+    found = maximal_positively_invariant_set(A - B @ K, limits, C=np.vstack([np.eye(len(A)), -K]), E=E, W=W)
+    if found.set.is_empty:
+        raise InfeasibleError(
+            f"no set of states is kept within X and U by u = -Kx whatever w in W does: {found.status.name}. {ADVICE}"
+        )
+    return found.set.one_sided
