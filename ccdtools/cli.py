@@ -60,7 +60,9 @@ def run(
     generations: Annotated[str, typer.Option(metavar="INTEGER", help="Times to design, deploy and learn.")] = "2",
     quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; a few minutes.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
-    expert: Annotated[str, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit.")] = "lqr",
+    expert: Annotated[
+        str | None, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit, or a law of the study.")
+    ] = None,
     method: Annotated[str | None, typer.Option(help="Of the policy: pathwise, ppo, or pathwise+ppo.")] = None,
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,
     sets: Annotated[str | None, typer.Option(help="X_fea for the expert's data: auto, lqr or none.")] = None,

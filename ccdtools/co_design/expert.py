@@ -18,7 +18,8 @@ from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
 from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
-from ccdtools.co_design.expert_loops import expert_law, follow
+from ccdtools.co_design.expert_loops import DesignLaw, expert_law, follow
+from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
 from ccdtools.design_limits import DesignLimits
@@ -27,8 +28,6 @@ from ccdtools.plants.models import Model
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import Echo, telling
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_control_invariant_set
-
-EXPERTS = ("lqr", "mpc", "explicit")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +120,7 @@ def expert_dataset(
     *,
     samples: int,
     rng: np.random.Generator,
-    expert: str = "lqr",
+    expert: str | DesignLaw = "lqr",
     gamma: float = 0.99,
     horizon: int = 10,
     designs: int | None = None,
@@ -145,9 +144,10 @@ def expert_dataset(
     samples : int
         Candidates.
     rng : numpy.random.Generator
-    expert : {"lqr", "mpc", "explicit"}
+    expert : {"lqr", "mpc", "explicit"} or function of (problem, design)
         Saturated LQR, projected on the inputs that keep the next state in X_fea(p) where that set is known; online
-        MPC; or the explicit MPC of every design, as in Chen et al.
+        MPC; the explicit MPC of every design, as in Chen et al.; or a law of one's own, such as
+        `ccdtools.vehicles.skyhook`: the function returns a controller of states for a design.
     gamma : float
         Discount of the values: the training convention.
     horizon : int
@@ -175,7 +175,8 @@ def expert_dataset(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     samples = as_count("samples", samples)
     as_generator("rng", rng)
-    as_choice("expert", expert, EXPERTS)
+    if not callable(expert):
+        as_choice("expert", expert, EXPERTS)
     gamma = as_share("gamma", gamma)
     horizon = as_count("horizon", horizon)
     designs = None if designs is None else min(samples, as_count("designs", designs))

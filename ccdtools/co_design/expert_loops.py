@@ -17,8 +17,10 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
+from mpc import ExplicitMPC
 
 Law = Callable[[Array], Array]
+DesignLaw = Callable[[CoDesignProblem, Array], Law]  # a law of each design, as the `laws` of a study
 
 
 def follow(
@@ -78,15 +80,15 @@ def _stepped(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array
 
 
 def expert_law(
-    problem: CoDesignProblem, starts: Starts, expert: str, horizon: int, *, progress: bool = False
+    problem: CoDesignProblem, starts: Starts, expert: str | DesignLaw, horizon: int, *, progress: bool = False
 ) -> Law:  # fmt: skip
-    """Inputs (n, nu) of filtered LQR, or of MPC, at the designs of the starts; NaN where the state is.
+    """Inputs (n, nu) of filtered LQR, MPC or a law, at the designs of the starts; NaN where the state is.
 
     Parameters
     ----------
     problem : CoDesignProblem
     starts : Starts
-    expert : {"lqr", "mpc", "explicit"}
+    expert : {"lqr", "mpc", "explicit"} or function of (problem, design)
     horizon : int
         Of the MPC experts.
     progress : bool
@@ -94,19 +96,25 @@ def expert_law(
     if expert == "lqr":
         kept = SetFilters(problem, starts)
         return lambda x: kept.filtered(x, starts.regions.inputs(x, np.arange(len(x))))
-    made = [linear_mpc(problem, p, horizon=horizon) for p in starts.p]
-    label = f"{expert} of every design"
-    laws: Any = counted(made, label, total=len(made), progress=progress)
-    controllers = [law.explicit() if expert == "explicit" else law for law in laws]
+    make = {"mpc": linear_mpc, "explicit": _explicit}[expert] if isinstance(expert, str) else expert
+    options = {"horizon": horizon} if isinstance(expert, str) else {}
+    label = f"{expert if isinstance(expert, str) else 'law'} of every design"
+    designs: Any = counted(starts.p, label, total=len(starts.p), progress=progress)
+    controllers = [make(problem, p, **options) for p in designs]
 
     def planned(x: Array) -> Array:
-        """Inputs (n, nu) of every run's MPC."""
+        """Inputs (n, nu) of every run's controller."""
         u = np.full((len(x), problem.model.nu), np.nan)
         for i in np.flatnonzero(np.isfinite(x).all(axis=1)):
             u[i] = controllers[i](x[i])
         return u
 
     return planned
+
+
+def _explicit(problem: CoDesignProblem, design: Array, *, horizon: int) -> ExplicitMPC:
+    """Explicit MPC of a design."""
+    return linear_mpc(problem, design, horizon=horizon).explicit()
 
 
 class SetFilters:

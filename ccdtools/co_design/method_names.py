@@ -12,6 +12,7 @@ ALL = (
     "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
 )  # fmt: skip
 NAMES = (*ALL, "nested NMPC", "nested RL", "ppo", "pathwise+ppo")
+EXPERTS = ("lqr", "mpc", "explicit")  # whose inputs a first policy imitates
 SHORT = {"nested": "nested LQR", "search": "CMA-ES"}  # what `codesign` means by its short names
 
 

@@ -16,7 +16,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.studies.price import RedesignPrice, accepted_loss
 
 CHOICES = {
-    "preset": ("default", "paper"), "expert": ("lqr", "mpc", "explicit"), "method": ("pathwise", "ppo", "pathwise+ppo"),
+    "preset": ("default", "paper"), "method": ("pathwise", "ppo", "pathwise+ppo"),
     "design_gradient": ("pathwise", "network_input"), "sets": ("auto", "lqr", "none"),
     "driver": ("mild", "aggressive"), "filter": ("none", "admissible"),
 }  # fmt: skip
@@ -55,7 +55,7 @@ class Options:
     seed: int = 0
     quick: bool = False
     preset: str = "default"
-    expert: str = "lqr"
+    expert: str | None = None
     method: str | None = None
     design_gradient: str | None = None
     sets: str | None = None
@@ -81,6 +81,8 @@ class Options:
         for name, choices in CHOICES.items():
             if getattr(self, name) is not None or getattr(Options, name) is not None:
                 as_choice(f"--{name.replace('_', '-')}", getattr(self, name), choices)
+        if self.expert is not None and not isinstance(self.expert, str):
+            raise InputError("--expert", shown(self.expert), "the name of an expert")
         if self.sets_time_limit is not None:
             as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
         if self.redesign_price is not None:

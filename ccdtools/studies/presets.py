@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from ccdtools.checks import as_choice, as_positive
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
+from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.risk import check_followed
 from ccdtools.studies.options import CHOICES
 from ccdtools.studies.study import Study
@@ -25,7 +26,8 @@ class StudyConfig:
     preset : {"default", "paper"}
     quick : bool
         Same path, fewer samples.
-    expert : {"lqr", "mpc", "explicit"}
+    expert : str
+        "lqr", "mpc", "explicit", or the name of a law of the study: what the first policy imitates.
     method : {"pathwise", "ppo", "pathwise+ppo"}
         What moves the policy in a co-design.
     samples : int
@@ -72,7 +74,7 @@ def configuration(
     *,
     preset: str = "default",
     quick: bool = False,
-    expert: str = "lqr",
+    expert: str | None = None,
     method: str | None = None,
     design_gradient: str | None = None,
     sets: str | None = None,
@@ -80,7 +82,7 @@ def configuration(
 ) -> StudyConfig:
     """Configuration of a preset.
 
-    `sets` and `sets_time_limit` are those of the study unless given.
+    `expert`, `sets` and `sets_time_limit` are those of the study unless given.
 
     ``paper`` takes the paper's networks, loss, rates, epochs and design gradient; what the paper leaves unsaid or
     what its code has wrong (advantages, discount, bounds, one optimiser) stays as in the default.
@@ -92,7 +94,7 @@ def configuration(
         if the method follows the mean, and the study has a risk.
     """
     as_choice("preset", preset, CHOICES["preset"])
-    as_choice("expert", expert, CHOICES["expert"])
+    expert = study.expert if expert is None else as_choice("expert", expert, (*EXPERTS, *study.laws))
     sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])
     limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit)

@@ -51,8 +51,9 @@ class LoopStages:
         """First policy: a network trained to imitate the expert."""
         config = self.evaluation.config
         problem = self.evaluation.problem
+        expert: Any = self.evaluation.study.laws.get(config.expert, config.expert)
         data = expert_dataset(
-            problem, samples=config.samples, rng=rng, expert=config.expert, gamma=config.codesign.ppo.gamma,
+            problem, samples=config.samples, rng=rng, expert=expert, gamma=config.codesign.ppo.gamma,
             sets=config.sets, time_limit=config.sets_time_limit, progress=self.progress,
         )  # fmt: skip
         assert data.sets is not None

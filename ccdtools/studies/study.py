@@ -22,6 +22,7 @@ from ccdtools.checks import (
     as_weight,
     shown,
 )
+from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
@@ -107,6 +108,8 @@ class Study(Immutable):
     starts : Polytope, distribution or (n, nx) array, optional
         Where episodes and evaluations on the model start, see `RandomStarts`; at `x0` by default. The real plant starts
         at its own x0.
+    expert : str
+        What the first policy imitates: "lqr", "mpc", "explicit", or the name of one of `laws`.
     laws : mapping of names to functions, optional
         Control laws of the field that every comparison shows beside LQR, PID and MPC: (problem, design) → controller.
     metrics : function, optional
@@ -147,6 +150,7 @@ class Study(Immutable):
     method: str = "auto"
     starts: Any = None
     metrics: Metrics | None = None
+    expert: str = "lqr"
     laws: Mapping[str, Callable[[CoDesignProblem, Array], Controller]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -205,6 +209,7 @@ class Study(Immutable):
             if not isinstance(name, str) or name in TAKEN or not callable(law):
                 expected = f"a function of (problem, design), by a name other than {', '.join(TAKEN)}"
                 raise InputError("laws", f"{shown(law)} by the name {shown(name)}", expected)
+        as_choice("expert", self.expert, (*EXPERTS, *self.laws))
 
     def _check_limits(self) -> None:
         """Raise unless X and U hold the origin, and X the start."""

@@ -79,11 +79,12 @@ def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], Sem
     weights : function of the design
         Q (4, 4), R (1, 1) and S (4, 1) of the force.
     """
+    car = quarter_car()
+    undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0))
+    model = discretise(undamped, sampling_guard="ignore")
 
     def law(problem: CoDesignProblem, design: Array) -> SemiActive:
-        car = quarter_car()
-        undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0))
-        A, B, _ = discretise(undamped, sampling_guard="ignore").matrices([design[0], car.design.lower[1]])
+        A, B, _ = model.matrices([design[0], car.design.lower[1]])
         Q, R, S = weights(design)
         return SemiActive(lqr(A, B, Q=Q, R=R, S=S)[0][0], design[1])
 

@@ -123,6 +123,14 @@ def test_both_experts_give_data_of_one_shape(illustrative, expert):
     assert (np.abs(data.actions) <= 1 + 1e-6).all()
 
 
+def test_a_law_of_ones_own_is_an_expert_whose_inputs_are_imitated_at_every_design(illustrative):
+    def law(problem, design):
+        return lambda x: np.atleast_1d(-0.4 * np.tanh(x[..., 1]) / design[0])
+
+    data = expert_dataset(illustrative.problem(), samples=30, rng=np.random.default_rng(0), expert=law, sets="none")
+    np.testing.assert_allclose(data.actions[:, 0], -0.4 * np.tanh(data.inputs[:, 1]) / data.inputs[:, 2], rtol=1e-12)
+
+
 def test_the_generator_decides(illustrative):
     a, b = (expert_dataset(illustrative.problem(), samples=10, rng=np.random.default_rng(4)) for _ in range(2))
     np.testing.assert_array_equal(a.inputs, b.inputs)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ccdtools import InputError
@@ -42,6 +43,14 @@ def test_sets_and_their_time_limit_come_from_the_study_unless_they_are_given(ill
     assert (configuration(study).sets, configuration(study).sets_time_limit) == ("lqr", 7.0)
     other = configuration(study, sets="none", sets_time_limit=3.0)
     assert (other.sets, other.sets_time_limit) == ("none", 3.0)
+
+
+def test_the_expert_of_a_study_may_be_one_of_its_laws(illustrative):
+    study = replace(illustrative, laws={"bang": lambda problem, design: np.sign}, expert="bang")
+    assert configuration(study).expert == "bang"
+    assert configuration(study, expert="mpc").expert == "mpc"
+    with pytest.raises(InputError, match="expert: got 'clang', expected one of lqr, mpc, explicit, bang"):
+        replace(study, expert="clang")
 
 
 @pytest.mark.parametrize(
