@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_array, as_floats, as_vector, finite
+from ccdtools.checks import as_array, as_count, as_floats, as_vector, finite
 from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
 from mpc.checks import as_weight
@@ -83,6 +83,55 @@ def updated_covariance(P: Array, H: Array, V: Array, K: Array) -> Array:
 class Filter(Immutable):
     """Base of the filters, which have no memory: constant and costly to build, so copies are the same object."""
 
+    x0: Any
+    P0: Any
+    W: Any
+    V: Any
+    nu: Any
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(self.x0)
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.V)
+
+    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Next states (n, nx) and slopes ∂x⁺/∂x (nx, nx) or (n, nx, nx)."""
+        raise NotImplementedError
+
+    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
+        """Outputs (n, ny) at the estimates and slopes ∂h/∂x (ny, nx) or (n, ny, nx)."""
+        raise NotImplementedError
+
+    def start(self, n: int) -> Belief:
+        """Belief of n runs before the first measurement."""
+        return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
+
+    def predict(self, belief: Belief, u: Array) -> Belief:
+        """Belief one sample later, after inputs (n, nu)."""
+        mean, F = self._transition(belief.mean, u)
+        return Belief(mean, propagated_covariance(belief.covariance, F, self.W))
+
+    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
+        """Innovation of y (n, ny) after u (n, nu), and its first-order covariance (ny, ny) or (n, ny, ny)."""
+        expected, H = self._expected(belief, u)
+        return y - expected, propagated_covariance(belief.covariance, H, self.V)
+
+    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
+        expected, H = self._expected(belief, u)
+        K, P = self._corrected(belief.covariance, H)
+        return Belief(belief.mean + ((y - expected)[:, None, :] @ transposed(K))[:, 0], P)
+
+    def _corrected(self, P: Array, H: Array) -> tuple[Array, Array]:
+        """Gain of a measurement, and the covariance after it."""
+        K = gain_of(P, H, self.V)
+        return K, updated_covariance(P, H, self.V, K)
+
     def __deepcopy__(self, memory: Any) -> Self:
         return self
 
@@ -91,19 +140,18 @@ class Filter(Immutable):
 
         ``inputs[k]`` is held from sample k to k + 1, as in a `Trajectory`; before the first the input is 0.
         """
-        own: Any = self
-        y = _runs("outputs", outputs, own.ny)
+        y = _runs("outputs", outputs, self.ny)
         n, steps = y.shape[:2]
-        u = _runs("inputs", inputs, own.nu)
+        u = _runs("inputs", inputs, self.nu)
         if u.shape[:2] != (n, steps):
-            raise InputError("inputs", f"shape {u.shape}", f"({n}, {steps}, {own.nu}), as many as outputs")
-        belief = own.start(n)
-        last = np.zeros((n, own.nu))
+            raise InputError("inputs", f"shape {u.shape}", f"({n}, {steps}, {self.nu}), as many as outputs")
+        belief = self.start(n)
+        last = np.zeros((n, self.nu))
         rows: list[tuple[Array, Array, Array, Array]] = []
         for k in range(steps):
-            belief = own.predict(belief, last) if k else belief
-            innovation, S = own.innovation(belief, y[:, k], last)
-            belief = own.update(belief, y[:, k], last)
+            belief = self.predict(belief, last) if k else belief
+            innovation, S = self.innovation(belief, y[:, k], last)
+            belief = self.update(belief, y[:, k], last)
             rows.append((belief.mean, belief.covariance, innovation, S))
             last = u[:, k]
         means, covariances, innovations, expected = (list(column) for column in zip(*rows))

@@ -12,16 +12,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, frozen
-from ccdtools.checks import as_count, as_instance
-from ccdtools.estimation.belief import (
-    Belief,
-    Filter,
-    as_noise_covariances,
-    as_start,
-    gain_of,
-    propagated_covariance,
-    updated_covariance,
-)
+from ccdtools.checks import as_instance
+from ccdtools.estimation.belief import Belief, Filter, as_noise_covariances, as_start
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
 from ccdtools.estimation.steady_state import Detectability, detectability
@@ -97,10 +89,11 @@ class ExtendedKalmanFilter(Filter):
             raise InputError("output", "nothing", "what is measured, such as a matrix C (ny, nx)", cure)
         set_(self, "output", as_measurement(own if self.output is None else self.output))
         set_(self, "design", self._checked_design())
-        x0, P0 = as_start(self.x0, self.P0, self.nx)
+        x0, P0 = as_start(self.x0, self.P0, self.model.nx)
         set_(self, "x0", x0)
         set_(self, "P0", P0)
-        W, V = as_noise_covariances(self.W, self.V, self.nx, self.ny)
+        ny = self._h.of(x0[None], np.zeros((1, self.nu))).shape[1]
+        W, V = as_noise_covariances(self.W, self.V, self.nx, ny)
         set_(self, "W", W)
         set_(self, "V", V)
         set_(self, "detectability", detectability(self._slopes, self.x0, self.P0))
@@ -128,23 +121,13 @@ class ExtendedKalmanFilter(Filter):
         return f"ExtendedKalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {self.model!r}{said})"
 
     @property
-    def nx(self) -> int:
-        """Number of states."""
-        return int(self.model.nx)
-
-    @property
     def nu(self) -> int:
         """Number of inputs."""
         return int(self.model.nu)
 
     @cached_property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return int(self._h.of(self.x0[None], np.zeros((1, self.nu))).shape[1])
-
-    @cached_property
     def _h(self) -> Output:
-        output: Output = self.output.at(self.nx, self.nu, self.design)
+        output: Output = self.output.at(int(self.model.nx), self.nu, self.design)
         return output
 
     @cached_property
@@ -156,31 +139,13 @@ class ExtendedKalmanFilter(Filter):
             return lambda x, u: (x @ A.T + u @ B.T + c, A)
         return _differentiated(self.model, self.design)
 
-    def start(self, n: int) -> Belief:
-        """Belief of n runs before the first measurement."""
-        return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
+    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
+        return self._f(x, u)
 
-    def predict(self, belief: Belief, u: Array) -> Belief:
-        """Belief one sample later, after inputs (n, nu)."""
-        mean, F = self._f(belief.mean, u)
-        return Belief(mean, propagated_covariance(belief.covariance, F, self.W))
-
-    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovation of y (n, ny) after u (n, nu), and first-order covariance (n, ny, ny)."""
-        return y - self._h.of(belief.mean, u), propagated_covariance(belief.covariance, self._slope(belief, u), self.V)
-
-    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        H = self._slope(belief, u)
-        K = gain_of(belief.covariance, H, self.V)
-        innovation = y - self._h.of(belief.mean, u)
-        mean = belief.mean + (K @ innovation[:, :, None])[:, :, 0]
-        return Belief(mean, updated_covariance(belief.covariance, H, self.V, K))
-
-    def _slope(self, belief: Belief, u: Array) -> Array:
-        """Slope ∂h/∂x at the estimates."""
+    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
         variances = np.diagonal(belief.covariance, axis1=-2, axis2=-1)
-        return self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
+        slope = self._h.slope(belief.mean, u, np.sqrt(np.maximum(variances, 0.0)))
+        return self._h.of(belief.mean, u), slope
 
 
 def _differentiated(model: Plant | SampledModel, p: Array) -> Transition:

@@ -145,19 +145,9 @@ class KalmanFilter(Filter):
         return f"KalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {kind})"
 
     @property
-    def nx(self) -> int:
-        """Number of states."""
-        return len(self.A)
-
-    @property
     def nu(self) -> int:
         """Number of inputs."""
         return int(self.B.shape[1])
-
-    @property
-    def ny(self) -> int:
-        """Number of outputs."""
-        return len(self.C)
 
     @cached_property
     def predicted(self) -> Array:
@@ -185,20 +175,15 @@ class KalmanFilter(Filter):
 
     def predict(self, belief: Belief, u: Array) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
-        mean = belief.mean @ self.A.T + u @ self.B.T
-        P = self.predicted if self.steady else propagated_covariance(belief.covariance, self.A, self.W)
-        return Belief(mean, P)
+        if self.steady:
+            return Belief(self._transition(belief.mean, u)[0], self.predicted)
+        return super().predict(belief, u)
 
-    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovation of y (n, ny) after u (n, nu), and covariance (ny, ny)."""
-        return self._surprise(belief, y, u), propagated_covariance(belief.covariance, self.C, self.V)
+    def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
+        return x @ self.A.T + u @ self.B.T, self.A
 
-    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
-        """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        K = self.gain if self.steady else gain_of(belief.covariance, self.C, self.V)
-        P = self.covariance if self.steady else updated_covariance(belief.covariance, self.C, self.V, K)
-        return Belief(belief.mean + self._surprise(belief, y, u) @ K.T, P)
+    def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
+        return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C
 
-    def _surprise(self, belief: Belief, y: Array, u: Array) -> Array:
-        """Innovation: y (n, ny) less what is expected."""
-        return np.asarray(y - belief.mean @ self.C.T - u @ self.D.T - self.y0)
+    def _corrected(self, P: Array, H: Array) -> tuple[Array, Array]:
+        return (self.gain, self.covariance) if self.steady else super()._corrected(P, H)
