@@ -321,13 +321,6 @@ def hull_about(anchor: Array, Y: Array, terms: Array) -> tuple[Body, Array]:
     ), extreme
 
 
-def null_space(rows: Array) -> Array:
-    """Orthonormal basis (n, k) of {x : rows x = 0}."""
-    _, s, vt = np.linalg.svd(rows, full_matrices=True)
-    rank = int((s > COARSE * max(s.max(initial=0.0), np.finfo(float).tiny)).sum())
-    return vt[rank:].T
-
-
 def normals(basis: Array) -> Array:
     """Orthonormal rows (n − k, n) across the k columns of a basis."""
     left, _, _ = np.linalg.svd(basis / row_norms(basis.T), full_matrices=True)

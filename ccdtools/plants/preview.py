@@ -75,7 +75,7 @@ def with_preview(model: Model | Plant, steps: int, *, channels: Sequence[int] | 
     if isinstance(model, SampledModel):
         return _sampled(model, steps, known)
     step = discretise(model, sampling_guard="ignore").step if model.linear else model.step  # exact where it can be
-    return _plant(model, step, model.nw, steps, known)
+    return _plant(model, step, steps, known)
 
 
 def as_channels(channels: Sequence[int] | None, nw: int) -> tuple[int, ...]:
@@ -99,21 +99,12 @@ def previewed_state(x: Any, w: Any, channels: Sequence[int] | None = None) -> Ar
 
 def _linear(model: LinearModel, steps: int, known: tuple[int, ...]) -> LinearModel:
     """Linear model with the register."""
-    q = len(known)
-    length = q * steps
-    acting = ca.SX(model.nx, length)
-    acting[:, :q] = model.E[:, list(known)]
-    shift = ca.SX.zeros(length, length)
-    shift[: length - q, q:] = ca.SX.eye(length - q)
-    entering = ca.SX.zeros(length, model.nw)
-    direct = ca.SX(model.E)
-    for i, channel in enumerate(known):
-        entering[length - q + i, channel] = 1
-        direct[:, channel] = 0
-    A = ca.vertcat(ca.horzcat(model.A, acting), ca.horzcat(ca.SX.zeros(length, model.nx), shift))
-    B = ca.vertcat(model.B, ca.SX.zeros(length, model.nu))
-    c = ca.vertcat(model.c, ca.SX.zeros(length, 1))
-    return LinearModel(model.symbols, A, B, ca.vertcat(direct, entering), model.dt, model.design, c)
+    x, u, w, p, after = _registered(model.step, steps, known)
+    z = ca.vertcat(x, u, w)
+    J = ca.substitute(ca.jacobian(after, z), p, model.symbols)
+    A, B, E = ca.horzsplit(J, [0, x.numel(), x.numel() + model.nu, z.numel()])
+    c = ca.vertcat(model.c, ca.SX.zeros(x.numel() - model.nx, 1))
+    return LinearModel(model.symbols, A, B, E, model.dt, model.design, c)
 
 
 def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> SampledModel:
@@ -121,7 +112,7 @@ def _sampled(model: SampledModel, steps: int, known: tuple[int, ...]) -> Sampled
     if model.plant.continuous and model.method != "rk4":
         got = f"a model by {model.method}, whose step is no expression"
         raise InputError("model", got, 'one by Runge–Kutta: discretise(plant, method="rk4")')
-    plant = _plant(model.plant, model.step.expand(), model.nw, steps, known)
+    plant = _plant(model.plant, model.step.expand(), steps, known)
     length = len(known) * steps
     error = model.error
     if error is not None:
@@ -138,19 +129,24 @@ def _padded(w: Array, size: int) -> Array:
     return np.asarray(np.r_[w, np.zeros(size - len(w))])
 
 
-def _plant(plant: Plant, step: ca.Function, nw: int, steps: int, known: tuple[int, ...]) -> Plant:
-    """Plant of a step with the register."""
-    q = len(known)
-    x, u = ca.SX.sym("x", plant.nx + q * steps), ca.SX.sym("u", plant.nu)
-    w, p = ca.SX.sym("w", nw), ca.SX.sym("p", plant.design.dim)
-    register = x[plant.nx :]
+def _registered(step: ca.Function, steps: int, known: tuple[int, ...]) -> tuple[ca.SX, ...]:
+    """Symbols x, u, w, p of a step with the register, and its next state."""
+    nx = step.numel_in(0)
+    x = ca.SX.sym("x", nx + len(known) * steps)
+    u, w, p = (ca.SX.sym(name, step.numel_in(i)) for i, name in enumerate("uwp", start=1))
+    register = x[nx:]
     acting = ca.SX(w)
     for i, channel in enumerate(known):
         acting[channel] = register[i]
-    after = step(x[: plant.nx], u, acting, p)
+    return x, u, w, p, ca.vertcat(step(x[:nx], u, acting, p), register[len(known) :], w[list(known)])
+
+
+def _plant(plant: Plant, step: ca.Function, steps: int, known: tuple[int, ...]) -> Plant:
+    """Plant of a step with the register."""
+    x, u, w, p, after = _registered(step, steps, known)
     ahead = [f"w{channel + 1} in {k} samples" if k else f"w{channel + 1}" for k in range(steps) for channel in known]
     return Plant(
-        x, u, w, p, ca.vertcat(after, register[q:], w[list(known)]), plant.design, plant.dt, continuous=False,
+        x, u, w, p, after, plant.design, plant.dt, continuous=False,
         state_names=[*plant.state_names, *ahead], input_names=plant.input_names,
         outputs=plant.output(x[: plant.nx], u, p) if plant.ny else (), output_names=plant.output_names,
         output_limits=plant.output_limits if plant.ny else None,

@@ -17,7 +17,7 @@ import numpy as np
 
 from invariant_sets.bodies import Body, Stated, row_norms
 from invariant_sets.hulls import counter_clockwise
-from invariant_sets.interior_form import normals, null_space
+from invariant_sets.interior_form import normals
 from invariant_sets.linear_programs import largest_ball, maximise_rows
 from invariant_sets.polyhedron import set_of
 from invariant_sets.polytope import Polytope
@@ -236,6 +236,8 @@ def _origin(problem: LocalProblem, system: LinearSystem) -> Array | None:
 
 def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     """Equilibrium (y, v) deep inside all rows, or None."""
+    from scipy.linalg import null_space
+
     dynamics = problem.dynamics
     matrix = np.hstack([np.eye(len(dynamics.A)) - dynamics.A, -dynamics.B])
     size = row_norms(matrix.T)
@@ -247,7 +249,7 @@ def _inner_equilibrium(problem: LocalProblem) -> Array | None:
     worst = np.abs(matrix @ z - problem.drift).max(initial=0.0)
     if worst > COARSE * max(1.0, np.abs(problem.drift).max(initial=0.0)):
         return None
-    null = null_space(matrix)
+    null = null_space(matrix, rcond=COARSE)
     room = right - rows @ z
     slope = rows @ null
     norms = np.linalg.norm(slope, axis=1)
