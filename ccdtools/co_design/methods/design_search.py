@@ -12,8 +12,7 @@ import numpy as np
 
 from ccdtools.co_design.descent import Cost, DesignPoint, descend
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, HistoryRow, Valley
 from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_constraints import held

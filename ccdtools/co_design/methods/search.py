@@ -21,15 +21,13 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.budgets import SIZE_EVALUATIONS
 from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.co_design.tolerances import CMA_SETTLED
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError

@@ -15,8 +15,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, PASSIVE, controller_of
-from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.differentiable_model import ScenarioTensors, fewer_runs, scenario_tensors
 from ccdtools.co_design.methods.design_search import DesignSearch
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.simultaneous import Simultaneous

@@ -9,8 +9,7 @@ import torch
 
 from ccdtools import InputError, LearnedPolicy, simulate
 from ccdtools.co_design import episodes
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import episode, episode_at, fewer_runs, mean_law
+from ccdtools.co_design.differentiable_model import episode, episode_at, fewer_runs, mean_law, scenario_tensors
 
 
 def test_the_folded_law_is_the_policy(study, clone):

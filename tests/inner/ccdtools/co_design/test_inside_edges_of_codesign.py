@@ -31,8 +31,7 @@ from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.landscape import _same_hill
 from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import unavoidable_depth
-from ccdtools.co_design.limit_tolerance import BY_MPC, Pair, Tolerance
-from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.limits import BY_MPC, LimitsOutcome, Pair, Tolerance
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_pairs import MethodRow
@@ -46,10 +45,9 @@ from ccdtools.co_design.methods.sequential import _stands_alone
 from ccdtools.co_design.optimum_sensitivity import OptimumSensitivity
 from ccdtools.co_design.policy_check import _check
 from ccdtools.co_design.preview import _drawn_bounds
-from ccdtools.co_design.result import Baseline, CoDesignResult, History
+from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus, History
 from ccdtools.co_design.secant import Linearisation
 from ccdtools.co_design.settling import Settling, _better
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.statistics import PairedDifference
 from invariant_sets import Polytope
 from learning import ActorCritic, NetworkConfig

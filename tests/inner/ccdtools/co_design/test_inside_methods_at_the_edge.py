@@ -16,7 +16,7 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, confirmed
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignStatus
 
 
 class Cliff(DesignCost):
