@@ -100,14 +100,14 @@ class SetCounts:
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Starts of the expert's loops, with X_fea of each design, else LQR's region, else X.
+    """Starts of the expert's loops, with the set of each.
 
     Attributes
     ----------
     x, p : (n, nx) and (n, np) arrays
         States and designs; the accepted candidates first.
     sets : list of Polytope or None
-        X_fea of each design; None where it is not known, and nothing is filtered.
+        X_fea of each design; None where it is not known: the region of LQR or X stands for it, and nothing is filtered.
     regions : LQRRegions
         Model and LQR of each design.
     X : Limits

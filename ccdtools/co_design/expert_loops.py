@@ -110,9 +110,10 @@ def expert_law(
 
 
 def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array], Array]:
-    """Function of states and inputs (n, ·) for inputs that keep each run's next nominal state in its known X_fea.
+    """Function of states and inputs (n, ·) → inputs that stay in X_fea.
 
-    They are the given inputs, or where needed the nearest that stay in the set.
+    They are the given inputs, or where the next nominal state would leave the known set of its run, the nearest that
+    keep it there.
     """
     model = starts.regions
     known = {i: S for i, S in enumerate(starts.sets) if S is not None and not S.is_empty}

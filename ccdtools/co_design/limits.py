@@ -1,4 +1,4 @@
-"""Limits on states in a co-design: their tolerance, and an augmented Lagrangian that keeps it.
+"""Tolerance of state limits, and an augmented Lagrangian that keeps it.
 
 The two measures are the fraction of the states outside X and the mean over the runs of the peak depth. Each counts with
 a standard error of the runs on top, so that fresh runs are expected to keep the limits, too. Their excess over the

@@ -105,7 +105,7 @@ def best_design(
     problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array, rng: np.random.Generator, *,
     name: str, starts: int, evaluations: int, progress: bool = False,
 ) -> CoDesignResult:  # fmt: skip
-    """Best design by a cost, from a feasible one (np,) and other valleys of the landscape.
+    """Best design by a cost, from a feasible one (np,) and other valleys.
 
     Parameters
     ----------

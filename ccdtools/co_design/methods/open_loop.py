@@ -1,4 +1,4 @@
-"""Optimal control problem over trajectories under given disturbances and the design."""
+"""Optimal control problem over trajectories and the design, with its limits."""
 
 from __future__ import annotations
 
@@ -102,9 +102,10 @@ def at_the_mean(
 
 
 def fed_back(problem: CoDesignProblem, shape: tuple[int, ...], x: Any, p: Any) -> Any:
-    """Inputs (nu) of the saturated feedback u = −K x, K being the parameters after the design.
+    """Inputs (nu) of the saturated feedback u = −K x.
 
-    The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
+    K stands in the parameters after the design. The saturation is rounded off, by at most half of `SATURATION` times
+    the range of an input, so that it is smooth.
     """
     size = problem.design.dim
     asked = -ca.reshape(p[size:], *shape) @ x
@@ -135,7 +136,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
 
 
 def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, gain: Any) -> Phase:
-    """Phase of the program for one scenario, with inputs of its own or by a gain of that shape."""
+    """Phase of one scenario, by a gain of that shape if given."""
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     step = problem.model.step
     stage, terminal = costs(problem)
