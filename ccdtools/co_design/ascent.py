@@ -29,16 +29,25 @@ from ccdtools.co_design.budgets import FEW_PARAMETERS, LITTLE_EXPLORATION, QUIET
 from ccdtools.co_design.climb import SampleAverage, climb
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.co_design.design_gradients import Differences, Slope, check_gradients
-from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, observe, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import (
+    Episode,
+    ScenarioTensors,
+    Stepper,
+    episode_at,
+    fewer_runs,
+    mean_law,
+    observe,
+    scenario_tensors,
+    to_design,
+    visited,
+)
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
-from ccdtools.co_design.episodes import Episode, episode_at, fewer_runs, mean_law, visited
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
 from ccdtools.co_design.learned_result import Convergence
 from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import HistoryRow
+from ccdtools.co_design.result import CoDesignStatus, HistoryRow
 from ccdtools.co_design.risk import of_kept_runs
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import FINER_STEPS, LEAST_FILL, WORTHWHILE_VIOLATION
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference

@@ -100,95 +100,42 @@ class SetCounts:
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Starts of the expert's loops.
+    """Starts of the expert's loops, with the set of each.
 
     Attributes
     ----------
     x, p : (n, nx) and (n, np) arrays
         States and designs; the accepted candidates first.
     sets : list of Polytope or None
-        X_fea of each design; None where it is not known, and nothing is filtered.
+        X_fea of each design; None where it is not known: the region of LQR or X stands for it, and nothing is filtered.
     regions : LQRRegions
         Model and LQR of each design.
+    X : Limits
+    by_region : bool
+        Whether a design without a set is limited to the region of LQR.
+    counts : SetCounts
+        How many designs got which set.
     candidates : int
         How many of them are accepted candidates.
     acceptance : float
         Fraction of the candidates that lay in their set.
-    counts : SetCounts
-        How many designs got which set.
     """
 
     x: Array
     p: Array
     sets: list[Polytope | None]
     regions: LQRRegions
-    candidates: int
-    acceptance: float
-    counts: SetCounts
-
-
-def starts(
-    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, budget: SetBudget,
-    rng: np.random.Generator,
-) -> Starts:  # fmt: skip
-    """Accepted candidates, and starts of episodes.
-
-    Raises
-    ------
-    InputError
-        If no candidate lies in a set, and none can be moved into one.
-    """
-    nx = problem.model.nx
-    reason = ""
-    clock = time.thread_time()
-    if budget.option == "auto" and distinct is None:
-        distinct, reason = affordable_designs(problem, family, samples, budget)
-    probing = time.thread_time() - clock
-    shared = distinct or samples
-    cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
-    p = problem.design.from_unit(cube[:, nx:])
-    if shared < samples:
-        p = problem.design.latin_hypercube(shared, rng)[np.arange(samples) % shared]
-    lower, upper = bounds_at(problem.X, p)
-    x = lower + cube[:, :nx] * (upper - lower)
-    pool = _Pool.of(problem, p, family, budget, reason)
-    everyone = np.arange(samples)
-    inside = pool.contains(x, everyone)
-    acceptance = float(inside.mean())
-    if acceptance < ACCEPTED_SHARE:
-        outside = np.flatnonzero(~inside)
-        x[outside] = pool.moved_in(x[outside], outside)
-        inside[outside] = pool.contains(x[outside], outside)
-    if not inside.any():
-        where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
-        got = f"{samples} candidates of which none lies in {where[budget.option]}"
-        cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
-        raise InputError("samples", got, "at least one", cure)
-    first = everyone[: -(-samples // CANDIDATES_PER_START)]
-    x0 = problem.scenarios.sample(len(first), 1, rng)[0]
-    begun = pool.may_begin(x0, first)
-    chosen = np.concatenate([everyone[inside], first[begun]])
-    sets = [pool.sets[i] for i in chosen]
-    return Starts(
-        np.concatenate([x[inside], x0[begun]]), p[chosen], sets, pool.regions.of_runs(chosen), int(inside.sum()),
-        acceptance, replace(pool.counts, seconds=pool.counts.seconds + probing),
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _Pool:
-    """Candidates with X_fea of each design, else LQR's region, else X."""
-
     X: Limits
-    p: Array
-    sets: list[Polytope | None]
-    regions: LQRRegions
+    by_region: bool
     counts: SetCounts
-    by_region: bool  # whether a design without a set is limited to the region of LQR
+    candidates: int = 0
+    acceptance: float = 0.0
 
     @classmethod
-    def of(cls, problem: CoDesignProblem, p: Array, family: ParametricSet, budget: SetBudget, reason: str) -> _Pool:
-        """Candidates with designs p (n, np), without sets if a reason is given."""
+    def of(
+        cls, problem: CoDesignProblem, x: Array, p: Array, family: ParametricSet, budget: SetBudget, reason: str
+    ) -> Starts:  # fmt: skip
+        """Candidates (n, nx) and (n, np), without sets if a reason is given."""
         regions = LQRRegions.of(problem, p)
         by_region = budget.option != "none" and regions.rows is not None
         if budget.option == "auto" and not reason:
@@ -198,7 +145,7 @@ class _Pool:
             counts = SetCounts(budget.option, 0, len(np.unique(p, axis=0)), 0, reason or f'sets = "{budget.option}"')
         if not by_region:
             counts = replace(counts, lqr=0, limits=counts.lqr)
-        return cls(problem.X, p, sets, regions, counts, by_region)
+        return cls(x, p, sets, regions, problem.X, by_region, counts)
 
     def contains(self, x: Array, runs: Indices) -> Mask:
         """Whether x[i] lies in the set of runs[i], (k,)."""
@@ -239,6 +186,54 @@ class _Pool:
         bound = np.where(x > 0, upper, lower)
         parts = np.divide(x, bound, out=np.where(x == 0, 0.0, np.inf), where=bound != 0)
         return np.asarray(np.maximum(parts.max(axis=1), np.finfo(float).tiny))
+
+
+def starts(
+    problem: CoDesignProblem, family: ParametricSet, samples: int, distinct: int | None, budget: SetBudget,
+    rng: np.random.Generator,
+) -> Starts:  # fmt: skip
+    """Accepted candidates, and starts of episodes.
+
+    Raises
+    ------
+    InputError
+        If no candidate lies in a set, and none can be moved into one.
+    """
+    nx = problem.model.nx
+    reason = ""
+    clock = time.thread_time()
+    if budget.option == "auto" and distinct is None:
+        distinct, reason = affordable_designs(problem, family, samples, budget)
+    probing = time.thread_time() - clock
+    shared = distinct or samples
+    cube = qmc.LatinHypercube(nx + problem.design.dim, rng=rng).random(samples)
+    p = problem.design.from_unit(cube[:, nx:])
+    if shared < samples:
+        p = problem.design.latin_hypercube(shared, rng)[np.arange(samples) % shared]
+    lower, upper = bounds_at(problem.X, p)
+    x = lower + cube[:, :nx] * (upper - lower)
+    pool = Starts.of(problem, x, p, family, budget, reason)
+    everyone = np.arange(samples)
+    inside = pool.contains(x, everyone)
+    acceptance = float(inside.mean())
+    if acceptance < ACCEPTED_SHARE:
+        outside = np.flatnonzero(~inside)
+        x[outside] = pool.moved_in(x[outside], outside)
+        inside[outside] = pool.contains(x[outside], outside)
+    if not inside.any():
+        where = {"auto": "X_fea(p)", "lqr": "the region that LQR keeps", "none": "X at a design with an LQR"}
+        got = f"{samples} candidates of which none lies in {where[budget.option]}"
+        cure = "Take more samples, or check that X, U and the design bounds leave anything to control."
+        raise InputError("samples", got, "at least one", cure)
+    first = everyone[: -(-samples // CANDIDATES_PER_START)]
+    x0 = problem.scenarios.sample(len(first), 1, rng)[0]
+    begun = pool.may_begin(x0, first)
+    chosen = np.concatenate([everyone[inside], first[begun]])
+    return replace(
+        pool, x=np.concatenate([x[inside], x0[begun]]), p=p[chosen], sets=[pool.sets[i] for i in chosen],
+        regions=pool.regions.of_runs(chosen), candidates=int(inside.sum()), acceptance=acceptance,
+        counts=replace(pool.counts, seconds=pool.counts.seconds + probing),
+    )  # fmt: skip
 
 
 def _gauge(S: Polytope, x: Array) -> Array:

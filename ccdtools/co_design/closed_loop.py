@@ -13,9 +13,8 @@ from torch import Tensor
 
 from ccdtools.arrays import Array, Immutable, Indices, Mask, frozen
 from ccdtools.checks import as_count, as_generator, as_instance
-from ccdtools.co_design.differentiable_model import Stepper, in_double, scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs, simulated
-from ccdtools.co_design.limit_tolerance import measured, measurement_errors
+from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, in_double, scenario_tensors, simulated
+from ccdtools.co_design.limits import measured, measurement_errors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, Risk, fewest_runs, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk

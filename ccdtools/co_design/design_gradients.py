@@ -14,9 +14,15 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
-from ccdtools.co_design.differentiable_model import ScenarioTensors, in_double, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import (
+    ScenarioTensors,
+    episode_at,
+    fewer_runs,
+    in_double,
+    scenario_tensors,
+    to_design,
+)
 from ccdtools.co_design.environment import network_input_gradient
-from ccdtools.co_design.episodes import episode_at, fewer_runs
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.problem import CoDesignProblem

@@ -94,8 +94,8 @@ def expert_law(
     progress : bool
     """
     if expert == "lqr":
-        kept = SetFilters(problem, starts)
-        return lambda x: kept.filtered(x, starts.regions.inputs(x, np.arange(len(x))))
+        kept = set_filter(problem, starts)
+        return lambda x: kept(x, starts.regions.inputs(x, np.arange(len(x))))
     make = {"mpc": linear_mpc, "explicit": _explicit}[expert] if isinstance(expert, str) else expert
     options = {"horizon": horizon} if isinstance(expert, str) else {}
     label = f"{expert if isinstance(expert, str) else 'law'} of every design"
@@ -117,45 +117,46 @@ def _explicit(problem: CoDesignProblem, design: Array, *, horizon: int) -> Expli
     return linear_mpc(problem, design, horizon=horizon).explicit()
 
 
-class SetFilters:
-    """Filters that keep each run's next nominal state in its known X_fea; runs of one design share a filter."""
+def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array], Array]:
+    """Function of states and inputs (n, ·) → inputs that stay in X_fea.
 
-    def __init__(self, problem: CoDesignProblem, starts: Starts) -> None:
-        self.problem = problem
-        self.model = starts.regions
-        sets = {i: S for i, S in enumerate(starts.sets) if S is not None and not S.is_empty}
-        self.runs = np.array(list(sets), dtype=int)
-        self.sets: list[Polytope] = list(sets.values())
-        self._filters: dict[int, AdmissibleInputs] = {}
-        rows = max((len(S.b) for S in self.sets), default=0)
-        F = np.zeros((len(self.runs), rows, problem.model.nx))  # rows scaled to X, those beyond a set's own always kept
-        self._limits = np.ones((len(self.runs), rows))
-        for k, S in enumerate(self.sets):
-            size = np.abs(S.A) @ problem.state_scale
-            F[k, : len(S.b)] = S.A / size[:, None]
-            self._limits[k, : len(S.b)] = S.b / size
-        self._states = F @ self.model.A[self.runs]
-        self._inputs = F @ self.model.B[self.runs]
+    They are the given inputs, or where the next nominal state would leave the known set of its run, the nearest that
+    keep it there.
+    """
+    model = starts.regions
+    known = {i: S for i, S in enumerate(starts.sets) if S is not None and not S.is_empty}
+    runs = np.array(list(known), dtype=int)
+    sets: list[Polytope] = list(known.values())
+    filters: dict[int, AdmissibleInputs] = {}  # runs of one design share one
+    rows = max((len(S.b) for S in sets), default=0)
+    F = np.zeros((len(runs), rows, problem.model.nx))  # rows scaled to X, those beyond a set's own always kept
+    limits = np.ones((len(runs), rows))
+    for k, S in enumerate(sets):
+        size = np.abs(S.A) @ problem.state_scale
+        F[k, : len(S.b)] = S.A / size[:, None]
+        limits[k, : len(S.b)] = S.b / size
+    of_states = F @ model.A[runs]
+    of_inputs = F @ model.B[runs]
 
-    def filtered(self, x: Array, u: Array) -> Array:
-        """Inputs (n, nu), if needed the nearest that stay in the set."""
+    def filtered(x: Array, u: Array) -> Array:
+        """Inputs (n, nu) at states (n, nx)."""
         u = u.copy()
-        after = self._states @ x[self.runs, :, None] + self._inputs @ u[self.runs, :, None]
-        leaving = (after[..., 0] > self._limits).any(axis=1)  # NaN is not
+        after = of_states @ x[runs, :, None] + of_inputs @ u[runs, :, None]
+        leaving = (after[..., 0] > limits).any(axis=1)  # NaN is not
         shared: dict[int, list[int]] = {}
-        for k in np.flatnonzero(leaving & np.isfinite(x[self.runs]).all(axis=1)):
-            shared.setdefault(id(self.sets[k]), []).append(int(k))
-        for members in shared.values():
-            S = self.sets[members[0]]
-            chosen = self.runs[members]
+        for k in np.flatnonzero(leaving & np.isfinite(x[runs]).all(axis=1)):
+            shared.setdefault(id(sets[k]), []).append(int(k))
+        for name, members in shared.items():
+            S = sets[members[0]]
+            chosen = runs[members]
             chosen = chosen[S.contains(x[chosen], LED_BACK)]
-            if len(chosen):
-                u[chosen] = self._filter(S, chosen[0]).project(x[chosen], u[chosen])[0]
+            if not len(chosen):
+                continue
+            if name not in filters:
+                first = chosen[0]
+                U = problem.input_limits(model.designs[first])
+                filters[name] = AdmissibleInputs(model.A[first], model.B[first], S, U)
+            u[chosen] = filters[name].project(x[chosen], u[chosen])[0]
         return u
 
-    def _filter(self, S: Polytope, run: int) -> AdmissibleInputs:
-        """Filter that keeps states of a run's design in its set."""
-        if id(S) not in self._filters:
-            U = self.problem.input_limits(self.model.designs[run])
-            self._filters[id(S)] = AdmissibleInputs(self.model.A[run], self.model.B[run], S, U)
-        return self._filters[id(S)]
+    return filtered

@@ -22,8 +22,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, MAP_POINTS, MOST_CLIMBED
 from ccdtools.co_design.design_controllers import lqr_gains
-from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
-from ccdtools.co_design.episodes import fewer_runs, simulated
+from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, scenario_tensors, simulated, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.tolerances import COMPASS_LAST_STEP, RIDGE

@@ -12,9 +12,8 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.closed_loop import ClosedLoopReturns, closed_loop_returns, scenarios_of
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus
 from ccdtools.co_design.risk_intervals import difference_of_parts
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.statistics import PairedDifference
 from mpc import MPCError
 

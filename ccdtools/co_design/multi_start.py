@@ -14,8 +14,7 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_flag, as_floats, as_instance
 from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, in_processes
 from ccdtools.plants.design_space import DesignSpace

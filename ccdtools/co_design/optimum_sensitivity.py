@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_number, as_share, shown
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.descent import descend
 from ccdtools.co_design.design_controllers import LQR
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.design_search import DesignCost
+from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
+from ccdtools.co_design.methods.design_search import DesignCost, best_design
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
@@ -137,17 +135,16 @@ def optimum_sensitivity(
 
 def _best(problem: CoDesignProblem, design: Array, inner: str, runs: int, seed: int) -> tuple[Array, float]:
     """Best design (np,) found by a search, and its cost."""
+    unlimited = replace(problem, limit_tolerance="off")
     space = problem.design
-    if inner == "riccati":
-        cost: DesignCost = RiccatiCost(problem)
-    else:
-        drawn = scenario_tensors(problem, fewer_runs(runs, problem.steps), np.random.default_rng(seed))
-        cost = LoopCost(problem, LQR, drawn)
-    v = space.allowed.rounded(np.clip(space.to_unit(design), 0.0, 1.0))
-    value = cost(v)[0]
-    size = float(problem.made_by_control(-value, space.from_unit(v))) if np.isfinite(value) else 1.0
-    found = descend(cost, space, v, size=size or 1.0, evaluations=100)
-    if not np.isfinite(found.cost):
-        got = f"{space.describe(space.from_unit(v))}, which has no LQR to search by"
-        raise InputError("design", got, "a design that can be stabilised, at every value that is looked at")
-    return space.settled(found.v), found.cost
+    rng = np.random.default_rng(seed)
+
+    def cost_from(v: Array) -> DesignCost:
+        """Cost that is least at the best design."""
+        if inner == "riccati":
+            return RiccatiCost(unlimited)
+        return LoopCost(unlimited, LQR, scenario_tensors(problem, fewer_runs(runs, problem.steps), rng))
+
+    begun = space.from_unit(space.to_unit(design))  # the box may be another one
+    found = best_design(unlimited, cost_from, begun, rng, name=inner, starts=1, evaluations=100)
+    return found.design, -found.objective

@@ -21,8 +21,15 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_gradients import compared
-from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double
-from ccdtools.co_design.episodes import Episode, latent_law, simulated, visited
+from ccdtools.co_design.differentiable_model import (
+    Episode,
+    ScenarioTensors,
+    Stepper,
+    in_double,
+    latent_law,
+    simulated,
+    visited,
+)
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LEAST_ACTION, NO_GRADIENT, NOISIER, POLICY_STEPS, RETUNE_STEPS

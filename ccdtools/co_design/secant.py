@@ -21,8 +21,14 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_generator, as_instance
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs, visited as of_episodes
+from ccdtools.co_design.differentiable_model import (
+    ScenarioTensors,
+    Stepper,
+    fewer_runs,
+    in_double,
+    scenario_tensors,
+    visited as of_episodes,
+)
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive

@@ -23,20 +23,17 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.learned_result import LearnedCoDesign
-from ccdtools.co_design.limit_tolerance import BY_MPC, NOTHING, UNTIL_LEFT, Pair, tolerance_at
-from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import Baseline, CoDesignResult
+from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
 from ccdtools.co_design.risk import measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy

@@ -9,7 +9,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignStatus
 from ccdtools.evidence.percent import share
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.sampled_model import SampledModel

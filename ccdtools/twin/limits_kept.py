@@ -13,8 +13,8 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import MPC_RUNS
 from ccdtools.co_design.design_controllers import linear_mpc
-from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.limit_tolerance import Pair
+from ccdtools.co_design.differentiable_model import fewer_runs
+from ccdtools.co_design.limits import Pair
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import BESIDE_MPC, LEAST_TOLERANCE
 from ccdtools.evidence.evidence import Violation

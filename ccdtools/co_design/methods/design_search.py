@@ -12,8 +12,7 @@ import numpy as np
 
 from ccdtools.co_design.descent import Cost, DesignPoint, descend
 from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.result import CoDesignResult, History, HistoryRow, Valley
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, HistoryRow, Valley
 from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_constraints import held
@@ -102,103 +101,95 @@ class DesignCost(ABC):
         raise InputError("design", got, "a design with a controller", cure)
 
 
-@dataclass(frozen=True)
-class DesignSearch:
-    """Search from a design and other valleys of the landscape.
+def best_design(
+    problem: CoDesignProblem, cost_from: Callable[[Array], DesignCost], design: Array, rng: np.random.Generator, *,
+    name: str, starts: int, evaluations: int, progress: bool = False,
+) -> CoDesignResult:  # fmt: skip
+    """Best design by a cost, from a feasible one (np,) and other valleys.
 
-    Attributes
+    Parameters
     ----------
     problem : CoDesignProblem
+    cost_from : callable
+        Point (np,) of the unit box that a search starts from → `DesignCost`.
+    design : (np,) array
+    rng : numpy.random.Generator
+        Draws the landscape.
     name : str
         Of the method, in tables.
     starts, evaluations : int
         Starts at most, and evaluations of each.
     progress : bool
+
+    Raises
+    ------
+    InputError
+        If there is no controller at any start.
     """
+    space = problem.design
+    found = valleys(problem, design, rng=rng) if starts > 1 else ()
+    points = start_points(space, design, found, starts)
+    begun = [(cost_from(v), v) for v in points]
+    if len(begun) > 1:
+        begun = [(cost, v) for cost, v in begun if cost.worth_a_start(v)] or begun
+    ends = []
+    with bar(label=name, total=len(begun), progress=progress) as shown:
+        for cost, v in begun:
+            first, value = cost.first_point(v)
+            end = DesignPoint(first, np.inf, np.zeros(len(v)))
+            if np.isfinite(value):
+                end = descend(cost, space, first, size=_size(problem, value, first), evaluations=evaluations)
+                end = cost.within_limits(end, evaluations)
+            ends.append(end)
+            shown.update()
+    cost, best = min(((cost, end) for (cost, _), end in zip(begun, ends)), key=lambda pair: pair[1].order)
+    count = sum({id(cost): cost.evaluations for cost, _ in begun}.values())
+    if not np.isfinite(best.cost):
+        return replace(cost.without_design(name, points[0]), evaluations=count, valleys=found)
+    result = _result(problem, cost, best)
+    if space.integer and starts == 1:
+        status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
+        result = replace(result, status=status, notes=(*result.notes, OTHERS))
+    ended = tuple(_with_end(space, valley, [v for _, v in begun], ends) for valley in found)
+    return replace(result, method=name, evaluations=count, valleys=ended)
 
-    problem: CoDesignProblem
-    name: str
-    starts: int
-    evaluations: int
-    progress: bool = False
 
-    def best(self, cost_from: Callable[[Array], DesignCost], design: Array, rng: np.random.Generator) -> CoDesignResult:
-        """Best design from a feasible one (np,) and other valleys.
+def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
+    """Size of the return at a point, without design cost."""
+    size = float(problem.made_by_control(-value, problem.design.from_unit(v)))
+    return size if np.isfinite(size) and size > 0 else 1.0
 
-        Parameters
-        ----------
-        cost_from : callable
-            Point (np,) of the unit box that a search starts from → `DesignCost`.
-        design : (np,) array
-        rng : numpy.random.Generator
-            Draws the landscape.
 
-        Raises
-        ------
-        InputError
-            If there is no controller at any start.
-        """
-        space = self.problem.design
-        found = valleys(self.problem, design, rng=rng) if self.starts > 1 else ()
-        points = start_points(space, design, found, self.starts)
-        starts = [(cost_from(v), v) for v in points]
-        if len(starts) > 1:
-            starts = [(cost, v) for cost, v in starts if cost.worth_a_start(v)] or starts
-        ends = []
-        with bar(label=self.name, total=len(starts), progress=self.progress) as shown:
-            for cost, v in starts:
-                first, value = cost.first_point(v)
-                end = DesignPoint(first, np.inf, np.zeros(len(v)))
-                if np.isfinite(value):
-                    end = descend(cost, space, first, size=self._size(value, first), evaluations=self.evaluations)
-                    end = cost.within_limits(end, self.evaluations)
-                ends.append(end)
-                shown.update()
-        cost, best = min(((cost, end) for (cost, _), end in zip(starts, ends)), key=lambda pair: pair[1].order)
-        evaluations = sum({id(cost): cost.evaluations for cost, _ in starts}.values())
-        if not np.isfinite(best.cost):
-            return replace(cost.without_design(self.name, points[0]), evaluations=evaluations, valleys=found)
-        result = self._result(cost, best, evaluations)
-        if space.integer and self.starts == 1:
-            status = CoDesignStatus.BUDGET_SPENT if result.status.settled else result.status
-            result = replace(result, status=status, notes=(*result.notes, OTHERS))
-        return replace(result, valleys=tuple(self._with_end(valley, starts, ends) for valley in found))
+def _result(problem: CoDesignProblem, cost: DesignCost, best: DesignPoint) -> CoDesignResult:
+    """Result of the best end."""
+    space = problem.design
+    best = cost.examined(best)
+    design = space.check_feasible(space.settled(best.v))
+    multipliers, rest = active_set_at(space, best.v, best.slope, best.active)
+    rest /= _size(problem, best.cost, best.v)
+    return CoDesignResult(
+        design=design, controller=cost.controller(design), history=History.of(cost.rows), objective=-best.cost,
+        status=status_of(cost, space, best, rest, bool(multipliers)), slope=rest, multipliers=multipliers,
+        criterion=f"return of {cost.words}", limits=best.limits,
+    )  # fmt: skip
 
-    def _size(self, value: float, v: Array) -> float:
-        """Size of the return at a point, without design cost."""
-        size = float(self.problem.made_by_control(-value, self.problem.design.from_unit(v)))
-        return size if np.isfinite(size) and size > 0 else 1.0
 
-    def _result(self, cost: DesignCost, best: DesignPoint, evaluations: int) -> CoDesignResult:
-        """Result of the best end."""
-        space = self.problem.design
-        best = cost.examined(best)
-        design = space.check_feasible(space.settled(best.v))
-        multipliers, rest = active_set_at(space, best.v, best.slope, best.active)
-        rest /= self._size(best.cost, best.v)
-        history = History.of(cost.rows)
-        return CoDesignResult(
-            design=design, controller=cost.controller(design), method=self.name, history=history,
-            status=self.status(cost, best, rest, bool(multipliers)), objective=-best.cost, slope=rest,
-            criterion=f"return of {cost.words}", multipliers=multipliers, evaluations=evaluations, limits=best.limits,
-        )  # fmt: skip
+def status_of(cost: DesignCost, space: DesignSpace, best: DesignPoint, rest: float, held: bool) -> CoDesignStatus:
+    """Status of a search, whatever its closed loop does."""
+    if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
+        agree = not cost.repeatable or confirmed(cost, space, best.v, size=best.size)
+        return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
+    return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
-    def status(self, cost: DesignCost, best: DesignPoint, rest: float, held: bool) -> CoDesignStatus:
-        """Status of a search, whatever its closed loop does."""
-        if not rest <= LEVEL_SLOPE:  # of a cost that is never twice the same differences would say nothing
-            agree = not cost.repeatable or confirmed(cost, self.problem.design, best.v, size=best.size)
-            return CoDesignStatus.BUDGET_SPENT if agree else CoDesignStatus.GRADIENT_UNTRUSTED
-        return CoDesignStatus.AT_BOUND if held else CoDesignStatus.CONVERGED
 
-    def _with_end(self, valley: Valley, starts: list[tuple[DesignCost, Array]], ends: list[DesignPoint]) -> Valley:
-        """Valley with the end of the best search from it."""
-        space = self.problem.design
-        v = space.to_unit(valley.design)
-        begun = [end for (_, point), end in zip(starts, ends) if np.abs(v - point).max() <= SAME_PLACE]
-        if not begun:
-            return valley
-        first = min(begun, key=lambda end: end.order)
-        return replace(valley, found=space.settled(first.v), found_return=-first.cost)
+def _with_end(space: DesignSpace, valley: Valley, points: list[Array], ends: list[DesignPoint]) -> Valley:
+    """Valley with the end of the best search from it."""
+    v = space.to_unit(valley.design)
+    begun = [end for point, end in zip(points, ends) if np.abs(v - point).max() <= SAME_PLACE]
+    if not begun:
+        return valley
+    first = min(begun, key=lambda end: end.order)
+    return replace(valley, found=space.settled(first.v), found_return=-first.cost)
 
 
 def active_set_at(

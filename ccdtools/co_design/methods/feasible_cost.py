@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ccdtools.arrays import Array
@@ -12,26 +10,9 @@ from ccdtools.co_design.descent import compressed
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.tolerances import BETTER_SHARE, DISTANCE_COST, LEAST_TOLERANCE, LOST_COST, VIOLATION_COST
 
-
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Evaluation at free entries z.
-
-    Attributes
-    ----------
-    z : (n,) array
-    cost : float
-        Infinite where there is none.
-    away : float
-        Squared distance of the feasible design that was looked at.
-    violation : float
-        Of the limits.
-    """
-
-    z: Array
-    cost: float
-    away: float = 0.0
-    violation: float = 0.0
+Evaluation = tuple[Array, float, float, float]
+"""Free entries z (n,), cost (infinite where there is none), squared distance of the feasible design looked at, and its
+violation of the limits."""
 
 
 class FeasibleCost:
@@ -52,7 +33,7 @@ class FeasibleCost:
     @property
     def size(self) -> float:
         """Size of costs."""
-        known = [abs(look.cost) for look in self.looks if np.isfinite(look.cost) and look.cost != 0]
+        known = [abs(cost) for _, cost, *_ in self.looks if np.isfinite(cost) and cost != 0]
         return float(np.quantile(known[:SIZE_EVALUATIONS], BETTER_SHARE)) if known else 1.0
 
     def begin(self, budget: int, rng: np.random.Generator) -> None:
@@ -67,15 +48,15 @@ class FeasibleCost:
     def __call__(self, z: Array) -> float:
         """Merit at free entries `z`, to be small."""
         self.looks.append(self._looked(z))
-        return self.merit(self.looks[-1])
+        return self.merit(*self.looks[-1])
 
-    def merit(self, look: Evaluation) -> float:
-        """Merit of an evaluation, by the current size of costs."""
+    def merit(self, z: Array, cost: float, away: float = 0.0, violation: float = 0.0) -> float:
+        """Merit of an evaluation at `z`, by the current size of costs."""
         size = self.size
-        if not np.isfinite(look.cost):
+        if not np.isfinite(cost):
             return LOST_COST * size
-        violation = VIOLATION_COST * look.violation / LEAST_TOLERANCE
-        return float(size * (compressed(look.cost / size) + DISTANCE_COST * look.away + violation))
+        beyond = VIOLATION_COST * violation / LEAST_TOLERANCE
+        return float(size * (compressed(cost / size) + DISTANCE_COST * away + beyond))
 
     def _looked(self, z: Array) -> Evaluation:
         """Evaluate the nearest feasible design."""
@@ -84,11 +65,11 @@ class FeasibleCost:
         allowed = self.space.allowed
         v = allowed.near(allowed.rounded(asked))
         if v is None:
-            return Evaluation(z, np.inf)
+            return z, np.inf, 0.0, 0.0
         cost, violation = self.cost.measured(v)
         self.cost.remember(self.space.settled(v), -cost)
         if not np.isfinite(cost):
-            return Evaluation(z, np.inf)
+            return z, np.inf, 0.0, 0.0
         if (violation, cost) < self.best:
             self.best, self.best_v = (violation, cost), v
-        return Evaluation(z, cost, float(np.sum((asked - v) ** 2)), violation)
+        return z, cost, float(np.sum((asked - v) ** 2)), violation

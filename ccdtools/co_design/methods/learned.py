@@ -18,17 +18,15 @@ from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import episode_at, fewer_runs
+from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History, Valley
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError

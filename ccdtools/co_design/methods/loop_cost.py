@@ -17,8 +17,15 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import ROUNDS_AT_ONE_DESIGN, ROUNDS_WITHOUT_GAIN
 from ccdtools.co_design.descent import DesignPoint, descend
 from ccdtools.co_design.design_controllers import LQR, DesignLaw
-from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design
-from ccdtools.co_design.episodes import Episode, Law, simulated
+from ccdtools.co_design.differentiable_model import (
+    Episode,
+    Law,
+    ScenarioTensors,
+    Stepper,
+    in_double,
+    simulated,
+    to_design,
+)
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.problem import CoDesignProblem

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from types import NoneType
 
 import numpy as np
@@ -19,9 +20,8 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, as_instance
 from ccdtools.co_design.design_controllers import LQR, DesignLaw, mpc_law
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch
+from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
+from ccdtools.co_design.methods.design_search import DesignCost, best_design
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem
@@ -104,30 +104,31 @@ class Nested:
         """Best design and its controller, from a feasible one (np,) and other starts."""
         starts = 1 if self.inner == "rl" else self.starts
         most = self.evaluations or (12 if self.inner == "rl" else 100)
-        search = DesignSearch(problem, self.name, starts, most, progress)
+        search = partial(
+            best_design, problem, design=design, rng=rng, name=self.name, evaluations=most, progress=progress
+        )
         if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
-            return self._of_better_linearisation(search, design, rng)
-        return search.best(self._cost_from(problem, rng, progress), design, rng)
+            return self._of_better_linearisation(problem, search, rng)
+        return search(self._cost_from(problem, rng, progress), starts=starts)
 
     def _of_better_linearisation(
-        self, search: DesignSearch, design: Array, rng: np.random.Generator
-    ) -> CoDesignResult:  # fmt: skip
+        self, problem: CoDesignProblem, search: partial[CoDesignResult], rng: np.random.Generator
+    ) -> CoDesignResult:
         """Result of the tangent's LQR, or the secant's if asked for or better."""
-        problem = search.problem
         scenarios = scenario_tensors(problem, fewer_runs(self.runs or RUNS["lqr"], problem.steps), rng)
         tangent: CoDesignResult | None = None
         if self.linearisation == "auto":
             with suppress(InputError, NotStabilisableError):  # the tangent may have no input at all
-                tangent = search.best(lambda v: LoopCost(problem, LQR, scenarios), design, rng)
+                tangent = search(lambda v: LoopCost(problem, LQR, scenarios), starts=self.starts)
         scenario = visited(problem, rng)
         if tangent is not None:
             here = fitted(problem, tangent.design, scenario)
             if not here.better:
                 return replace(tangent, notes=(*tangent.notes, str(here)))
-        first = design if tangent is None else np.asarray(tangent.design)
+        begun = {} if tangent is None else {"design": np.asarray(tangent.design)}
         words = "saturated LQR of the secant over the visited states"
         law = DesignLaw(words, lambda problem, p: fitted(problem, p, scenario).controller)
-        found = replace(search, starts=1).best(lambda v: LoopCost(problem, law, scenarios), first, rng)
+        found = search(lambda v: LoopCost(problem, law, scenarios), starts=1, **begun)
         if tangent is not None and not found.objective > tangent.objective and np.isfinite(tangent.objective):
             found = tangent
         return replace(found, notes=(*found.notes, str(fitted(problem, found.design, scenario))))

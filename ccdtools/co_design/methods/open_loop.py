@@ -1,9 +1,10 @@
-"""Optimal control problem over trajectories under given disturbances and the design."""
+"""Optimal control problem over trajectories and the design, with its limits."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -13,7 +14,6 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.methods.path_limits import path_limits
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, MeanSpread, WorstCase
@@ -21,20 +21,25 @@ from ccdtools.co_design.tolerances import SATURATION
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
+from ccdtools.output_limits import OutputLimits, limits_of
 from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
+ROW = re.compile(r"path (\d+)")
+PLACE = re.compile(r"( of phase \d+)|( at t = [^,]+)|(, by .*)")
+MORE = re.compile(r"and \d+ more ")
+GIVEN = ("dynamics", "start of")
 CURE = "Nested or learned co-design simulates the problem as it is."
 
 
 def open_loop_problem(
-    problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, feedback: Feedback | None = None,
+    problem: CoDesignProblem, scenarios: tuple[Array, Array], *, design: Array, gain: Array | None = None,
     constrained: bool = True,
 ) -> OptimalControlProblem:  # fmt: skip
     """Best trajectories of given scenarios, with a design they share.
 
     Each scenario has inputs of its own, chosen with its whole disturbance known: what no controller can do, and what
-    bounds them all. With `feedback`, the inputs are those of a gain that they share, too.
+    bounds them all. With `gain`, they share a feedback, too, see `fed_back`, whose K is found from that one on.
 
     Parameters
     ----------
@@ -42,7 +47,7 @@ def open_loop_problem(
     scenarios : arrays (n, nx) and (n, T, nw)
     design : (np,) array
         To start from, with saturated LQR; its whole numbers are held.
-    feedback : Feedback, optional
+    gain : (nu, nx) array, optional
     constrained : bool
         Whether the constraints on the design are part of it.
 
@@ -56,15 +61,15 @@ def open_loop_problem(
     x0, w = scenarios
     sizes = problem.model.nx, problem.model.nu, problem.design.dim
     guess = followed(problem, scenarios, design)
-    phases = [_phase(problem, x0[i], w[i], guess[i], feedback) for i in range(len(x0))]
+    shape = None if gain is None else gain.shape
+    phases = [_phase(problem, x0[i], w[i], guess[i], shape) for i in range(len(x0))]
     space = problem.design
     lower, upper = space.lower.copy(), space.upper.copy()
     lower[space.whole] = upper[space.whole] = design[space.whole]
     first, names = design, list(space.names)
-    if feedback is not None:
-        gain = feedback.K.ravel(order="F")
+    if gain is not None:
         lower, upper = np.r_[lower, np.full(gain.size, -np.inf)], np.r_[upper, np.full(gain.size, np.inf)]
-        first = np.r_[design, gain]
+        first = np.r_[design, gain.ravel(order="F")]
         names += [f"gain {i + 1}" for i in range(gain.size)]
     given: dict[str, Any] = {"risk": "worst" if isinstance(problem.risk, WorstCase) else "sum"}
     if isinstance(problem.risk, MeanSpread):
@@ -96,26 +101,21 @@ def at_the_mean(
     return found if found.solved else None
 
 
-@dataclass(frozen=True, eq=False)
-class Feedback:
-    """Saturated feedback u = −K x, its K a parameter after the design.
+def fed_back(problem: CoDesignProblem, shape: tuple[int, ...], x: Any, p: Any) -> Any:
+    """Inputs (nu) of the saturated feedback u = −K x.
 
-    The saturation is rounded off, by at most half of `SATURATION` times the range of an input, so that it is smooth.
+    K stands in the parameters after the design. The saturation is rounded off, by at most half of `SATURATION` times
+    the range of an input, so that it is smooth.
     """
-
-    problem: CoDesignProblem
-    K: Array
-
-    def inputs(self, x: Any, p: Any, size: int) -> Any:
-        """Inputs (nu) at a state; the first `size` parameters are the design."""
-        asked = -ca.reshape(p[size:], *self.K.shape) @ x
-        U = self.problem.U
-        if isinstance(U, DesignLimits):
-            lower, upper = ca.vertsplit(U.both.function(size)(p[:size]), U.dim)
-        else:
-            lower, upper = (ca.DM(bound) for bound in self.problem.input_bounds)
-        soft = SATURATION * (upper - lower)
-        return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
+    size = problem.design.dim
+    asked = -ca.reshape(p[size:], *shape) @ x
+    U = problem.U
+    if isinstance(U, DesignLimits):
+        lower, upper = ca.vertsplit(U.both.function(size)(p[:size]), U.dim)
+    else:
+        lower, upper = (ca.DM(bound) for bound in problem.input_bounds)
+    soft = SATURATION * (upper - lower)
+    return (lower + upper + ca.sqrt((asked - lower) ** 2 + soft**2) - ca.sqrt((asked - upper) ** 2 + soft**2)) / 2
 
 
 def check_open_loop(problem: CoDesignProblem) -> None:
@@ -135,20 +135,20 @@ def check_open_loop(problem: CoDesignProblem) -> None:
             raise InputError("method", f"optimal trajectories of {got}", "a problem that they can honour", CURE)
 
 
-def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: Any) -> Phase:
-    """Phase of the program for one scenario."""
+def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, gain: Any) -> Phase:
+    """Phase of one scenario, by a gain of that shape if given."""
     nx, nu, size = problem.model.nx, problem.model.nu, problem.design.dim
     step = problem.model.step
     stage, terminal = costs(problem)
-    limits = path_limits(problem, fed_back=feedback is not None)
+    limits = path_limits(problem, fed_back=gain is not None)
     lower, upper = problem.input_bounds
-    if feedback is not None:
+    if gain is not None:
         guess = (guess[0], guess[1], np.zeros((len(guess[0]), 0)))
     signal = np.vstack([w, w[-1:]]) if w.shape[1] else None
 
     def applied(x: Any, u: Any, p: Any) -> Any:
         """Inputs at a state."""
-        return u if feedback is None else feedback.inputs(x, p, size)
+        return u if gain is None else fed_back(problem, gain, x, p)
 
     def path(x: Any, u: Any, p: Any) -> Any:
         """Limits, each ≤ 0."""
@@ -156,11 +156,11 @@ def _phase(problem: CoDesignProblem, x0: Array, w: Array, guess: Any, feedback: 
 
     return Phase(
         dynamics=lambda x, u, w, p: step(x, applied(x, u, p), w, p[:size]), states=nx,
-        inputs=0 if feedback is not None else nu, stage_cost=lambda x, u, p: stage(x, applied(x, u, p), p[:size]),
+        inputs=0 if gain is not None else nu, stage_cost=lambda x, u, p: stage(x, applied(x, u, p), p[:size]),
         terminal_cost=lambda x, p: terminal(x, p[:size]) - first_cost(problem, x0), start=x0, duration=len(w),
-        discrete=True, u_bounds=(None, None) if feedback is not None else (lower, upper),
+        discrete=True, u_bounds=(None, None) if gain is not None else (lower, upper),
         path=path if limits else None, signal=signal, guess=guess, state_names=problem.state_names,
-        input_names=() if feedback is not None else problem.input_names,
+        input_names=() if gain is not None else problem.input_names,
     )  # fmt: skip
 
 
@@ -220,3 +220,47 @@ def followed(problem: CoDesignProblem, scenarios: tuple[Array, Array], design: A
         inputs.append(u)
     x, u = np.stack(states, axis=1), np.stack([*inputs, inputs[-1]], axis=1)
     return [(np.linspace(0.0, 1.0, x.shape[1]), x[i], u[i]) for i in range(len(x0))]
+
+
+def path_limits(problem: CoDesignProblem, *, fed_back: bool) -> tuple[OutputLimits, ...]:
+    """Limits on states, inputs and outputs other than input bounds.
+
+    Limits on inputs are left out if `fed_back`.
+    """
+    found = []
+    if isinstance(problem.U, DesignLimits) and not fed_back:
+        found.append(limits_of(problem.U, problem.input_names))
+    if problem.limit_tolerance == "off":
+        return tuple(found)
+    found.append(problem.state_rows)
+    if problem.output_limits is not None:
+        found.append(problem.output_limits)
+    return tuple(found)
+
+
+def told(problem: CoDesignProblem, solution: Any, *, fed_back: bool = False) -> tuple[str, ...]:
+    """Notes on a trajectory solution that is not optimal."""
+    if solution.solved:
+        return ()
+    broken = in_words(problem, solution.conflicts, fed_back=fed_back)
+    of_limits = (f"not kept together: {', '.join(broken)}",) if broken else ()
+    return (*of_limits, *([] if solution.status.name == "INFEASIBLE" else [solution.status.advice]))
+
+
+def in_words(problem: CoDesignProblem, conflicts: tuple[str, ...], *, fed_back: bool) -> tuple[str, ...]:
+    """Contradictions in the problem's names, each limit once.
+
+    Dynamics and starts are named where nothing else is: they are given.
+    """
+    sizes = (problem.model.nx, problem.model.nu, problem.design.dim)
+    texts = [
+        limit.row_text(row).replace(" > ", " ≤ ").replace(" < ", " ≥ ")
+        for limit in path_limits(problem, fed_back=fed_back)
+        for row in range(limit.scaled.function(*sizes).numel_out(0))
+    ]
+    words = [
+        ROW.sub(lambda found: texts[int(found[1]) - 1], PLACE.sub("", text))
+        for text in conflicts if not MORE.match(text)
+    ]  # fmt: skip
+    chosen = [word for word in words if not word.startswith(GIVEN)] or words
+    return tuple(dict.fromkeys(chosen))

@@ -21,15 +21,13 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.budgets import SIZE_EVALUATIONS
 from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
+from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
-from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
+from ccdtools.co_design.methods.feasible_cost import FeasibleCost, Look
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.co_design.tolerances import CMA_SETTLED
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
@@ -146,7 +144,7 @@ class GivenCost(DesignCost):
 def _cma(box: FeasibleCost, budget: int, rng: np.random.Generator, shown_bar: tqdm) -> bool:
     """Run CMA-ES, restarted at random while evaluations last; return convergence."""
     settled = False
-    start = box.looks[-1].z
+    start = box.looks[-1][0]
     while len(box.cost.rows) < budget:
         before = len(box.cost.rows)
         settled = _one_strategy(box, start, budget - before, rng, shown_bar) or settled
@@ -203,12 +201,12 @@ def _bayesian(box: FeasibleCost, budget: int, rng: np.random.Generator, shown_ba
     low, high = space.lower[box.free], space.upper[box.free]
     level = np.inf
 
-    def known(look: Evaluation) -> Any:
+    def known(look: Look) -> Any:
         """Evaluation as a trial of Optuna."""
         least, most = (end[box.free] for end in space.outermost)
-        asked = np.where(whole, np.clip(np.round(low + look.z * (high - low)), least, most), look.z)
+        asked = np.where(whole, np.clip(np.round(low + look[0] * (high - low)), least, most), look[0])
         params = {name: int(a) if w else float(a) for name, a, w in zip(ranges, asked, whole)}
-        return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(look), level))
+        return optuna.trial.create_trial(params=params, distributions=ranges, value=min(box.merit(*look), level))
 
     def value(trial: Any) -> float:
         """Merit at the point of an Optuna trial."""
@@ -223,7 +221,7 @@ def _bayesian(box: FeasibleCost, budget: int, rng: np.random.Generator, shown_ba
         for until in range(min(SIZE_EVALUATIONS, budget), budget + SIZE_EVALUATIONS, SIZE_EVALUATIONS):
             # a process that follows the cliffs of lost runs sees nothing of the valleys: the worse half is one level
             enough = len(box.looks) >= SIZE_EVALUATIONS
-            level = float(np.median([box.merit(look) for look in box.looks])) if enough else np.inf
+            level = float(np.median([box.merit(*look) for look in box.looks])) if enough else np.inf
             study = optuna.create_study(sampler=sampler)
             study.add_trials([known(look) for look in box.looks])
             study.optimize(value, n_trials=max(min(until, budget) - len(box.looks), 0))

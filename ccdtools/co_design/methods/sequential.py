@@ -15,9 +15,8 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, PASSIVE, controller_of
-from ccdtools.co_design.differentiable_model import ScenarioTensors, scenario_tensors
-from ccdtools.co_design.episodes import fewer_runs
-from ccdtools.co_design.methods.design_search import DesignSearch
+from ccdtools.co_design.differentiable_model import ScenarioTensors, fewer_runs, scenario_tensors
+from ccdtools.co_design.methods.design_search import best_design
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
@@ -72,8 +71,10 @@ class Sequential:
             plant = Simultaneous("trajectory", starts=self.starts).run(problem, design, rng, progress=progress)
         else:
             unlimited = replace(problem, limit_tolerance="off")  # what keeps the limits is not there yet
-            search = DesignSearch(unlimited, self.name, self.starts, self.evaluations, progress)
-            plant = search.best(lambda v: LoopCost(unlimited, PASSIVE, scenarios), design, rng)
+            plant = best_design(
+                unlimited, lambda v: LoopCost(unlimited, PASSIVE, scenarios), design, rng, name=self.name,
+                starts=self.starts, evaluations=self.evaluations, progress=progress,
+            )  # fmt: skip
         return replace(plant, method=self.name, controller=controller_of(self.control, problem, plant.design))
 
 

@@ -19,17 +19,15 @@ from ccdtools.co_design.design_controllers import CONTROL, controller_of
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.design_search import OTHERS, start_points
 from ccdtools.co_design.methods.open_loop import (
-    Feedback,
     at_the_mean,
     check_open_loop,
     drawn,
     lqr_or_none,
     open_loop_problem,
+    told,
 )
-from ccdtools.co_design.methods.path_limits import told
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.co_design.result import CoDesignResult, History
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
@@ -97,8 +95,8 @@ class Simultaneous:
 
     def _from(self, problem: CoDesignProblem, scenarios: tuple[Array, Array], design: Array) -> tuple[Solution, int]:
         """Solution from one start, and its iterations of Ipopt."""
-        feedback = Feedback(problem, lqr_or_none(problem, design).K) if self.unknowns == "gain" else None
-        stated = partial(open_loop_problem, scenarios=scenarios, design=design, feedback=feedback)
+        gain = lqr_or_none(problem, design).K if self.unknowns == "gain" else None
+        stated = partial(open_loop_problem, scenarios=scenarios, design=design, gain=gain)
         first = at_the_mean(problem, stated, max_iterations=self.iterations)
         solution = solve(build(stated(problem)), start=first, max_iterations=self.iterations)
         return solution, solution.iterations + (0 if first is None else first.iterations)

@@ -15,11 +15,9 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
 from ccdtools.co_design.methods.design_search import DesignCost
-from ccdtools.co_design.methods.open_loop import at_the_mean, open_loop_problem
-from ccdtools.co_design.methods.path_limits import told
-from ccdtools.co_design.result import CoDesignResult
+from ccdtools.co_design.methods.open_loop import at_the_mean, open_loop_problem, told
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus
 from ccdtools.co_design.risk import MEAN, WorstCase
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.controllers.controllers import Controller
 from mpc.optimal_control import OptimalControlStatus, Solution, build, solve
 

@@ -15,8 +15,7 @@ from ccdtools import (
     QuadraticObjective,
     discretise,
 )
-from ccdtools.co_design.differentiable_model import Stepper
-from ccdtools.co_design.episodes import simulated
+from ccdtools.co_design.differentiable_model import Stepper, simulated
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.exceptions import LimitWarning
 

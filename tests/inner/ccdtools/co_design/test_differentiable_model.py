@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from ccdtools import LearnedPolicy, QuadraticObjective, simulate
-from ccdtools.co_design.differentiable_model import Stepper, matrices, observe, scenario_tensors, to_design
-from ccdtools.co_design.episodes import episode
+from ccdtools.co_design.differentiable_model import Stepper, episode, matrices, observe, scenario_tensors, to_design
 from ccdtools.twin.discrepancy import Discrepancy
 from learning.quantile import QuantileNetwork
 

@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from ccdtools import InputError, LearnedPolicy, simulate
-from ccdtools.co_design import episodes
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import episode, episode_at, fewer_runs, mean_law
+from ccdtools.co_design import differentiable_model
+from ccdtools.co_design.differentiable_model import episode, episode_at, fewer_runs, mean_law, scenario_tensors
 
 
 def test_the_folded_law_is_the_policy(study, clone):
@@ -44,9 +43,9 @@ def gradients(problem, agent, scenarios):
 def test_a_long_episode_has_the_gradient_of_one_that_is_held_in_memory_at_once(suspension, clone, monkeypatch):
     problem, agent = replace(suspension.problem(), steps=230), copy.deepcopy(clone(suspension)).double()
     scenarios = tuple(t.double() for t in scenario_tensors(problem, 4, np.random.default_rng(0)))
-    monkeypatch.setattr(episodes, "HELD_SAMPLES", 4 * 229)
+    monkeypatch.setattr(differentiable_model, "HELD_SAMPLES", 4 * 229)
     recomputed = gradients(problem, agent, scenarios)
-    monkeypatch.setattr(episodes, "HELD_SAMPLES", 4 * 230)
+    monkeypatch.setattr(differentiable_model, "HELD_SAMPLES", 4 * 230)
     at_once = gradients(problem, agent, scenarios)
     for own, expected in zip(recomputed, at_once):
         torch.testing.assert_close(own, expected, rtol=1e-9, atol=1e-12)

@@ -11,9 +11,8 @@ from small_plants import clone_of, mass
 
 from ccdtools import CoDesignConfig, InputError, QuadraticObjective
 from ccdtools.co_design.design_gradients import Differences, check_gradients, pathwise_by_run
-from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import episode_at, scenario_tensors, to_design
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient, network_input_gradient
-from ccdtools.co_design.episodes import episode_at
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.twin.discrepancy import Discrepancy
 from learning import PPOConfig, collect

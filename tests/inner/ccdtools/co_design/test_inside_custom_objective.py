@@ -21,9 +21,8 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.co_design import expert_dataset
-from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, to_design
+from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors, simulated, to_design
 from ccdtools.co_design.environment import EpisodeEnv, loss_gradient
-from ccdtools.co_design.episodes import simulated
 from learning import PPOConfig, collect, fit_actor_critic
 from learning.ppo import prepare
 

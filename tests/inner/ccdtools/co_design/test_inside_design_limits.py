@@ -10,8 +10,7 @@ from actuated_plants import X0, in_parts, native, range_of, room, room_of
 from ccdtools import InputError, LearnedPolicy, Scenario, codesign, compare, simulate
 from ccdtools.co_design import expert_dataset
 from ccdtools.co_design.design_gradients import Differences
-from ccdtools.co_design.differentiable_model import scenario_tensors, to_design
-from ccdtools.co_design.episodes import episode, episode_at
+from ccdtools.co_design.differentiable_model import episode, episode_at, scenario_tensors, to_design
 from ccdtools.co_design.landscape import Landscape
 from ccdtools.design_limits import DesignLimits
 from learning import ActorCritic, CloningConfig, NetworkConfig, fit_actor_critic

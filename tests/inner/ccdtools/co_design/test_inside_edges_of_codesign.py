@@ -18,6 +18,7 @@ from ccdtools import (
     QuadraticObjective,
     discretise,
 )
+from ccdtools.co_design import expert_loops
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.closed_loop import ClosedLoopReturns
@@ -25,31 +26,29 @@ from ccdtools.co_design.descent import DesignPoint, _Watched, descend
 from ccdtools.co_design.design_gradients import Differences, Slope
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.expert import _leaving
-from ccdtools.co_design.expert_loops import SetFilters
+from ccdtools.co_design.expert_loops import set_filter
 from ccdtools.co_design.feasible import FeasibleSlope
 from ccdtools.co_design.idle_entries import acting_together
 from ccdtools.co_design.landscape import _same_hill
 from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import unavoidable_depth
-from ccdtools.co_design.limit_tolerance import BY_MPC, Pair, Tolerance
-from ccdtools.co_design.limits import LimitsOutcome
+from ccdtools.co_design.limits import BY_MPC, LimitsOutcome, Pair, Tolerance
 from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_plots import _returns
 from ccdtools.co_design.methods.design_search import confirmed, start_points
-from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
+from ccdtools.co_design.methods.feasible_cost import FeasibleCost
 from ccdtools.co_design.methods.learned import start_designs
 from ccdtools.co_design.methods.loop_cost import LoopCost, _settled as rounds_settled
-from ccdtools.co_design.methods.open_loop import Feedback
+from ccdtools.co_design.methods.open_loop import fed_back
 from ccdtools.co_design.methods.sequential import _stands_alone
 from ccdtools.co_design.optimum_sensitivity import OptimumSensitivity
 from ccdtools.co_design.policy_check import _check
 from ccdtools.co_design.preview import _drawn_bounds
-from ccdtools.co_design.result import Baseline, CoDesignResult, History
+from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus, History
 from ccdtools.co_design.secant import Linearisation
 from ccdtools.co_design.settling import Settling, _better
-from ccdtools.co_design.status import CoDesignStatus
 from ccdtools.statistics import PairedDifference
 from invariant_sets import Polytope
 from learning import ActorCritic, NetworkConfig
@@ -174,9 +173,9 @@ def test_a_hill_is_parted_by_a_ridge_of_two_thousandths_unless_its_tops_are_neig
 )
 def test_the_merit_of_a_search_adds_ten_squared_distances_and_a_twentieth_per_tolerance(cost, away, violation, merit):
     """The size of costs is their lower quartile, 2; of infinite ones the merit is a thousand."""
-    known = SimpleNamespace(looks=[Evaluation(NONE, value) for value in (1.0, 2.0, 30.0, 400.0, 5000.0)])
+    known = SimpleNamespace(looks=[(NONE, value, 0.0, 0.0) for value in (1.0, 2.0, 30.0, 400.0, 5000.0)])
     box = SimpleNamespace(size=FeasibleCost.size.fget(known))
-    assert FeasibleCost.merit(box, Evaluation(NONE, cost, away, violation)) == pytest.approx(merit)
+    assert FeasibleCost.merit(box, NONE, cost, away, violation) == pytest.approx(merit)
 
 
 @pytest.mark.parametrize(("gain", "settled"), [(0.3e-3, True), (3e-3, False)])
@@ -286,8 +285,8 @@ def test_a_search_is_on_a_bound_within_a_billionth(away, put):
 
 
 def test_a_saturation_is_rounded_off_within_a_thousandth_of_the_range():
-    stated = SimpleNamespace(U=None, input_bounds=(-ONE, ONE))
-    missed = 1 - float(Feedback(stated, np.eye(1)).inputs(ca.DM(1.0), ca.DM([0.5, -1.0]), 1))
+    stated = SimpleNamespace(U=None, input_bounds=(-ONE, ONE), design=SimpleNamespace(dim=1))
+    missed = 1 - float(fed_back(stated, (1, 1), ca.DM(1.0), ca.DM([0.5, -1.0])))
     assert 0.3e-3 < missed < 3e-3
 
 
@@ -396,12 +395,13 @@ def test_a_block_was_worth_it_that_leaves_nine_tenths_of_a_violation(left, worth
 
 
 @pytest.mark.parametrize(("beyond", "led_back"), [(0.06, True), (0.6, False)])
-def test_a_state_outside_its_set_by_up_to_a_tenth_is_led_back(beyond, led_back):
+def test_a_state_outside_its_set_by_up_to_a_tenth_is_led_back(monkeypatch, beyond, led_back):
     problem = scalar(lambda x, u, p: x + (1 + p) * u, X=(-9, 9))
-    regions = SimpleNamespace(A=np.ones((1, 1, 1)), B=np.ones((1, 1, 1)))
-    law = SetFilters(problem, SimpleNamespace(regions=regions, sets=[Polytope.from_bounds([-1.0], [1.0])]))
-    law._filter = lambda S, run: SimpleNamespace(project=lambda x, u: (0 * u - 0.5, None))
-    assert law.filtered(np.array([[1 + beyond]]), np.zeros((1, 1))) == (-0.5 if led_back else 0.0)
+    regions = SimpleNamespace(A=np.ones((1, 1, 1)), B=np.ones((1, 1, 1)), designs=[problem.design.centre])
+    projected = SimpleNamespace(project=lambda x, u: (0 * u - 0.5, None))
+    monkeypatch.setattr(expert_loops, "AdmissibleInputs", lambda A, B, S, U: projected)
+    filtered = set_filter(problem, SimpleNamespace(regions=regions, sets=[Polytope.from_bounds([-1.0], [1.0])]))
+    assert filtered(np.array([[1 + beyond]]), np.zeros((1, 1))) == (-0.5 if led_back else 0.0)
 
 
 @pytest.mark.parametrize(("gain", "searches"), [(0.3e-7, 2), (3e-7, 3)])

@@ -8,10 +8,8 @@ import pytest
 import torch
 
 import ccdtools as cc
-from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.episodes import Episode
-from ccdtools.co_design.limit_tolerance import Pair, Tolerance, mpc_episodes, tolerance_by_mpc
-from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
+from ccdtools.co_design.differentiable_model import Episode, scenario_tensors
+from ccdtools.co_design.limits import LimitsOutcome, Pair, StateLimitPenalty, Tolerance, mpc_episodes, tolerance_by_mpc
 from invariant_sets import Polytope
 
 QUICK = {"iterations": 8, "pathwise_runs": 16, "evaluation_runs": 64, "evaluate_every": 2}
@@ -75,7 +73,7 @@ def test_the_tolerance_follows_what_mpc_does_a_twentieth_of_the_box_away(monkeyp
         away = round((float(v[0]) - 0.5) / 0.02) * 0.02
         return episodes(0.5, 0.1 * np.exp(away if abs(away) < 0.15 else 9 * away))
 
-    monkeypatch.setattr("ccdtools.co_design.limit_tolerance.mpc_episodes", measured)
+    monkeypatch.setattr("ccdtools.co_design.limits.mpc_episodes", measured)
     found = tolerance_by_mpc(None, torch.tensor([0.5], dtype=torch.float64), ())
     assert found.slopes[1, 0] == pytest.approx(1.0, abs=0.25)
 

@@ -13,10 +13,10 @@ from ccdtools.co_design.descent import DesignPoint
 from ccdtools.co_design.design_controllers import LQR
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_search import DesignCost, DesignSearch, confirmed
+from ccdtools.co_design.methods.design_search import DesignCost, best_design, confirmed, status_of
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignStatus
 
 
 class Cliff(DesignCost):
@@ -44,8 +44,9 @@ def test_a_design_whose_slope_is_unknown_is_not_called_an_optimum(constraints):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -2 * x[0] - (1 + p) * x[1] + u + w), space, dt=0.1)
     problem = replace(problem, model=cc.discretise(plant))
-    search = DesignSearch(problem, "cliff", 1, 50)
-    found = search.best(lambda v: Cliff(problem), np.array([0.45]), np.random.default_rng(0))
+    start = np.array([0.45])
+    rng = np.random.default_rng(0)
+    found = best_design(problem, lambda v: Cliff(problem), start, rng, name="cliff", starts=1, evaluations=50)
     assert found.status.name == "GRADIENT_UNTRUSTED"
     assert found.multipliers == {}
     assert np.isnan(found.slope)
@@ -80,4 +81,4 @@ def test_policies_trained_anew_are_not_blamed_on_their_slope():
     problem = mass()
     cost = LearnedCost(problem, None, (np.zeros((1, 2)), np.zeros((1, 1, 1))), np.random.default_rng(0))
     end = DesignPoint(np.array([0.5]), 1.0, np.array([1.0]), spent=True)
-    assert DesignSearch(problem, "rl", 1, 12).status(cost, end, rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT
+    assert status_of(cost, problem.design, end, rest=1.0, held=False) is CoDesignStatus.BUDGET_SPENT

@@ -11,7 +11,7 @@ from ccdtools import QuadraticObjective
 from ccdtools.co_design.design_gradients import Differences
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.feasible import DesignRegion, measured_slope
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignStatus
 
 
 @pytest.fixture(scope="module")

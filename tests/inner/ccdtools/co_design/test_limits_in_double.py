@@ -8,7 +8,7 @@ import torch
 
 from ccdtools import load_study
 from ccdtools.co_design.differentiable_model import scenario_tensors
-from ccdtools.co_design.limit_tolerance import measured, mpc_episodes
+from ccdtools.co_design.limits import measured, mpc_episodes
 
 
 def test_mpc_of_a_nonlinear_plant_takes_designs_in_single_and_scenarios_in_double_precision():

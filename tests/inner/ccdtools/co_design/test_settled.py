@@ -27,8 +27,7 @@ from ccdtools import (
 )
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
-from ccdtools.co_design.result import CoDesignResult, History
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import JumpWarning
 from mpc import lqr

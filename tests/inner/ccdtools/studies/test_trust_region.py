@@ -19,8 +19,7 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.co_design import LearnedCoDesign
-from ccdtools.co_design.result import History
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignStatus, History
 from ccdtools.studies.redesign import same_design
 from ccdtools.studies.trust_region import (
     ErrorAttribution,

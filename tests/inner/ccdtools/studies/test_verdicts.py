@@ -2,7 +2,7 @@
 
 import pytest
 
-from ccdtools.co_design.status import CoDesignStatus
+from ccdtools.co_design.result import CoDesignStatus
 from ccdtools.evidence.percent import number, percent_interval, share, signed_percent
 from ccdtools.studies.report.gains import held_out_rows
 from ccdtools.studies.report.headline import headline
