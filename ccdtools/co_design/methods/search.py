@@ -24,7 +24,7 @@ from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
-from ccdtools.co_design.methods.feasible_cost import FeasibleCost, Look
+from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
@@ -201,7 +201,7 @@ def _bayesian(box: FeasibleCost, budget: int, rng: np.random.Generator, shown_ba
     low, high = space.lower[box.free], space.upper[box.free]
     level = np.inf
 
-    def known(look: Look) -> Any:
+    def known(look: Evaluation) -> Any:
         """Evaluation as a trial of Optuna."""
         least, most = (end[box.free] for end in space.outermost)
         asked = np.where(whole, np.clip(np.round(low + look[0] * (high - low)), least, most), look[0])
