@@ -1,5 +1,6 @@
 """Plans that begin far from rest are the best of what Ipopt finds from several places, and every one is an optimum."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import casadi as ca
@@ -100,6 +101,14 @@ def test_after_a_kick_it_is_the_optimum_again():
 def test_the_same_starts_every_time():
     plans = [law(starts=5).solve(HANGING) for _ in range(2)]
     assert (plans[0].inputs == plans[1].inputs).all()
+
+
+def test_threads_may_share_a_controller():
+    controller, states = law(), [angle / 8 * HANGING for angle in range(1, 9)]
+    alone = [controller.solve(x) for x in states]
+    with ThreadPoolExecutor(8) as threads:
+        together = list(threads.map(controller.solve, states))
+    assert all((one.inputs == other.inputs).all() for one, other in zip(alone, together))
 
 
 def test_limits_of_states_that_cannot_be_kept_far_from_rest_are_softened():

@@ -1,5 +1,7 @@
 """Moving-horizon estimates beside the Kalman filter, a conic solver, and a loop."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import casadi as ca
 import clarabel
 import numpy as np
@@ -45,6 +47,15 @@ def test_a_drifting_parameter_is_a_state_that_nothing_moves_but_noise():
         known = filter_.predict(known, np.zeros((1, 1))) if k else known
         known = filter_.update(known, outputs[k].reshape(1, 1), np.zeros((1, 1)))
         np.testing.assert_allclose([belief.mean[0, 0], belief.parameters[0, 0]], known.mean[0], atol=1e-9)
+
+
+def test_threads_may_share_an_estimator():
+    estimator = MovingHorizonEstimator(lambda x, w: ca.sin(x) + w, lambda x: x, 1, 0, **WALK)
+    logs = list(np.random.default_rng(0).normal(size=(6, 20)))
+    alone = [followed(estimator, log)[-1].mean for log in logs]
+    with ThreadPoolExecutor(6) as threads:
+        together = list(threads.map(lambda log: followed(estimator, log)[-1].mean, logs))
+    np.testing.assert_array_equal(together, alone)
 
 
 def test_limits_give_the_optimum_of_the_quadratic_program():
