@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from estimation_problems import kalman_difference
 from scipy import sparse
+from scipy.optimize import least_squares
 
 from ccdtools import KalmanFilter
 from ccdtools.controllers import Observed
@@ -56,6 +57,16 @@ def test_threads_may_share_an_estimator():
     with ThreadPoolExecutor(6) as threads:
         together = list(threads.map(lambda log: followed(estimator, log)[-1].mean, logs))
     np.testing.assert_array_equal(together, alone)
+
+
+def test_a_first_estimate_whose_outputs_have_no_slope_is_left():
+    outputs = 1 + 0.1 * np.random.default_rng(0).normal(size=8)
+    estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x**2, 1, 0, **WALK | {"window": 8, "V": [0.01]})
+    last = followed(estimator, outputs)[-1]
+    weigh = lambda x: np.concatenate([x[:1], np.diff(x), 10 * (x**2 - outputs)])  # noqa: E731
+    known = least_squares(weigh, np.ones(8), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert last.status[0].name == "SOLVED"
+    np.testing.assert_allclose(abs(last.mean[0, 0]), known.x[-1], rtol=1e-6)
 
 
 def test_limits_give_the_optimum_of_the_quadratic_program():
