@@ -16,7 +16,7 @@ from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.discretisation import discretise
 from ccdtools.vehicles.budgets import SKYHOOK_EVALUATIONS, SKYHOOK_RUNS
-from ccdtools.vehicles.quarter_car import SOFTEST, quarter_car
+from ccdtools.vehicles.quarter_car import SOFTEST
 from mpc import lqr
 
 
@@ -72,7 +72,7 @@ ForceWeights = Callable[[Array], tuple[Array, Array, Array]]
 
 
 def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], SemiActive]:
-    """Law: LQR of an actuator in the damper's place, clipped to what a damper can do.
+    """Law: LQR of an actuator in the place of the problem's damper, clipped to what a damper can do.
 
     Parameters
     ----------
@@ -81,9 +81,11 @@ def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], Sem
     """
 
     def law(problem: CoDesignProblem, design: Array) -> SemiActive:
-        car = quarter_car()
-        undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0))
-        A, B, _ = discretise(undamped, sampling_guard="ignore").matrices([design[0], car.design.lower[1]])
+        car = problem.model.plant
+        x, push = ca.DM([0.0, 0.0, 0.0, -1.0]), ca.jacobian(car.dynamics, car.p[1])  # of a force, where the rate is −1
+        force = ca.substitute(push, ca.vertcat(car.x, car.u, car.w), ca.vertcat(x, 1, 0)) * car.u
+        undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0) + force)
+        A, B, _ = discretise(undamped, sampling_guard="ignore").matrices(design)
         Q, R, S = weights(design)
         return SemiActive(lqr(A, B, Q=Q, R=R, S=S)[0][0], design[1])
 
