@@ -11,10 +11,11 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_floats
+from ccdtools.checks import as_floats, as_instance
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.vehicles.budgets import SKYHOOK_EVALUATIONS, SKYHOOK_RUNS
 from ccdtools.vehicles.quarter_car import SOFTEST
 from mpc import lqr
@@ -81,7 +82,7 @@ def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], Sem
     """
 
     def law(problem: CoDesignProblem, design: Array) -> SemiActive:
-        car = problem.model.plant
+        car = as_instance("problem.model", problem.model, SampledModel, "that of a car with semi_active").plant
         x, push = ca.DM([0.0, 0.0, 0.0, -1.0]), ca.jacobian(car.dynamics, car.p[1])  # of a force, where the rate is −1
         force = ca.substitute(push, ca.vertcat(car.x, car.u, car.w), ca.vertcat(x, 1, 0)) * car.u
         undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0) + force)
