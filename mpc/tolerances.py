@@ -175,6 +175,7 @@ NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a pa
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
+ASIDE = 1e-3  # Part of the sizes of unknowns by which a start is moved so that it stays on no saddle [-]
 GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
 TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]
 TARGET_STEADY = 1e-8  # Drift of a target, in sizes of the states, up to which it is steady [-]

@@ -75,7 +75,8 @@ def fitted_change(logs: Sequence[Residuals], scale: Array) -> tuple[Array, Array
     parts = U.T @ (e - e.mean(axis=0))
     kept = s[:, None] ** 2 / (s[:, None] ** 2 + max(s[0], 1.0) ** 2 * RIDGES)  # (m, ridges); none for the last
     left = np.square(e - e.mean(axis=0)).sum(axis=0)[:, None] - np.square(parts).T @ (1 - (1 - kept) ** 2)
-    best = np.argmin(left / (len(z) - 1 - kept.sum(axis=0)) ** 2, axis=1)
+    free = len(z) - 1 - kept.sum(axis=0)
+    best = np.argmin(np.where(free >= 1, left / np.maximum(free, 1) ** 2, np.inf), axis=1)  # none through all
     share = np.divide(kept[:, best], s[:, None], out=np.zeros_like(parts), where=s[:, None] > 0)
     change = (V.T @ (share * parts)).T * scale[:, None] / spread
     return change[:, : x.shape[1]], change[:, x.shape[1] :], e.mean(axis=0) * scale - change @ mean

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -11,12 +12,15 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_floats
+from ccdtools.checks import as_floats, as_instance
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.models import Model
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.vehicles.budgets import SKYHOOK_EVALUATIONS, SKYHOOK_RUNS
-from ccdtools.vehicles.quarter_car import SOFTEST, quarter_car
+from ccdtools.vehicles.quarter_car import SOFTEST
 from mpc import lqr
 
 
@@ -72,20 +76,27 @@ ForceWeights = Callable[[Array], tuple[Array, Array, Array]]
 
 
 def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], SemiActive]:
-    """Law: LQR of an actuator in the damper's place, clipped to what a damper can do.
+    """Law: LQR of an actuator in the place of the problem's damper, clipped to what a damper can do.
 
     Parameters
     ----------
     weights : function of the design
         Q (4, 4), R (1, 1) and S (4, 1) of the force.
     """
-    car = quarter_car()
-    undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0))
-    model = discretise(undamped, sampling_guard="ignore")
+    actuated = cache(_actuated)
 
     def law(problem: CoDesignProblem, design: Array) -> SemiActive:
-        A, B, _ = model.matrices([design[0], car.design.lower[1]])
+        model = as_instance("problem.model", problem.model, SampledModel, "that of a car with semi_active")
+        A, B, _ = actuated(model.plant).matrices(design)
         Q, R, S = weights(design)
         return SemiActive(lqr(A, B, Q=Q, R=R, S=S)[0][0], design[1])
 
     return law
+
+
+def _actuated(car: Plant) -> Model:
+    """Model of a car with a force in its damper's place."""
+    x, push = ca.DM([0.0, 0.0, 0.0, -1.0]), ca.jacobian(car.dynamics, car.p[1])  # of a force, where the rate is −1
+    force = ca.substitute(push, ca.vertcat(car.x, car.u, car.w), ca.vertcat(x, 1, 0)) * car.u
+    undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0) + force)
+    return discretise(undamped, sampling_guard="ignore")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from mpc.optimal_control.program import SizedProgram
 from mpc.plan import Residuals
 from mpc.tolerances import BOTTOMLESS, FEASIBLE
 
+ONE_AT_A_TIME = threading.RLock()  # A solver of CasADi has one memory for calls from all threads.
 ENDED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 # Options for a start that is nearly the optimum, with or without its multipliers
@@ -70,6 +72,13 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
             "lam_g0": multipliers["rows"] * program.row_scale / of_cost,
             "lam_x0": multipliers["bounds"] * size / of_cost,
         }
+    with ONE_AT_A_TIME:
+        return _once(program, given, settings)
+
+
+def _once(program: SizedProgram, given: dict[str, Any], settings: Settings) -> Found:
+    """Call of the solver, alone."""
+    size, of_cost = program.scale, program.cost_scale
     solver, watch = _solver(program, settings)
     if watch is not None:
         watch.begin(given)

@@ -20,7 +20,7 @@ from mpc.optimal_control.shooting import ShootingProgram
 from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
+from mpc.tolerances import ASIDE, COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME = "linear law", "shifted plan", "real-time iteration"
 CONVERGING, INTERIOR = "SQP", "Ipopt"
@@ -179,7 +179,10 @@ class Planner:
         at, last = self._contracted(sample, replace(first, name=CONVERGING))
         if sample.clock.up:
             return (first, None, Status.LATE) if last is None else (at, last, _status(last, Status.LATE))
-        enough = not self._law_does_better(sample, at) if follow else at.inputs is first.inputs
+        stayed = at.inputs is first.inputs
+        enough = not self._law_does_better(sample, at) if follow else stayed
+        if stayed and sample.size > TINY:  # it may be a saddle, to which no plan beside it comes back
+            at, last = self._contracted(sample, self._aside(at))
         if _status(last) is Status.SOLVED and enough:
             return at, last, Status.SOLVED
         candidates = [*([] if last is None else [(at, last)]), *self._from_starts(sample, first)]
@@ -240,7 +243,8 @@ class Planner:
             if sample.clock.up:
                 return
             shot = program.solve(
-                self.law, sample.x, path.states, path.inputs, sample.w, self.p, sample.given, cost=sample.size,
+                self.law, sample.x, path.states, self._aside(path).inputs, sample.w, self.p, sample.given,
+                cost=sample.size,
                 prices=(sample.dear, sample.dear) if soft is None else soft,
             )  # fmt: skip
             sample.clock.program_ended()
@@ -271,6 +275,11 @@ class Planner:
                 pieces = rng.uniform(-1, 1, (1 + N // 5, self.law.nu)) * self.programs.input_size
                 by_chance = replace(held, inputs=held.inputs + np.repeat(pieces, 5, axis=0)[:N], gains=0 * held.gains)
                 yield self._followed(sample.x, by_chance, sample.w, sample.given)
+
+    def _aside(self, path: _Path) -> _Path:
+        """Path with inputs that break its symmetries, the same every time."""
+        moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, path.inputs.shape)
+        return replace(path, inputs=path.inputs + moves * self.programs.input_size)
 
     def _law_does_better(self, sample: _Sample, at: _Path) -> bool:
         """Whether the linear law, simulated, costs less than a plan."""

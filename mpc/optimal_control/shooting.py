@@ -11,6 +11,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.optimal_control.functions import symbols_of
+from mpc.optimal_control.ipopt import ONE_AT_A_TIME
 from mpc.problem import MPCProblem
 from mpc.rollout import Given
 from mpc.tolerances import INTERIOR_POINT
@@ -56,7 +57,8 @@ class ShootingProgram:
         guess = self._placed(states / law.state_extent, inputs / self.size_u, signals["u_prev"] / self.size_u)
         if not (np.isfinite(guess).all() and np.isfinite(parameters).all()):
             return None
-        found = self._solver(x0=guess, p=parameters, lbg=np.where(self._equal, 0.0, -np.inf), ubg=0.0)
+        with ONE_AT_A_TIME:
+            found = self._solver(x0=guess, p=parameters, lbg=np.where(self._equal, 0.0, -np.inf), ubg=0.0)
         stages, end = np.split(np.asarray(found["x"]).ravel(), [-(nx + len(self.carried))])
         stages, first = stages.reshape(N, -1), nx + len(self.carried)
         scaled = np.vstack([stages[:, :nx], end[:nx]])

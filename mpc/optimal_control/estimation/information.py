@@ -77,14 +77,14 @@ class Information:
             found.append({self.names[i]: round(float(mode[i]), 3) for i in strong})
         return tuple(found)
 
-    def covariance(self) -> Array:
-        """Covariance (m, m) at unit noise.
+    def covariance(self, deviation: float) -> Array:
+        """Covariance (m, m) at noise of a deviation.
 
         Variances are infinite and the rest NaN where nothing is told.
         """
         values, modes = self.modes
         told = self.told
-        parts = modes[:, told] / values[told]
+        parts = modes[:, told] / values[told] * deviation
         found = parts @ parts.T
         lost = (np.abs(modes[:, ~told]) > NEGLIGIBLE).any(axis=1)
         found[lost] = found[:, lost] = np.nan
@@ -92,11 +92,11 @@ class Information:
         return np.asarray(found * self.units * self.units[:, None])
 
 
-def information(solution: Solution, residual: ca.Function, least_cost: float) -> Information:
+def information(solution: Solution, residual: ca.Function) -> Information:
     """Information at the optimum, by the linearised dynamics.
 
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
-    the unknowns themselves count. Pushes on bounds are judged beside the cost, or a least one where data are exact.
+    the unknowns themselves count.
     """
     program, v = solution.program, solution.unknowns
     free = program.lower < program.upper
@@ -116,7 +116,7 @@ def information(solution: Solution, residual: ca.Function, least_cost: float) ->
         rows = np.vstack([rows, moves[inputs] * np.sqrt(curvature[inputs])[:, None]])
         Q, _ = np.linalg.qr(rows[:, count:])
         rows = rows[:, :count] - Q @ (Q.T @ rows[:, :count])
-    acting = _acting(solution, max(solution.program.cost_scale, least_cost))
+    acting = _acting(solution, moves[:, :count] * units @ np.linalg.pinv(rows * units, rcond=TOLD_APART))
     acting = np.intersect1d(acting, unknowns) if len(inputs) else acting
     held = moves[acting, :count] * units / program.scale[acting, None]
     directions = null_space(held, rcond=NEGLIGIBLE) if len(held) else np.eye(count)
@@ -166,12 +166,15 @@ def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array
     return solution.unknowns[places], signal_at(part.phase, t), t, known, places
 
 
-def _acting(solution: Solution, cost_size: float) -> NDArray[np.int64]:
-    """Unknowns held by a bound: scaled multiplier above scaled distance."""
+def _acting(solution: Solution, spread: Array) -> NDArray[np.int64]:
+    """Unknowns held by a bound: without it they would move by more than their distance from it.
+
+    Rows of `spread` (n, m) are their deviations at unit noise, squares summed.
+    """
     program, v = solution.program, solution.unknowns
-    push = solution.multipliers["bounds"] * program.scale / cost_size
-    room = np.where(push > 0, program.upper - v, v - program.lower) / program.scale
-    return np.flatnonzero((program.lower < program.upper) & (np.abs(push) > room))
+    push = solution.multipliers["bounds"]
+    room = np.where(push > 0, program.upper - v, v - program.lower)
+    return np.flatnonzero((program.lower < program.upper) & (np.abs(push) * np.square(spread).sum(axis=1) > room))
 
 
 def _names(program: NonlinearProgram, unknowns: NDArray[np.int64], firsts: list[NDArray[np.int64]]) -> tuple[str, ...]:

@@ -140,7 +140,7 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
     degrees = sum(int(one.measured.sum()) for one in given) - known.directions.shape[1]
     variance = 2 * solution.cost / degrees if degrees else np.nan
     deviation = 1.0 if noise_known else np.sqrt(variance)
-    whole = known.covariance() * deviation**2
+    whole = known.covariance(deviation)
     places = {int(place): i for i, place in enumerate(known.places)}
 
     def of(i: int, j: int) -> float:
@@ -151,7 +151,9 @@ def estimate_of(solution: Solution, given: Sequence[Experiment], output: ca.Func
     starts = np.sqrt([[of(i, i) for i in first] for first in firsts])
     open_ = known.named(deviation)
     status = EstimationStatus.OPEN if open_ else EstimationStatus.SOLVED
+    with np.errstate(divide="ignore", invalid="ignore"):  # exact data tell a combination without end, or nothing
+        told = np.nan_to_num(known.modes[0] / deviation, nan=0.0, posinf=np.inf)
     if solution.status is not OptimalControlStatus.SOLVED:
         status = EstimationStatus.COARSE
     return ParameterEstimate(*common, status, solution, covariance, starts, tuple(residuals), float(variance), degrees,
-                             noise_known, known.modes[0] / deviation, open_)  # fmt: skip
+                             noise_known, told, open_)  # fmt: skip

@@ -97,9 +97,7 @@ def estimate_parameters(
     )
     _check_count(problem, given, 0 if noise is not None else 1)
     solution = refine(problem, **({"intervals": 1} | options))
-    squares = [np.nansum(one.outputs**2) for one in given] if noise is None else [one.measured.sum() for one in given]
-    least = float(sum(squares)) * (NEGLIGIBLE if noise is None else 1.0) / 2
-    known = information(solution, residual, least) if solution.solved_on_mesh else None
+    known = information(solution, residual) if solution.solved_on_mesh else None
     return estimate_of(solution, given, h, known, noise is not None)
 
 

@@ -18,7 +18,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.ipopt import WARM, Settings, once
 from mpc.optimal_control.pieces import Piece, kind_of, piece_function
 from mpc.optimal_control.program import SizedProgram
-from mpc.tolerances import KKT_REPORTED
+from mpc.tolerances import ASIDE, KKT_REPORTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,8 @@ class WindowProgram:
             low[at[name]] = high[at[name]] = np.ravel(value)
         for side, bound in zip((low, high), model.bounds):
             side[at["z"]] = np.tile(bound, len(window.outputs))
-        guess[at["z"]] = window.course.ravel()
+        aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, window.course.shape)
+        guess[at["z"]] = (window.course + aside * model.sizes).ravel()
         guess = np.clip(guess, low, high)
         settings = Settings(tolerance, USUAL_ITERATIONS, np.inf, WARM)
         found = once(replace(self.program, lower=low, upper=high), guess, None, settings)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are
 
-from ccdtools import InputError, Scenario, baselines, saturated_lqr
+from ccdtools import InputError, Scenario, baselines, discretise, saturated_lqr
 from ccdtools.plants.library import QuarterCar, quarter_car
 from ccdtools.studies import load_study
-from ccdtools.vehicles import SemiActive
+from ccdtools.vehicles import SemiActive, clipped_lqr
 
 DESIGN = np.array([20000.0, 3000.0])
 
@@ -42,19 +42,22 @@ def test_the_force_is_the_demanded_one_where_the_damper_can_give_it_and_else_the
     np.testing.assert_allclose(law(np.zeros(4)), [0.0], atol=1e-12)
 
 
-def test_clipped_lqr_demands_what_lqr_of_an_actuator_in_the_place_of_the_damper_does(study):
-    car, k = QuarterCar(), DESIGN[0]
+@pytest.mark.parametrize(("car", "dt"), [(QuarterCar(), 0.01), (QuarterCar(sprung=300.0, tyre=1.5e5), 0.02)])
+def test_clipped_lqr_demands_what_lqr_of_an_actuator_in_the_place_of_the_damper_does(study, car, dt):
+    k = DESIGN[0]
     A = np.array([[0, 1, 0, 0], [-car.tyre / car.unsprung, 0, k / car.unsprung, 0], [0, -1, 0, 1],
                   [0, 0, -k / car.sprung, 0]])  # fmt: skip
     B = np.array([[0], [-1 / car.unsprung], [0], [1 / car.sprung]])
-    both = expm(0.01 * np.block([[A, B], [np.zeros((1, 5))]]))[:4]
+    both = expm(dt * np.block([[A, B], [np.zeros((1, 5))]]))[:4]
     A, B = both[:, :4], both[:, 4:]
     row = np.array([0, 0, -k / car.sprung, 0])  # body acceleration, 1 m/s² of which is tolerable
     Q = np.outer(row, row) + np.diag([4e4, 0, 400, 0])
     S, R = row[:, None] / car.sprung, np.array([[car.sprung**-2]])
     P = solve_discrete_are(A, B, Q, R, s=S)
     K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A + S.T)
-    law = study.laws["clipped LQR"](study.problem(), DESIGN)
+    model = discretise(quarter_car(semi_active=True, car=car, dt=dt))
+    own = study.laws["clipped LQR"] if car == QuarterCar() else clipped_lqr(lambda design: (Q, R, S))
+    law = own(replace(study.problem(), model=model), DESIGN)
     np.testing.assert_allclose(law.F, K[0], rtol=1e-6, atol=1e-6 * np.abs(K).max())
 
 

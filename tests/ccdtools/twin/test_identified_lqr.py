@@ -104,6 +104,14 @@ def test_a_log_whose_inputs_follow_its_states_exactly_gives_a_law_all_the_same()
     assert np.abs(law.K - own.K).max() < 1.0
 
 
+@pytest.mark.parametrize("steps", [1, 2])
+def test_a_log_through_which_any_line_goes_leaves_the_gain(steps):
+    problem = problem_of()
+    log = deploy(oscillator(1.6), wandering, DESIGN, np.ones((1, steps, 1)), x0=[[0.5, 0.0]])
+    law = identified_lqr(problem, DESIGN, DigitalTwin(problem.model).remembering(log).logs)
+    np.testing.assert_allclose(law.K, saturated_lqr(problem, DESIGN).K, rtol=1e-9)
+
+
 def test_logs_of_another_design_are_carried_to_this_one():
     problem = problem_of()
     rng = np.random.default_rng(0)

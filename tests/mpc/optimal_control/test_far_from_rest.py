@@ -1,5 +1,6 @@
 """Plans that begin far from rest are the best of what Ipopt finds from several places, and every one is an optimum."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import casadi as ca
@@ -100,6 +101,36 @@ def test_after_a_kick_it_is_the_optimum_again():
 def test_the_same_starts_every_time():
     plans = [law(starts=5).solve(HANGING) for _ in range(2)]
     assert (plans[0].inputs == plans[1].inputs).all()
+
+
+def unicycle(x, u):
+    return ca.vertcat(x[0] + 0.1 * u[0] * ca.cos(x[2]), x[1] + 0.1 * u[0] * ca.sin(x[2]), x[2] + 0.1 * u[1])
+
+
+@pytest.mark.parametrize("starts", [1, 3])
+def test_a_plan_that_stands_still_at_a_saddle_is_left(starts):
+    weights = {"Q": np.diag([1, 1, 0.1]), "R": np.diag([0.05, 0.05]), "P": np.diag([10.0, 10, 1]), "horizon": 20}
+    limit, aside = np.array([1.0, 2.0]), np.array([0.0, 1.0, 0.0])
+    controller = NonlinearMPC(unicycle, 3, 2, **weights, U=(-limit, limit), starts=starts)
+    columns = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
+    near = aside + 1e-3 * np.array([0, 0, 1])
+    best, *_ = optimum(ca.Function("model", columns, [unicycle(*columns)]), near, **weights, U=(-limit, limit),
+                       guess=(np.tile(near, (21, 1)), np.zeros((20, 2))))  # fmt: skip
+    plan = controller.solve(aside)  # whose first derivatives say that no input moves it there
+    assert plan.status is Status.SOLVED
+    assert plan.cost == pytest.approx(best, rel=1e-2)
+    controller([0.0, 0.0, 0.0])
+    controller([0.0, 0.0, 0.0], x_ref=aside)  # it follows a plan that stands still
+    assert controller.last_plans[0].status is Status.SOLVED
+    assert controller.last_plans[0].cost == pytest.approx(best, rel=1e-2)
+
+
+def test_threads_may_share_a_controller():
+    controller, states = law(), [angle / 8 * HANGING for angle in range(1, 9)]
+    alone = [controller.solve(x) for x in states]
+    with ThreadPoolExecutor(8) as threads:
+        together = list(threads.map(controller.solve, states))
+    assert all((one.inputs == other.inputs).all() for one, other in zip(alone, together))
 
 
 def test_limits_of_states_that_cannot_be_kept_far_from_rest_are_softened():

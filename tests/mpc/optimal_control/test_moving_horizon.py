@@ -1,11 +1,14 @@
 """Moving-horizon estimates beside the Kalman filter, a conic solver, and a loop."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import casadi as ca
 import clarabel
 import numpy as np
 import pytest
 from estimation_problems import kalman_difference
 from scipy import sparse
+from scipy.optimize import least_squares
 
 from ccdtools import KalmanFilter
 from ccdtools.controllers import Observed
@@ -45,6 +48,25 @@ def test_a_drifting_parameter_is_a_state_that_nothing_moves_but_noise():
         known = filter_.predict(known, np.zeros((1, 1))) if k else known
         known = filter_.update(known, outputs[k].reshape(1, 1), np.zeros((1, 1)))
         np.testing.assert_allclose([belief.mean[0, 0], belief.parameters[0, 0]], known.mean[0], atol=1e-9)
+
+
+def test_threads_may_share_an_estimator():
+    estimator = MovingHorizonEstimator(lambda x, w: ca.sin(x) + w, lambda x: x, 1, 0, **WALK)
+    logs = list(np.random.default_rng(0).normal(size=(6, 20)))
+    alone = [followed(estimator, log)[-1].mean for log in logs]
+    with ThreadPoolExecutor(6) as threads:
+        together = list(threads.map(lambda log: followed(estimator, log)[-1].mean, logs))
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_a_first_estimate_whose_outputs_have_no_slope_is_left():
+    outputs = 1 + 0.1 * np.random.default_rng(0).normal(size=8)
+    estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x**2, 1, 0, **WALK | {"window": 8, "V": [0.01]})
+    last = followed(estimator, outputs)[-1]
+    weigh = lambda x: np.concatenate([x[:1], np.diff(x), 10 * (x**2 - outputs)])  # noqa: E731
+    known = least_squares(weigh, np.ones(8), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert last.status[0].name == "SOLVED"
+    np.testing.assert_allclose(abs(last.mean[0, 0]), known.x[-1], rtol=1e-6)
 
 
 def test_limits_give_the_optimum_of_the_quadratic_program():

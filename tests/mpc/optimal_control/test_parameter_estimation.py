@@ -121,6 +121,25 @@ def test_a_parameter_that_is_held_or_at_its_bound_has_no_spread():
     np.testing.assert_allclose(held.start_deviations, stopped.start_deviations, rtol=1e-4)
 
 
+@pytest.mark.parametrize("slower", [1.0, 1e4, 1e6])
+def test_a_parameter_within_wide_bounds_keeps_its_spread(slower):
+    t = np.linspace(0, 2, 15)
+    y = np.exp(-1.4 * t) + 0.01 * np.random.default_rng(0).normal(size=15)
+    shot = least_squares(lambda z: z[1] * np.exp(-z[0] * t) - y, [1.0, 1.0], xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    covariance = np.linalg.inv(shot.jac.T @ shot.jac) * 2 * shot.cost / 13
+    found = estimate_parameters(Experiment(slower * t, y), **(DECAY | {"p_guess": [1 / slower]}))
+    assert found.solved
+    np.testing.assert_allclose(found.p * slower, shot.x[:1], rtol=1e-5)
+    np.testing.assert_allclose(found.deviations * slower, np.sqrt(covariance[0, 0]), rtol=1e-4)
+
+
+def test_outputs_that_are_nothing_but_zero_leave_a_rate_open():
+    found = estimate_parameters(Experiment([0, 1, 2], [0, 0, 0]), **DECAY)
+    assert found.status is EstimationStatus.OPEN
+    assert np.isinf(found.deviations).all()
+    assert [set(one) for one in found.open] == [{"p1"}]
+
+
 def test_a_pair_that_the_data_cannot_tell_apart_is_named_and_nothing_else():
     found = estimate_parameters(lotka_volterra_log(1), **lotka_volterra_with_product(), noise=[1.0, 1.0])
     assert found.status is EstimationStatus.OPEN
