@@ -15,11 +15,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ccdtools_ground.door import shown
+from mpc.budgets import INPUT_WEIGHTS, TUBE_STEPS
 from mpc.checks import Array, as_set
 from mpc.exceptions import InfeasibleError, InputError
+from mpc.riccati import lqr
 
 Rows = tuple[Array, Array]
-ADVICE = "Shrink W, widen X and U, or weigh the states more: a faster loop leaves less room to disturbances."
+Sides = tuple[tuple[Rows, Array], tuple[Rows, Array]]  # half-spaces of X and U, with the size of each row
+ADVICE = "Shrink W (a lower level, a better model), or widen X and U."
 
 
 def as_disturbance_set(value: Any, E: Array) -> Any:
@@ -44,6 +47,25 @@ def tightened(rows: Array, loop: Array, E: Array, W: Any, steps: int) -> Array:
         room[k + 1] = room[k] + (W.support(rows @ E) if len(rows) else 0.0)
         rows = rows @ loop
     return room
+
+
+def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Array, W: Any) -> Array:
+    """Regulator (nu, nx) that leaves most of the limits, of those with the weight of the inputs times `INPUT_WEIGHTS`.
+
+    A gain that is high for the cost's sake passes disturbances on to the inputs; one that is low, to the states. Both
+    are counted in the limits' own size, and the row that is left least decides.
+    """
+    (HX, _), (HU, _) = (rows for rows, _ in sides)
+    units = np.concatenate([unit for _, unit in sides])
+
+    def left(K: Array) -> float:
+        rows = np.vstack([HX, -HU @ K])
+        with np.errstate(over="ignore", invalid="ignore"):
+            room = tightened(rows, A - B @ K, E, W, TUBE_STEPS)[-1]
+        return float(np.nan_to_num(1 - room / units, nan=-np.inf).min(initial=np.inf))
+
+    R = weights["R"]
+    return max((lqr(A, B, **{**weights, "R": by * R})[0] for by in INPUT_WEIGHTS), key=left)
 
 
 def robust_terminal_rows(A: Array, B: Array, K: Array, state: Rows, action: Rows, E: Array, W: Any) -> Rows:

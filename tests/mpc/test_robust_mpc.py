@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from invariant_sets import Polytope, maximal_positively_invariant_set
-from mpc import InfeasibleError, InputError, LinearMPC, Status, lqr
+from mpc import InfeasibleError, InputError, LinearMPC, Status
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
 X, U, W = ([-5, -0.8], [5, 0.8]), (-1, 1), ([-0.002, -0.03], [0.002, 0.03])
@@ -63,7 +63,7 @@ def test_a_loop_that_has_a_plan_keeps_its_limits_under_disturbances_at_the_verti
 
 def test_the_limits_of_a_step_are_those_that_every_sequence_of_vertices_leaves():
     controller = cart(horizon=5)
-    qp, loop = controller.build(), A - B @ controller.gain
+    qp, loop = controller.build(), A - B @ controller.tube_gain
     corners = np.array(list(itertools.product(*zip(*W))))
     for step in range(6):
         sums = np.zeros((1, 2))
@@ -72,7 +72,7 @@ def test_the_limits_of_a_step_are_those_that_every_sequence_of_vertices_leaves()
         for label, bound in zip(qp.labels, qp.w):
             if label.step == step and label.kind in ("state", "input"):
                 H, h = controller.state_rows if label.kind == "state" else controller.input_rows
-                error = sums if label.kind == "state" else -sums @ controller.gain.T
+                error = sums if label.kind == "state" else -sums @ controller.tube_gain.T
                 assert bound == pytest.approx(h[label.row] - (error @ H[label.row]).max(), abs=1e-12)
 
 
@@ -91,7 +91,7 @@ def test_without_w_the_same_loop_leaves_its_limits():
 
 
 def test_the_terminal_set_is_the_largest_robust_one():
-    K, _ = lqr(A, B, Q=np.diag(OWN["Q"]), R=OWN["R"])
+    K = cart().tube_gain
     limits = Polytope.from_bounds([-5, -0.8, -1], [5, 0.8, 1])
     found = maximal_positively_invariant_set(A - B @ K, limits, C=np.vstack([np.eye(2), -K]), W=W)
     assert Polytope(*cart().terminal_rows).equals(found.set)
