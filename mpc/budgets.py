@@ -36,5 +36,5 @@ MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after
 GUESSED_STEPS = 10  # Gauss–Newton steps from outputs to the states that a parameter estimation starts from.
 
 # --- limits tightened for disturbances -------------------------------------------------------------------------------
-INPUT_WEIGHTS = tuple(10.0**k for k in range(7))  # Multiples of R of the regulators tried for the tube.
+INPUT_WEIGHTS = tuple(10.0**k for k in range(1, 7))  # Multiples of R of the regulators tried for the tube.
 TUBE_STEPS = 300  # Disturbances are followed for so many steps to compare these.

@@ -105,13 +105,19 @@ class MPCProblem:
         for name in ("rate_limit", "blocks"):
             if getattr(self, name) is not None:
                 raise InputError(name, getattr(self, name), "none beside W", "No input would be free to answer to w.")
-        if self.terminal_set is None and len(self.state_rows[1]) + len(self.input_rows[1]):
-            sets = self.state_rows, self.input_rows
-            self._set(terminal_rows=robust_terminal_rows(self.A, self.B, self.tube_gain, *sets, self._entry, self.W))
-        for kind, k in (("state", self.horizon), ("input", self.horizon - 1), ("terminal", self.horizon)):
-            H, h = self.rows_at(kind, k)
-            if len(h) and is_empty(H, h):
-                raise InfeasibleError(f"disturbances of W leave nothing of the {kind} limits at step {k}. {ADVICE}")
+        if self.terminal_set is None:  # from a state of the robust set found here u = -Kx is a plan
+            if len(self.state_rows[1]) + len(self.input_rows[1]):
+                sets = self.state_rows, self.input_rows
+                self._set(
+                    terminal_rows=robust_terminal_rows(self.A, self.B, self.tube_gain, *sets, self._entry, self.W)
+                )
+            return
+        N = self.horizon
+        for kind, steps in (("state", range(1, N + 1)), ("input", range(N)), ("terminal", (N,))):
+            for k in steps:
+                H, h = self.rows_at(kind, k)
+                if len(h) and is_empty(H, h):
+                    raise InfeasibleError(f"disturbances of W leave nothing of the {kind} limits at step {k}. {ADVICE}")
 
     @property
     def _entry(self) -> Array:
@@ -120,7 +126,7 @@ class MPCProblem:
 
     @cached_property
     def tube_gain(self) -> Array:
-        """Gain K (nu, nx) of the u = v - K x under which limits are tightened for W, see `mpc.robust.tube_gain`."""
+        """Gain K (nu, nx) by which limits are tightened, see `mpc.robust.tube_gain`."""
         units = self.limits.price_units()
         sides = (self.state_rows, units["state"]), (self.input_rows, units["input"])
         weights = {"Q": self.Q, "R": self.R, "S": self.S}
@@ -128,7 +134,7 @@ class MPCProblem:
 
     @cached_property
     def bounds(self) -> dict[str, Array]:
-        """Bounds h (N + 1, rows) of the "state", "input" and "terminal" limits, step by step, tightened for W."""
+        """Bounds h (N + 1, rows) of each kind, tightened for W."""
         sets = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}
         if self.W is None:
             return {kind: np.broadcast_to(h, (self.horizon + 1, len(h))) for kind, (_, h) in sets.items()}
@@ -140,7 +146,7 @@ class MPCProblem:
         }
 
     def rows_at(self, kind: str, step: int) -> tuple[Array, Array]:
-        """Half-spaces {v : Hv <= h} of a "state", "input" or "terminal" limit at a step, tightened for W."""
+        """Half-spaces of a kind of limit at a step, tightened."""
         H = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}[kind][0]
         return H, self.bounds[kind][step]
 

@@ -20,7 +20,9 @@ from invariant_sets import Polytope
 def disturbance_set(
     logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS
 ) -> Polytope:
-    """Set W (nx,) that holds one-step errors x⁺ − f(x, u, 0, p) jointly at a level, for `LinearMPC(W=…)`.
+    """Set W of one-step errors at a level.
+
+    It holds e⁺ = x⁺ − f(x, u, 0, p) (nx,), all states at once, and is what `LinearMPC(W=…)` takes.
 
     A box of what the error of each state adds to that which those before it explain by regression, in the order that
     explains most, between quantiles that hold the level together. Its size is conformal: the last part of every block
@@ -83,7 +85,10 @@ def disturbance_set(
 
 
 def _regressed(errors: Array) -> Array:
-    """Matrix (nx, nx) from what each state's error adds to those before it, in its standard deviations, to errors."""
+    """Matrix (nx, nx) from independent parts of errors to errors.
+
+    Part i is what the error of a state adds to those before it, in standard deviations of that error.
+    """
     unit = errors.std(axis=0)
     unit = np.where(unit > 0, unit, 1.0)
     nx = len(unit)
@@ -97,6 +102,6 @@ def _regressed(errors: Array) -> Array:
 
 
 def _sizes(offsets: Array, half: Array) -> Array:
-    """Least factor (n,) by which a box of half widths holds each offset (n, nx)."""
+    """Least factors (n,) of a box that hold offsets (n, nx)."""
     least = np.finfo(float).eps * np.abs(offsets).max(initial=np.finfo(float).tiny)
     return np.asarray((np.abs(offsets) / np.maximum(half, least)).max(axis=1))

@@ -53,7 +53,7 @@ class RobustMPC:
 
     @property
     def price(self) -> PairedDifference:
-        """Return that the tightened limits cost, over the runs that neither controller loses."""
+        """Return that tightening costs, over runs that neither loses."""
         kept = ~(self.nominal.lost | self.tightened.lost)
         return paired_difference(self.nominal.values[kept], self.tightened.values[kept])
 
@@ -79,7 +79,7 @@ def robust_mpc(
     problem: CoDesignProblem, design: ArrayLike, logs: Any, *, rng: np.random.Generator, level: float = 0.99,
     horizon: int = HORIZON, runs: int | None = None,
 ) -> RobustMPC:  # fmt: skip
-    """Controller that keeps its limits under the errors of a log, with its price.
+    """Controller whose limits hold under a log's errors, with price.
 
     Parameters
     ----------
@@ -126,4 +126,4 @@ def robust_mpc(
         closed_loop_returns(problem, controller, p, np.random.default_rng(seed), runs=runs)
         for controller in controllers
     ]
-    return RobustMPC(controllers[1], W, level, *sets, *returns)
+    return RobustMPC(controllers[1], W, level, sets[0], sets[1], returns[0], returns[1])
