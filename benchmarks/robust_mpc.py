@@ -7,8 +7,8 @@ gives W, at the highest of three levels at which a controller exists.
    half at its vertices, of these half pushed towards one limit), then every sequence of vertices over a few steps.
    Required: no state outside X and no input outside U, from any state that has a plan.
 2. The real plant, fresh disturbances, from starts that have a plan: samples outside X. Required: 1 - level + 2 sigma.
-3. The price: returns on common runs, the volume of X_fea, and how much of the robust one has a plan, which is all that
-   any other robust controller could add.
+3. The price: returns on common runs, on the model from the study's start and on the real plant from those of 2,
+   the volume of X_fea, and how much of the robust one has a plan: the rest is all that another controller could add.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ccdtools import deploy, load_study, saturated_lqr
+from ccdtools.statistics import paired_difference
 from ccdtools.studies import Study
 from ccdtools.twin import RobustMPC, robust_mpc
 from mpc import InfeasibleError, LinearMPC, Status
@@ -132,8 +133,8 @@ def extreme(states) -> np.ndarray:
     return states[sorted(chosen)]
 
 
-def on_real(own: Case, law, starts, rng) -> tuple[float, float]:
-    """Share of samples outside X on the real plant, and the standard error over runs."""
+def on_real(own: Case, law, starts, rng) -> tuple[float, float, np.ndarray]:
+    """Share of samples outside X on the real plant, its standard error over runs, and their returns."""
     real = own.study.real
     runs, steps = 100, min(real.steps, 100)
     drawn = (
@@ -145,7 +146,8 @@ def on_real(own: Case, law, starts, rng) -> tuple[float, float]:
     log = deploy(real.plant, law, own.found_p, drawn, x0=x0)
     centre, half = own.limits[0]
     share = (np.abs(log.states[:, 1:] - centre) > half * (1 + ROUNDING)).any(axis=2).mean(axis=1)
-    return float(share.mean()), float(share.std(ddof=1) / np.sqrt(runs))
+    error = float(share.std(ddof=1) / np.sqrt(runs))
+    return float(share.mean()), error, log.returns(own.study.objective)
 
 
 def main(names, draws: int = DRAWS, leaves: int = LEAVES) -> None:
@@ -172,14 +174,17 @@ def main(names, draws: int = DRAWS, leaves: int = LEAVES) -> None:
         rows[1].append(f"| {name} | {real['nominal'][0]:.3%} | {real['tightened'][0]:.3%} | {allowed:.3%} |")
         price, (low, high) = found.price.mean, found.price.ci95
         before = found.nominal.summary.mean
+        elsewhere = paired_difference(real["nominal"][2], real["tightened"][2])
+        few, many = elsewhere.ci95
         rows[2].append(
-            f"| {name} | {before:.5g} | {price:.3g} [{low:.2g}, {high:.2g}] | {found.volume_left:.1%} | {share:.1%} |"
+            f"| {name} | {before:.5g} | {price:.3g} [{low:.2g}, {high:.2g}] | {real['nominal'][2].mean():.5g} | "
+            f"{elsewhere.mean:.3g} [{few:.2g}, {many:.2g}] | {found.volume_left:.1%} | {share:.1%} |"
         )
         print(f"{name} done", file=sys.stderr, flush=True)
     heads = (
         "| study | level | random w | outside X; U: nominal | tightened | vertex sequences | nominal | tightened |",
         "| study | outside X on the real plant: nominal | tightened | allowed |",
-        "| study | return, nominal | price of the guarantee | volume left of X_fea | of it with a plan |",
+        "| study | return, model | price | return, real plant | price | volume left of X_fea | of it with a plan |",
     )
     for head, lines in zip(heads, rows):
         print("\n".join([head, "|---" * (head.count("|") - 1) + "|", *lines, ""]))

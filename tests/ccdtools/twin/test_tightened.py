@@ -103,3 +103,14 @@ def test_a_filter_for_errors_that_nothing_can_hold_is_refused(problem):
         admissible_inputs(problem, P, W=Polytope.from_bounds([-5, -5], [5, 5]))
     with pytest.raises(InfeasibleError, match="Shrink W"):
         linear_mpc(problem, P, W=Polytope.from_bounds([-5, -5], [5, 5]))
+
+
+@pytest.mark.check
+def test_a_small_sample_of_the_benchmark_finds_no_violation(capsys):
+    from robust_mpc import main
+
+    main(["dc_servo"], draws=500, leaves=20)
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("| dc_servo | 0."))
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[4] == "0; 0"
+    assert cells[7] == "0"
