@@ -33,7 +33,7 @@ def disturbance_set(
     Parameters
     ----------
     logs : Residuals, or a sequence of them at one design
-        From `residuals(model, log)`, or `twin.carried()`.
+        `twin.logs`, or `twin.carried()` for several designs.
     level : float
         Share of the errors within the set, in (0, 1).
     held_out : float
