@@ -42,8 +42,8 @@ class ParametricSet:
     X, U : Polytope, bounds (lower, upper), or callable
         State and input constraints. A bound is an array of one number a coordinate, or a number for all of them. A
         callable gives the set of a design p (np,).
-    W : Polytope, or bounds (lower, upper), optional
-        Disturbance set; the sets are then robust. E is the third matrix, or the identity.
+    W : Polytope, bounds (lower, upper), or callable, optional
+        Disturbance set, or that of a design p (np,); the sets are then robust. E is the third matrix, or the identity.
     tol : float
         Passed to `maximal_control_invariant_set`, as are the next two.
     max_iterations, max_facets : int
@@ -71,7 +71,7 @@ class ParametricSet:
     X: Set | SetOfDesign
     U: Set | SetOfDesign
     _: KW_ONLY
-    W: Set | None = None
+    W: Set | SetOfDesign | None = None
     tol: float = COARSE
     max_iterations: int = 500
     max_facets: int = 1000
@@ -234,7 +234,8 @@ class ParametricSet:
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")
         E = answer[2] if len(answer) == 3 and self.W is not None else None
-        system = checked_system(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), E, self.W)
+        W = None if self.W is None else _set_at(self.W, p)
+        system = checked_system(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), E, W)
         return largest_invariant_set(Task(*system, self._limits()), guess)
 
     def _warm(self, p: Array) -> SetResult | None:

@@ -34,3 +34,7 @@ CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time ei
 MOST_PARTS = 6  # Parts at most that an interval is cut into at once
 MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after which none is made
 GUESSED_STEPS = 10  # Gauss–Newton steps from outputs to the states that a parameter estimation starts from.
+
+# --- limits tightened for disturbances -------------------------------------------------------------------------------
+INPUT_WEIGHTS = tuple(10.0**k for k in range(1, 7))  # Multiples of R of the regulators tried for the tube.
+TUBE_STEPS = 300  # Disturbances are followed for so many steps to compare these.

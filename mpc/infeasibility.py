@@ -212,7 +212,7 @@ def describe(problem: MPCProblem, label: Constraint) -> str:
         return f"Δu[{j}] {'<=' if sign else '>='} {problem.rate_limit[j] if sign else -problem.rate_limit[j]:.6g}"
     if label.kind == "slack":
         return f"slack {label.step} >= 0"
-    H, h = problem.limits.sets[label.kind]
+    H, h = problem.rows_at(label.kind, label.step)
     name = "u" if label.kind == "input" else "x"
     used = np.flatnonzero(H[label.row])
     if len(used) == 1:

@@ -59,10 +59,11 @@ class LinearMPC(MPCProblem):
         Disturbance matrix, for disturbances known ahead, and for W.
     W : Polytope or (lower, upper), optional
         Set of disturbances that nobody knows: x⁺ = Ax + Bu + Ew with any w in W (without E, what is added to each
-        state). Limits are tightened along the plan by what they can do under u = v - Kx, and the terminal set is the
-        largest robust invariant one if none is given, so that a loop that begins with a plan has one at every step and
-        keeps X and U (Chisci, Rossiter and Zappa, Automatica 37(7), 2001). A given `terminal_set` must be robustly
-        invariant under `gain` for that. Not beside `rate_limit` or `blocks`.
+        state). Limits are tightened along the plan by what they can do under u = v - Kx with K = `tube_gain`, and the
+        terminal set is the largest robust invariant one if none is given, so that a loop that begins with a plan has
+        one at every step and keeps X and U (Chisci, Rossiter and Zappa, Automatica 37(7), 2001). A given
+        `terminal_set` must be robustly invariant under `tube_gain` for that, and no known or estimated `w` may change
+        from step to step. Not beside `rate_limit` or `blocks`.
     rate_limit : float or (nu,) array, optional
         Largest |u_k - u_{k-1}| per step, in the units of u; `solve` then needs `u_prev`.
     soft : (linear, quadratic), optional

@@ -27,7 +27,7 @@ from mpc.checks import (
 from mpc.exceptions import InfeasibleError, InputError
 from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
 from mpc.riccati import lqr
-from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tightened
+from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tightened, tube_gain
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,13 +105,19 @@ class MPCProblem:
         for name in ("rate_limit", "blocks"):
             if getattr(self, name) is not None:
                 raise InputError(name, getattr(self, name), "none beside W", "No input would be free to answer to w.")
-        if self.terminal_set is None and len(self.state_rows[1]) + len(self.input_rows[1]):
-            sets = self.state_rows, self.input_rows
-            self._set(terminal_rows=robust_terminal_rows(self.A, self.B, self.gain, *sets, self._entry, self.W))
-        for kind, k in (("state", self.horizon), ("input", self.horizon - 1), ("terminal", self.horizon)):
-            H, h = self.rows_at(kind, k)
-            if len(h) and is_empty(H, h):
-                raise InfeasibleError(f"disturbances of W leave nothing of the {kind} limits at step {k}. {ADVICE}")
+        if self.terminal_set is None:  # from a state of the robust set found here u = -Kx is a plan
+            if len(self.state_rows[1]) + len(self.input_rows[1]):
+                sets = self.state_rows, self.input_rows
+                self._set(
+                    terminal_rows=robust_terminal_rows(self.A, self.B, self.tube_gain, *sets, self._entry, self.W)
+                )
+            return
+        N = self.horizon
+        for kind, steps in (("state", range(1, N + 1)), ("input", range(N)), ("terminal", (N,))):
+            for k in steps:
+                H, h = self.rows_at(kind, k)
+                if len(h) and is_empty(H, h):
+                    raise InfeasibleError(f"disturbances of W leave nothing of the {kind} limits at step {k}. {ADVICE}")
 
     @property
     def _entry(self) -> Array:
@@ -119,20 +125,28 @@ class MPCProblem:
         return np.eye(self.nx) if self.E is None else self.E
 
     @cached_property
+    def tube_gain(self) -> Array:
+        """Gain K (nu, nx) by which limits are tightened, see `mpc.robust.tube_gain`."""
+        units = self.limits.price_units()
+        sides = (self.state_rows, units["state"]), (self.input_rows, units["input"])
+        weights = {"Q": self.Q, "R": self.R, "S": self.S}
+        return frozen(tube_gain(self.A, self.B, weights, sides, self._entry, self.W))
+
+    @cached_property
     def bounds(self) -> dict[str, Array]:
-        """Bounds h (N + 1, rows) of the "state", "input" and "terminal" limits, step by step, tightened for W."""
+        """Bounds h (N + 1, rows) of each kind, tightened for W."""
         sets = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}
         if self.W is None:
             return {kind: np.broadcast_to(h, (self.horizon + 1, len(h))) for kind, (_, h) in sets.items()}
-        loop = self.A - self.B @ self.gain
-        rows = {kind: -H @ self.gain if kind == "input" else H for kind, (H, _) in sets.items()}
+        loop = self.A - self.B @ self.tube_gain
+        rows = {kind: -H @ self.tube_gain if kind == "input" else H for kind, (H, _) in sets.items()}
         return {
             kind: frozen(h - tightened(rows[kind], loop, self._entry, self.W, self.horizon))
             for kind, (_, h) in sets.items()
         }
 
     def rows_at(self, kind: str, step: int) -> tuple[Array, Array]:
-        """Half-spaces {v : Hv <= h} of a "state", "input" or "terminal" limit at a step, tightened for W."""
+        """Half-spaces of a kind of limit at a step, tightened."""
         H = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}[kind][0]
         return H, self.bounds[kind][step]
 

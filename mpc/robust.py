@@ -9,21 +9,25 @@ linear systems", Mathematical Problems in Engineering 4(4), 1998: the terminal s
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from ccdtools_ground.door import shown
+from mpc.budgets import INPUT_WEIGHTS, TUBE_STEPS
 from mpc.checks import Array, as_set
-from mpc.exceptions import InfeasibleError, InputError
+from mpc.exceptions import InfeasibleError, InputError, NotStabilisableError
+from mpc.riccati import lqr
 
 Rows = tuple[Array, Array]
-ADVICE = "Shrink W, widen X and U, or weigh the states more: a faster loop leaves less room to disturbances."
+Sides = tuple[tuple[Rows, Array], tuple[Rows, Array]]  # half-spaces of X and U, with the size of each row
+ADVICE = "Shrink W (a lower level, a better model), or widen X and U."
 
 
 def as_disturbance_set(value: Any, E: Array) -> Any:
-    """Bounded set W with a point, of as many coordinates as E has columns."""
+    """Bounded set W with a point, for the columns of E."""
     W = value if hasattr(value, "support") else as_set("W", value, E.shape[1])
     if not hasattr(W, "support"):
         raise InputError("W", shown(value), "a Polytope, or finite bounds (lower, upper)")
@@ -35,9 +39,10 @@ def as_disturbance_set(value: Any, E: Array) -> Any:
 
 
 def tightened(rows: Array, loop: Array, E: Array, W: Any, steps: int) -> Array:
-    """Room (steps + 1, m) that disturbances of k = 0, 1, … steps take along `rows` (m, nx) of a state.
+    """Room (steps + 1, m) that disturbances take along rows.
 
-    The support of ⊕_{i<k} loopⁱ E W: the error of a prediction under the gain that `loop` = A − B K is closed by.
+    For k = 0, 1, … steps and `rows` (m, nx) of a state, the support of ⊕_{i<k} loopⁱ E W: the error of a prediction
+    under the gain that `loop` = A − B K is closed by.
     """
     room = np.zeros((steps + 1, len(rows)))
     for k in range(steps):
@@ -46,8 +51,33 @@ def tightened(rows: Array, loop: Array, E: Array, W: Any, steps: int) -> Array:
     return room
 
 
+def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Array, W: Any) -> Array:
+    """Regulator (nu, nx) that leaves most of the limits.
+
+    Those with the weight of the inputs times `INPUT_WEIGHTS` are compared. A gain that is high for the cost's sake
+    passes disturbances on to the inputs; one that is low, to the states. Both are counted in the limits' own size, and
+    the row that is left least decides.
+    """
+    (HX, _), (HU, _) = (rows for rows, _ in sides)
+    units = np.concatenate([unit for _, unit in sides])
+
+    def left(K: Array) -> float:
+        rows = np.vstack([HX, -HU @ K])
+        with np.errstate(over="ignore", invalid="ignore"):
+            room = tightened(rows, A - B @ K, E, W, TUBE_STEPS)[-1]
+        return float(np.nan_to_num(1 - room / units, nan=-np.inf).min(initial=np.inf))
+
+    gains = [lqr(A, B, **weights)[0]]
+    for by in INPUT_WEIGHTS:
+        with suppress(NotStabilisableError):  # an input may become too dear for the solver's digits
+            gains.append(lqr(A, B, **{**weights, "R": by * weights["R"]})[0])
+    return max(gains, key=left)
+
+
 def robust_terminal_rows(A: Array, B: Array, K: Array, state: Rows, action: Rows, E: Array, W: Any) -> Rows:
-    """Half-spaces of the largest set that u = −K x keeps within both limits whatever w ∈ W does.
+    """Half-spaces of the largest robust set under u = −K x.
+
+    It is kept within both limits whatever w in W does.
 
     Raises
     ------

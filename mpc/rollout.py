@@ -126,7 +126,7 @@ def violation_of(problem: MPCProblem, states: Array) -> float:
 
 
 def _excesses(problem: MPCProblem, states: Array) -> tuple[Array, Array]:
-    """Excess over the limits of states (N, rows) and at the end (rows,)."""
+    """Excess over limits (N, rows), and at the end (rows,)."""
     end, at_end = problem.rows_at("terminal", problem.horizon)
     return finite(states[1:] @ problem.state_rows[0].T) - problem.bounds["state"][1:], finite(end @ states[-1]) - at_end
 

@@ -8,6 +8,7 @@ Chen et al., "Approximating explicit model predictive control using constrained 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -64,15 +65,23 @@ class ExpertData(Immutable):
         return f"ExpertData({len(self.inputs)} samples, {self.acceptance:.0%} feasible, {self.diverged:.1%} diverged)"
 
 
-def feasible_sets(problem: CoDesignProblem) -> ParametricSet:
-    """Maximal control invariant sets X_fea(p), computed when asked for."""
+def feasible_sets(
+    problem: CoDesignProblem, *, W: Polytope | Callable[[Array], Polytope] | None = None
+) -> ParametricSet:
+    """Maximal control invariant sets X_fea(p), computed when asked for.
+
+    With a set W of errors x⁺ − Ax − Bu (nx,), or W(p), they are robust: some input keeps the state in them whatever
+    the error is.
+    """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     matrices = partial(_state_and_input_matrices, problem.model)
     X, U = (limits.at if isinstance(limits, DesignLimits) else limits for limits in (problem.X, problem.U))
-    return ParametricSet(matrices, X, U)
+    return ParametricSet(matrices, X, U, W=W)
 
 
-def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Polytope | None = None) -> AdmissibleInputs:
+def admissible_inputs(
+    problem: CoDesignProblem, design: ArrayLike, *, into: Polytope | None = None, W: Polytope | None = None
+) -> AdmissibleInputs:
     """Inputs that keep the next nominal state in X_fea(p).
 
     Parameters
@@ -82,6 +91,9 @@ def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Poly
     into : Polytope, optional
         Another set for the next state; by default X_fea(p), the maximal control invariant set of the design, or as
         much of it as is certified within a minute.
+    W : Polytope, optional
+        Errors x⁺ − Ax − Bu (nx,), such as `ccdtools.twin.disturbance_set` finds in a log. X_fea(p) is then the robust
+        one, and the next state is kept in it whatever the error is.
 
     Raises
     ------
@@ -93,13 +105,13 @@ def admissible_inputs(problem: CoDesignProblem, design: ArrayLike, *, into: Poly
     A, B, _ = problem.model.matrices(p)
     U = problem.input_limits(p)
     if into is None:
-        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, time_limit=SET_SECONDS)
+        found = maximal_control_invariant_set(A, B, problem.state_limits(p), U, W=W, time_limit=SET_SECONDS)
         into = found.set
         if into.is_empty:
             got = f"{problem.design.describe(p)}, where no control invariant set in X was found ({found.status.name})"
             raise InputError("design", got, "a design at which some states can be kept within X", found.status.advice)
     as_instance("into", into, Polytope, "a Polytope or None")
-    return AdmissibleInputs(A, B, into, U)
+    return AdmissibleInputs(A, B, into, U, W=W)
 
 
 def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:

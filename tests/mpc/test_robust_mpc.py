@@ -1,15 +1,19 @@
 """LinearMPC(W=…): limits are kept whatever disturbances of W do, and a plan follows a plan."""
 
+import ctypes
 import itertools
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
 
 from invariant_sets import Polytope, maximal_positively_invariant_set
-from mpc import InfeasibleError, InputError, LinearMPC, Status, lqr
+from mpc import ExplicitMPC, InfeasibleError, InputError, LinearMPC, Status
 
 A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]])
 X, U, W = ([-5, -0.8], [5, 0.8]), (-1, 1), ([-0.002, -0.03], [0.002, 0.03])
+CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 OWN = {"Q": [1.0, 0.1], "R": 0.1, "X": X, "U": U}
 
 
@@ -63,7 +67,7 @@ def test_a_loop_that_has_a_plan_keeps_its_limits_under_disturbances_at_the_verti
 
 def test_the_limits_of_a_step_are_those_that_every_sequence_of_vertices_leaves():
     controller = cart(horizon=5)
-    qp, loop = controller.build(), A - B @ controller.gain
+    qp, loop = controller.build(), A - B @ controller.tube_gain
     corners = np.array(list(itertools.product(*zip(*W))))
     for step in range(6):
         sums = np.zeros((1, 2))
@@ -72,7 +76,7 @@ def test_the_limits_of_a_step_are_those_that_every_sequence_of_vertices_leaves()
         for label, bound in zip(qp.labels, qp.w):
             if label.step == step and label.kind in ("state", "input"):
                 H, h = controller.state_rows if label.kind == "state" else controller.input_rows
-                error = sums if label.kind == "state" else -sums @ controller.gain.T
+                error = sums if label.kind == "state" else -sums @ controller.tube_gain.T
                 assert bound == pytest.approx(h[label.row] - (error @ H[label.row]).max(), abs=1e-12)
 
 
@@ -91,7 +95,7 @@ def test_without_w_the_same_loop_leaves_its_limits():
 
 
 def test_the_terminal_set_is_the_largest_robust_one():
-    K, _ = lqr(A, B, Q=np.diag(OWN["Q"]), R=OWN["R"])
+    K = cart().tube_gain
     limits = Polytope.from_bounds([-5, -0.8, -1], [5, 0.8, 1])
     found = maximal_positively_invariant_set(A - B @ K, limits, C=np.vstack([np.eye(2), -K]), W=W)
     assert Polytope(*cart().terminal_rows).equals(found.set)
@@ -117,6 +121,82 @@ def test_the_explicit_law_is_the_online_one():
     states = [x for x in rng.uniform(*X, (200, 2)) if controller.solve(x).status is Status.SOLVED]
     assert len(states) > 20
     np.testing.assert_allclose(law(np.array(states)), controller(np.array(states)), atol=1e-7)
+
+
+@pytest.mark.skipif(CC is None, reason="no C compiler")
+def test_c_code_and_a_stored_law_are_the_online_one(tmp_path):
+    controller = cart(horizon=5)
+    law = controller.explicit()
+    rng = np.random.default_rng(0)
+    states = np.array([x for x in rng.uniform(*X, (300, 2)) if controller.solve(x).status is Status.SOLVED])
+    assert len(states) > 20
+    law.save(tmp_path / "law")
+    np.testing.assert_array_equal(ExplicitMPC.load(tmp_path / "law")(states), law(states))
+    law.to_c(tmp_path)
+    library = tmp_path / "law.so"
+    subprocess.run([CC, "-std=c99", "-O2", "-shared", "-fPIC", tmp_path / "mpc.c", "-o", library], check=True)
+    c_law = ctypes.CDLL(str(library)).mpc_law
+    c_law.restype = ctypes.c_double
+    u = np.zeros(1)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    for x in states:
+        c_law(np.ascontiguousarray(x).ctypes.data_as(pointer), u.ctypes.data_as(pointer))
+        assert u == pytest.approx(controller(x), abs=1e-7)
+
+
+def test_an_explicit_loop_keeps_its_limits_over_thousands_of_steps_at_the_vertices():
+    controller = cart(horizon=5)
+    law = controller.explicit()
+    rng = np.random.default_rng(1)
+    corners = np.array(list(itertools.product(*zip(*W))))
+    states = np.array([x for x in rng.uniform(*X, (300, 2)) if controller.solve(x).status is Status.SOLVED])
+    pushed = np.argmax(corners @ rng.standard_normal((2, len(states))) / X[1][1], axis=0)
+    for step in range(3000):
+        u = law(states)
+        assert (np.abs(u) <= 1 + 1e-9).all()
+        chosen = np.where(np.arange(len(states)) % 2, pushed, rng.integers(4, size=len(states)))
+        chosen = pushed if step % 500 < 250 else chosen
+        states = states @ A.T + u @ B.T + corners[chosen]
+        assert (np.abs(states) <= np.array(X[1]) + 1e-8).all()
+
+
+@pytest.mark.parametrize("low", [-0.03, 0.0, 0.01])
+def test_a_set_without_the_origin_and_a_flat_one_keep_the_limits_too(low):
+    flat = Polytope.from_bounds([0.0, low], [0.0, 0.03])
+    controller = cart(W=flat, E=np.eye(2))
+    x = np.array([-1.0, 0.2])
+    rng = np.random.default_rng(2)
+    for step in range(300):
+        plan = controller.solve(x)
+        assert plan.status is Status.SOLVED
+        x = A @ x + B @ plan.inputs[0] + [0.0, low if rng.random() < 0.3 and step > 150 else 0.03]
+        assert (np.abs(x) <= np.array(X[1]) + 1e-8).all()
+
+
+def test_soft_limits_priced_enough_give_nothing_where_a_plan_exists():
+    hard, soft = cart(), cart(soft=(1e4, 1.0))
+    for x in ([-1.5, 0.5], [1.0, -0.6], [0.2, 0.75]):
+        assert hard.solve(x).status is Status.SOLVED
+        assert soft(x) == pytest.approx(hard(x), abs=1e-6)
+
+
+def test_a_reference_changes_the_input_and_not_which_states_have_a_plan():
+    rng = np.random.default_rng(3)
+    controller = cart()
+    for x in rng.uniform(*X, (40, 2)):
+        assert controller.solve(x).status is controller.solve(x, x_ref=[2.0, 0.0]).status
+    assert controller([0.5, 0.0], x_ref=[2.0, 0.0]) > controller([0.5, 0.0])
+
+
+def test_where_the_costs_gain_leaves_nothing_of_the_inputs_the_tube_has_a_lower_one():
+    eager = cart(Q=[1e6, 1e3])
+    wanted = np.abs(eager.gain).max()
+    assert np.abs(eager.tube_gain).max() < 0.2 * wanted
+    limits = Polytope.from_bounds([-5, -0.8, -1], [5, 0.8, 1])
+    of_the_cost = maximal_positively_invariant_set(
+        A - B @ eager.gain, limits, C=np.vstack([np.eye(2), -eager.gain]), W=W
+    )
+    assert of_the_cost.set.is_empty
 
 
 def test_a_state_without_a_plan_is_told_and_explained():

@@ -47,6 +47,28 @@ def test_it_is_flat_where_errors_enter_one_direction():
     assert W.bounding_box()[1][2] == pytest.approx(0.0, abs=1e-12)
 
 
+def test_it_is_no_wider_along_the_states_than_independent_errors_are():
+    drawn = np.random.default_rng(2).standard_normal((1, 20000, 2)) * [1.0, 100.0]
+    still = np.zeros_like(drawn)
+    low, high = disturbance_set(Residuals(still, still, still[..., :1], np.ones(1), drawn), level=0.99).bounding_box()
+    np.testing.assert_allclose((high - low) / 2, np.array([2.81, 281.0]), rtol=0.06)  # of √0.99 of a normal, each side
+
+
+def test_errors_of_one_direction_cost_no_more_than_its_own_quantile():
+    along = np.random.default_rng(3).standard_normal((1, 20000, 1)) * [1.0, -2.0, 0.5]
+    still = np.zeros_like(along)
+    low, high = disturbance_set(Residuals(still, still, still[..., :1], np.ones(1), along), level=0.95).bounding_box()
+    np.testing.assert_allclose((high - low) / 2, [1.96, 3.92, 0.98], rtol=0.15)
+
+
+def test_fewer_errors_than_states_are_held_as_well():
+    drawn = np.random.default_rng(4).standard_normal((10, 1, 4))
+    still = np.zeros_like(drawn)
+    log = Residuals(still, still, still[..., :1], np.ones(1), drawn)
+    W = disturbance_set(log, level=0.5, held_out=0.8)
+    assert W.contains(drawn[2:, 0]).mean() >= 0.5
+
+
 def test_from_a_log_to_a_controller_that_keeps_its_limits():
     study = load_study("illustrative")
     problem, real, rng = study.problem(), study.real, np.random.default_rng(0)

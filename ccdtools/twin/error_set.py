@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import qr
+from scipy.stats import rankdata
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_instance, as_share, shown
@@ -18,17 +20,20 @@ from invariant_sets import Polytope
 def disturbance_set(
     logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS
 ) -> Polytope:
-    """Set W (nx,) that holds one-step errors x⁺ − f(x, u, 0, p) jointly at a level, for `LinearMPC(W=…)`.
+    """Set W of one-step errors at a level.
 
-    A box along the principal axes of the errors, in units of their standard deviations, between the outer quantiles of
-    each axis. Its size is conformal: the last part of every block of a log, which the axes and quantiles have not seen,
-    says by which factor all sides grow or shrink until the level is held, all coordinates at once. That is exact for
-    samples that could be exchanged; errors of one drive follow each other, and another drive has others.
+    It holds e⁺ = x⁺ − f(x, u, 0, p) (nx,), all states at once, and is what `LinearMPC(W=…)` takes.
+
+    A box of what the error of each state adds to that which those before it explain by regression, in the order that
+    explains most, between quantiles that hold the level together. Its size is conformal: the last part of every block
+    of a log, which regression and quantiles have not seen, says by which factor all sides grow or shrink until the
+    level is held, all coordinates at once. That is exact for samples that could be exchanged; errors of one drive
+    follow each other, and another drive has others.
 
     Parameters
     ----------
     logs : Residuals, or a sequence of them at one design
-        From `residuals(model, log)`, or `twin.carried()`.
+        `twin.logs`, or `twin.carried()` for several designs.
     level : float
         Share of the errors within the set, in (0, 1).
     held_out : float
@@ -69,16 +74,34 @@ def disturbance_set(
         got = f"{count} samples held out to calibrate a level of {level:g}"
         raise InputError("logs", got, f"at least {int(np.ceil(level / (1 - level)))}: a longer log, or a lower level")
     errors, unseen = (stacked(part)[-1] for part in parts)
+    back = _regressed(errors)
+    scores, unseen_scores = (np.linalg.solve(back, rows.T).T for rows in (errors, unseen))
+    place = rankdata(scores, axis=0) / (len(scores) + 1)
+    outside = np.quantile(np.minimum(place, 1 - place).min(axis=1), 1 - level)  # of each axis, on each of its sides
+    low, high = np.quantile(scores, (outside, 1 - outside), axis=0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    factor = np.partition(_sizes(unseen_scores - middle, half), rank - 1)[rank - 1]
+    return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(back)
+
+
+def _regressed(errors: Array) -> Array:
+    """Matrix (nx, nx) from independent parts of errors to errors.
+
+    Part i is what the error of a state adds to those before it, in standard deviations of that error.
+    """
     unit = errors.std(axis=0)
     unit = np.where(unit > 0, unit, 1.0)
-    axes = np.linalg.svd((errors - errors.mean(axis=0)) / unit, full_matrices=False)[2]
-    low, high = np.quantile(errors / unit @ axes.T, ((1 - level) / 2, (1 + level) / 2), axis=0)
-    middle, half = (low + high) / 2, (high - low) / 2
-    factor = np.partition(_sizes(unseen / unit @ axes.T - middle, half), rank - 1)[rank - 1]
-    return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(unit[:, None] * axes.T)
+    nx = len(unit)
+    centred = np.vstack([(errors - errors.mean(axis=0)) / unit, np.zeros((nx, nx))])
+    _, R, order = qr(centred, mode="economic", pivoting=True)
+    added = np.abs(np.diag(R))
+    columns = np.where(added > 0, R.T * np.sign(np.diag(R)) / np.where(added > 0, added, 1.0), np.eye(nx))
+    back = np.zeros((nx, nx))
+    back[order] = columns
+    return np.asarray(unit[:, None] * back)
 
 
 def _sizes(offsets: Array, half: Array) -> Array:
-    """Least factor (n,) by which a box of half widths holds each offset (n, nx)."""
+    """Least factors (n,) of a box that hold offsets (n, nx)."""
     least = np.finfo(float).eps * np.abs(offsets).max(initial=np.finfo(float).tiny)
     return np.asarray((np.abs(offsets) / np.maximum(half, least)).max(axis=1))

@@ -1,0 +1,129 @@
+"""MPC that keeps its limits under what a log says of the model's errors, with what that costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.checks import as_generator, as_instance
+from ccdtools.co_design.budgets import SET_SECONDS
+from ccdtools.co_design.closed_loop import ClosedLoopReturns, closed_loop_returns
+from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
+from ccdtools.co_design.expert import feasible_sets
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.exceptions import InputError
+from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.error_set import disturbance_set
+from ccdtools.twin.residuals import residuals
+from invariant_sets import Polytope, SetResult
+from mpc import LinearMPC
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RobustMPC:
+    """Tightened controller of a log, and the price of its guarantee.
+
+    Attributes
+    ----------
+    controller : LinearMPC
+        From every state that has a plan it keeps X and U as long as errors stay in W.
+    W : Polytope
+        Errors of one step (nx,), see `disturbance_set`.
+    level : float
+        Share of the errors within W.
+    nominal_set, robust_set : SetResult
+        States that some input keeps within X for ever, without errors and whatever errors of W do.
+    nominal, tightened : ClosedLoopReturns
+        Returns and violations of MPC without and with W, on the same scenarios of the problem.
+    """
+
+    controller: LinearMPC
+    W: Polytope
+    level: float
+    nominal_set: SetResult
+    robust_set: SetResult
+    nominal: ClosedLoopReturns
+    tightened: ClosedLoopReturns
+
+    @property
+    def price(self) -> PairedDifference:
+        """Return that tightening costs, over runs that neither loses."""
+        kept = ~(self.nominal.lost | self.tightened.lost)
+        return paired_difference(self.nominal.values[kept], self.tightened.values[kept])
+
+    @cached_property
+    def volume_left(self) -> float:
+        """Part of the volume of the nominal set that the robust set has."""
+        return self.robust_set.set.volume / self.nominal_set.set.volume
+
+    def __str__(self) -> str:
+        """Price, violations and volume in a sentence."""
+        low, high = self.price.ci95
+        return (
+            f"{self.level:.4g} of the errors are allowed for at a return of {self.price.mean:.4g} "
+            f"[{low:.4g}, {high:.4g}] less; states outside X: {self.tightened.outside:.3%}, without "
+            f"{self.nominal.outside:.3%}; volume left of X_fea: {self.volume_left:.1%}"
+        )
+
+    def __repr__(self) -> str:
+        return f"RobustMPC(level={self.level:g}, {self.controller!r})"
+
+
+def robust_mpc(
+    problem: CoDesignProblem, design: ArrayLike, logs: Any, *, rng: np.random.Generator, level: float = 0.99,
+    horizon: int = HORIZON, runs: int | None = None,
+) -> RobustMPC:  # fmt: skip
+    """Controller whose limits hold under a log's errors, with price.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    design : (np,) array_like
+        That of the logs.
+    logs : Trajectory or Residuals, or a sequence of them
+        From `deploy`, or `twin.carried()` for a design that was not deployed.
+    rng : numpy.random.Generator
+        Draws the scenarios of the price.
+    level : float
+        Share of the errors to allow for, in (0, 1).
+    horizon : int
+        [steps]
+    runs : int, optional
+        As in `closed_loop_returns`.
+
+    Raises
+    ------
+    InputError
+        If the logs are of another design, or too short for the level.
+    mpc.InfeasibleError
+        If errors of such a size leave nothing of the limits: take a lower level, or a better model.
+
+    Examples
+    --------
+    >>> found = robust_mpc(problem, design, deploy(plant, law, design, disturbance, x0=x0), rng=rng)
+    >>> print(found)
+    >>> u = found.controller(x)
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    seed = int(as_generator("rng", rng).integers(2**63))
+    p = problem.design.check_one(design)
+    given: Sequence[Any] = logs if isinstance(logs, list | tuple) else [logs]
+    errors = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
+    W = disturbance_set(errors, level=level)
+    if not np.array_equal(errors[0].p, p):
+        raise InputError(
+            "logs", f"logs at {errors[0].p}", f"at {p}", "`DigitalTwin.carried()` carries them to the newest."
+        )
+    controllers = [linear_mpc(problem, p, horizon=horizon, W=one) for one in (None, W)]
+    sets = [replace(feasible_sets(problem, W=one), time_limit=SET_SECONDS).result(p) for one in (None, W)]
+    returns = [
+        closed_loop_returns(problem, controller, p, np.random.default_rng(seed), runs=runs)
+        for controller in controllers
+    ]
+    return RobustMPC(controllers[1], W, level, sets[0], sets[1], returns[0], returns[1])
