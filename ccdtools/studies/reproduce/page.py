@@ -77,5 +77,5 @@ def notes_of(budget: Budget) -> list[str]:
         f"paper has {epochs}. The suspension is deployed on {road}. σ_ss is of {window}.",
         "Generation 2 is what the rule of decision deploys; on the updated model stands what the second co-design "
         "proposes. The optimum is that of a dynamic program, or the best saturated LQR of a grid of designs; of RMSE "
-        "and pinball loss it is the floor.",
+        "and pinball loss it is the floor, or of the suspension what linear prediction of the road leaves.",
     ]

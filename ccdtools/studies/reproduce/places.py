@@ -122,8 +122,8 @@ def best_of(values: Array, *, lower: bool) -> int:
 def floors(study: Study, steps: int) -> dict[str, Array]:
     """Least root mean square and pinball loss of a one-step error, over all states.
 
-    Of the illustrative example those of the noise that enters its real plant. Of the suspension what linear prediction
-    of the road from its last samples leaves, fitted to that road itself, at the paper's first design.
+    Of the illustrative example those of the noise that enters its real plant. Of the suspension, where no floor is
+    known, what linear prediction of the road from its last samples leaves at the paper's first design.
     """
     rng = np.random.default_rng(COMMON)
     if study.name == "illustrative":

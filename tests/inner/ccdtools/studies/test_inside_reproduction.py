@@ -100,7 +100,11 @@ LINE = Line("illustrative", "nominal-after", "", "after")  # the paper: −69.78
         (Cell(-25.0, -26.0, -24.0), Cell(-24.0, -24.0, -24.0), "better: +64 %"),
         (Cell(-69.5, -70.5, -68.5), Cell(-24.0, -24.0, -24.0), "reproduced within chance"),
         (Cell(-80.0, -81.0, -79.0), Cell(-24.0, -24.0, -24.0), "worse: −15 %"),
-        (Cell(-80.0, -81.0, -79.0), Cell(-75.0, -75.5, -74.5), "cannot be here, because the best found is −75"),
+        (
+            Cell(-80.0, -81.0, -79.0),
+            Cell(-75.0, -75.5, -74.5),
+            "cannot be here, because no LQR of the grid comes there: −75.00 at best",
+        ),
         (Cell(), Cell(), "not measured"),
     ],
 )
