@@ -187,6 +187,11 @@ def verdict(line: Line, found: Found, ours: Cell, optimum: Cell) -> str:
     word = apart(ours, paper, lower=line.lower).word("reproduced within chance")
     if not np.isfinite(optimum.mean) or apart(paper, optimum, lower=line.lower).status is not Status.BETTER:
         return word
+    return _out_of_reach(line, optimum, word)
+
+
+def _out_of_reach(line: Line, optimum: Cell, word: str) -> str:
+    """Why a figure of the paper beyond the optimum cannot be, as far as that was measured."""
     best = with_minus(number(optimum.mean))
     if line.key != "rmse":
         bound = "no policy at a design of the grid" if optimum.at.startswith("dynamic") else "no LQR of the grid"
