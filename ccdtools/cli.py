@@ -230,8 +230,12 @@ def reproduce(
         budget = Budget(quick, paper_budgets, recorded_road())
         folder = begun(path, budget, overwrite=overwrite)
     _single_thread()
-    with folder.locked("--output"), insisting():
-        typer.echo(reproduced(folder, budget, jobs=processes, echo=typer.echo, progress=sys.stderr.isatty()))
+    try:
+        with folder.locked("--output"), insisting():
+            typer.echo(reproduced(folder, budget, jobs=processes, echo=typer.echo, progress=sys.stderr.isatty()))
+    except KeyboardInterrupt:
+        typer.echo("\nInterrupted. What was finished is kept: the same command goes on.")
+        raise
 
 
 @app.command()
