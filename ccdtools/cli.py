@@ -207,6 +207,40 @@ def codesign(
 
 
 @app.command()
+def reproduce(
+    output: Annotated[str, typer.Option(help="Folder; one that was begun so goes on.")] = "runs/paper",
+    quick: Annotated[bool, typer.Option("--quick", help="Every row with few samples and two seeds.")] = False,
+    paper_budgets: Annotated[
+        bool, typer.Option("--paper-budgets", help="All 10 000 epochs for the preset paper; hours.")
+    ] = False,
+    jobs: Annotated[str, typer.Option(metavar="INTEGER", help="Processes; -1 for all cores.")] = "1",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what is in the folder.")] = False,
+) -> None:
+    """Both case studies beside the paper, row by row: a table, a page and figures.
+
+    Every finished stage is kept: after Ctrl-C the same command goes on. The recorded road is taken from the folder
+    that CCDTOOLS_DATA names.
+    """
+    processes = as_jobs(whole_number("--jobs", jobs), "--jobs")
+    path = _output(output).path
+    if quick and paper_budgets:
+        raise InputError("--paper-budgets", "it together with --quick", "one of them")
+    with held_back():
+        from ccdtools.studies.reproduce.budget import Budget, recorded_road
+        from ccdtools.studies.reproduce.command import begun, reproduced
+
+        budget = Budget(quick, paper_budgets, recorded_road())
+        folder = begun(path, budget, overwrite=overwrite)
+    _single_thread()
+    try:
+        with folder.locked("--output"), insisting():
+            typer.echo(reproduced(folder, budget, jobs=processes, echo=typer.echo, progress=sys.stderr.isatty()))
+    except KeyboardInterrupt:
+        typer.echo("\nInterrupted. What was finished is kept: the same command goes on.")
+        raise
+
+
+@app.command()
 def export(
     folder: Annotated[str, typer.Argument(help="Folder of a run, or a saved policy.")],
     to: Annotated[str, typer.Option(help="c (C99, header and source) or onnx.")] = "c",
