@@ -17,7 +17,6 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
-from mpc import ExplicitMPC
 
 Law = Callable[[Array], Array]
 DesignLaw = Callable[[CoDesignProblem, Array], Law]  # a law of each design, as the `laws` of a study
@@ -96,11 +95,14 @@ def expert_law(
     if expert == "lqr":
         kept = set_filter(problem, starts)
         return lambda x: kept(x, starts.regions.inputs(x, np.arange(len(x))))
-    make = {"mpc": linear_mpc, "explicit": _explicit}[expert] if isinstance(expert, str) else expert
-    options = {"horizon": horizon} if isinstance(expert, str) else {}
+    experts: dict[Any, DesignLaw] = {
+        "mpc": lambda problem, p: linear_mpc(problem, p, horizon=horizon),
+        "explicit": lambda problem, p: linear_mpc(problem, p, horizon=horizon).explicit(),
+    }
+    make = experts[expert] if isinstance(expert, str) else expert
     label = f"{expert if isinstance(expert, str) else 'law'} of every design"
     designs: Any = counted(starts.p, label, total=len(starts.p), progress=progress)
-    controllers = [make(problem, p, **options) for p in designs]
+    controllers = [make(problem, p) for p in designs]
 
     def planned(x: Array) -> Array:
         """Inputs (n, nu) of every run's controller."""
@@ -110,11 +112,6 @@ def expert_law(
         return u
 
     return planned
-
-
-def _explicit(problem: CoDesignProblem, design: Array, *, horizon: int) -> ExplicitMPC:
-    """Explicit MPC of a design."""
-    return linear_mpc(problem, design, horizon=horizon).explicit()
 
 
 def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array], Array]:
