@@ -1,4 +1,5 @@
 from learning.checkpoint import load as load, save as save
+from learning.conformal import AdaptiveConformal as AdaptiveConformal, Conformal as Conformal
 from learning.exceptions import (
     CheckpointError as CheckpointError,
     DivergedError as DivergedError,

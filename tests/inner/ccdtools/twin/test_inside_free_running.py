@@ -124,5 +124,5 @@ def test_a_median_alone_gives_no_bands(illustrative, log):
 
 def test_draws_that_run_away_are_stopped_at_a_thousand_times_what_was_logged(twin, log):
     loose = LinearFeedback([[-9.0, -9.0]])
-    bands = free_running_bands(twin, log, loose, rng=np.random.default_rng(0), steps=(100,), windows=3, draws=4)
+    bands = free_running_bands(twin, log, loose, rng=np.random.default_rng(0), steps=(60,), windows=4, draws=4)
     assert 300 < np.abs(bands.upper).max() / np.abs(log.states).max() < 3000
