@@ -244,7 +244,7 @@ def _split(lengths: Sequence[int], config: QuantileConfig) -> tuple[NDArray[np.b
 
 def _shares(lengths: Sequence[int], fraction: float) -> list[int]:
     """Return a fraction of each length, rounded so that short ones together give it too."""
-    return np.diff(np.round(fraction * np.cumsum([0, *lengths])).astype(int)).tolist()
+    return [int(share) for share in np.diff(np.round(fraction * np.cumsum([0, *lengths])))]
 
 
 def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.controllers.controllers import Controller
 from ccdtools.simulation import simulate
 from ccdtools.twin.discrepancy import TwinPlant
@@ -71,7 +71,7 @@ class Windows:
     span: NDArray[np.int64]
     limit: Array
 
-    def ends(self, at: NDArray[np.int64], factors: Array) -> tuple[Array, Array]:
+    def ends(self, at: Indices, factors: Array) -> tuple[Array, Array]:
         """Lower and upper ends (k, n, nx) at some steps, for factors of the widths."""
         lower, upper = self.path[at] - factors * self.below[at], self.path[at] + factors * self.above[at]
         return np.maximum(lower, -self.limit), np.minimum(upper, self.limit)
