@@ -21,6 +21,7 @@ from tqdm import trange
 
 from ccdtools_ground.door import as_count, as_floats, as_generator
 from learning.checks import as_lengths, as_samples, as_sizes, check_instance, check_number, spread
+from learning.conformal import Conformal, samples_needed
 from learning.exceptions import InputError
 from learning.networks import FeedForward
 
@@ -44,13 +45,13 @@ class QuantileConfig:
     weight_decay : float
         Of AdamW.
     calibration : float
-        Last fraction of every training stretch, kept from the descent: it picks the best iterate and calibrates
-        the outer levels.
+        Last fraction of every training stretch, which calibrates the outer levels and trains nothing; as much of the
+        rest picks the best iterate. At 0 levels stay as fitted.
     """
 
     levels: tuple[float, ...] = (0.1, 0.5, 0.9)
     hidden: tuple[int, ...] = (32, 32)
-    steps: int = 1500
+    steps: int = 600
     batch: int = 512
     learning_rate: float = 3e-3
     weight_decay: float = 0.03
@@ -197,7 +198,7 @@ def fit_quantiles(
     targets : (n, m) or (n,) array_like
     stretches : sequence of int, optional
         Lengths of the contiguous stretches that make up the n samples; one stretch by default. The last part
-        of each is kept from the fit and calibrates the outer levels: a time series is never split at random.
+        of each trains nothing and calibrates the outer levels: a time series is never split at random.
     rng : numpy.random.Generator
         No number in its place: each fit of a loop would begin with the same weights.
     config : QuantileConfig, optional
@@ -205,26 +206,45 @@ def fit_quantiles(
     Raises
     ------
     InputError
-        On mismatched, too few (under 20) or non-finite samples.
+        On mismatched, too few (under 20) or non-finite samples, or where too few calibrate the outer levels: at least
+        level / (1 − level) of each side, so 45 samples for 0.1 and 0.9 with a fifth of them.
     """
     config = check_instance(QuantileConfig() if config is None else config, "config", QuantileConfig)
     rng = as_generator("rng", rng)
     x, y = as_samples(inputs, targets)
     lengths = as_lengths(stretches, "stretches", len(x))
-    held = _last_parts(lengths, config.calibration)
+    held, picking = _split(lengths, config)
     network = QuantileNetwork(x.shape[1], y.shape[1], config.levels, config.hidden, seed=int(rng.integers(2**31)))
     _set_scales(network, x, y)
-    _descend(network, (x[~held], y[~held]), (x[held], y[held]), config, rng, progress)
-    _calibrate(network, x[held], y[held])
+    train = ~held & ~picking
+    _descend(network, (x[train], y[train]), (x[picking], y[picking]), config, rng, progress)
+    if held.any():
+        _calibrate(network, x[held], y[held])
     if len(network.levels) > 1:
         network.positions = torch.tensor(_positions(network.predict(x), y), dtype=torch.float32)
     return network.eval()
 
 
-def _last_parts(lengths: Sequence[int], fraction: float) -> NDArray[np.bool_]:
-    """Return a mask of the samples that end each stretch."""
-    parts = [np.arange(n) >= n - round(fraction * n) for n in lengths]
-    return np.concatenate(parts)
+def _split(lengths: Sequence[int], config: QuantileConfig) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the samples that calibrate and of those that pick the iterate."""
+    fraction = config.calibration
+    alone = len(config.levels) == 1  # a median is not calibrated
+    kept = _shares(lengths, 0.0 if alone else fraction)
+    picking = _shares([n - k for n, k in zip(lengths, kept)], fraction)
+    needed = samples_needed(max(config.levels[-1], 1 - config.levels[0]))
+    if fraction > 0 and not alone and sum(kept) < needed:
+        got = f"{sum(lengths)} samples, of which {sum(kept)} calibrate the levels {config.levels}"
+        more = f"at least {needed}: some {int(np.ceil(needed / fraction))} samples"
+        raise InputError("inputs, targets", got, more, "A larger `calibration` takes fewer, 0 leaves levels as fitted.")
+    after = [np.arange(n, 0, -1) for n in lengths]  # samples from each to the end of its stretch
+    held = np.concatenate([left <= k for left, k in zip(after, kept)])
+    last = np.concatenate([left <= k + m for left, k, m in zip(after, kept, picking)])
+    return held, last & ~held
+
+
+def _shares(lengths: Sequence[int], fraction: float) -> list[int]:
+    """Return a fraction of each length, rounded so that short ones together give it too."""
+    return [int(share) for share in np.diff(np.round(fraction * np.cumsum([0, *lengths])))]
 
 
 def _set_scales(network: QuantileNetwork, x: Array, y: Array) -> None:
@@ -244,7 +264,8 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
              config: QuantileConfig, rng: np.random.Generator, progress: bool) -> None:  # fmt: skip
     """Minimise the pinball loss by Adam; keep the best validated weights."""
     (X, Y), (Xv, Yv) = ([torch.tensor(a, dtype=torch.float32) for a in pair] for pair in (train, validation))
-    optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay,
+                                  fused=True)  # fmt: skip
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.steps)
     best = np.inf
     kept = None
@@ -267,18 +288,17 @@ def _descend(network: QuantileNetwork, train: tuple[Array, Array], validation: t
 
 
 def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
-    """Stretch each gap, which stays positive, until its outer level is nominal on unseen samples."""
-    if len(x) < 20:
-        return
+    """Stretch each gap, which stays positive, until its outer level is held on unseen samples."""
     quantiles = network.predict(x)
     middle = len(network.levels) // 2
+    least = float(np.finfo(np.float32).eps)
     for side in (1, -1):
         inner = quantiles[:, middle]
         for k in range(middle + side, len(network.levels) if side > 0 else -1, side):
             gap = quantiles[:, k] - quantiles[:, k - side]
             ratio = (y - inner) / np.where(gap == 0, np.finfo(float).eps, gap)
-            level = network.levels[k]
-            factor = np.clip(np.quantile(ratio, level if side > 0 else 1 - level, axis=0), 0.05, 20.0)
+            level = network.levels[k] if side > 0 else 1 - network.levels[k]
+            factor = np.array([max(Conformal.fit(column, level).factors[0], least) for column in ratio.T])
             network.calibration[min(k, k - side)] = torch.tensor(factor, dtype=torch.float32)
             inner = inner + factor * gap
 

@@ -5,6 +5,8 @@ RANK = 1e-6  # Columns of E, each of length one, are dependent below this part o
 HELD_OUT = 0.2  # This part of every block of a log is held out by default.
 FEWEST_FITTED = 20  # Quantiles are fitted to at least so many samples.
 
+RECENT = 20  # So many errors before a window tell how rough it may become.
+
 # --- disturbances that were met --------------------------------------------------------------------------------------
 SETTLED_STEP = 1e-9  # A step whose effect is below this part of the error is the last.
 UNTOLD = 1e-6  # A disturbance whose effect is below this part of its largest in the log is not told from the error.

@@ -33,6 +33,10 @@ class DigitalTwin(Immutable):
     scale : (nx,) array, optional
         Extent of each state, such as half the width of X, by which the errors are split into what enters through E(p)
         and the rest. The largest |x| of the first log by default.
+    held_out : float
+        Part of every block of the newest log that trained nothing, as given to `update`.
+    blocks : int
+        As given to `update`.
     """
 
     model: Model
@@ -40,6 +44,8 @@ class DigitalTwin(Immutable):
     discrepancy: Discrepancy | None = None
     scores: QuantileScores | None = None
     scale: ArrayField | None = None
+    held_out: float = HELD_OUT
+    blocks: int = BLOCKS
 
     def __post_init__(self) -> None:
         as_model("model", self.model)
@@ -113,7 +119,8 @@ class DigitalTwin(Immutable):
         lengths = [part.runs * part.steps for part in parts]
         network = fit_quantiles(inputs, train[-1], stretches=lengths, rng=rng, config=config, progress=progress)
         discrepancy = Discrepancy(network, weight, design_as_feature, transport=twin.transport)
-        return replace(twin, discrepancy=discrepancy, scores=score_quantiles(network, tests, test[-1], train[-1]))
+        scores = score_quantiles(network, tests, test[-1], train[-1])
+        return replace(twin, discrepancy=discrepancy, scores=scores, held_out=held_out, blocks=blocks)
 
     def remembering(self, log: Trajectory) -> DigitalTwin:
         """Twin with one more log, not yet learned from."""

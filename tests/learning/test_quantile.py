@@ -211,7 +211,7 @@ def test_targets_of_one_output_may_be_a_vector(rng):
 
 
 def test_inputs_of_another_width_than_in_the_fit_are_refused(rng):
-    network = fit_quantiles(rng.standard_normal((30, 2)), np.zeros(30), rng=rng, config=QuantileConfig(steps=1))
+    network = fit_quantiles(rng.standard_normal((45, 2)), np.zeros(45), rng=rng, config=QuantileConfig(steps=1))
     for inputs in (np.zeros((3, 5)), np.zeros(3), 1.0, "a"):
         with pytest.raises(InputError, match="inputs: got"):
             network.predict(inputs)

@@ -61,6 +61,34 @@ def test_bands_cover_eighty_per_cent_of_a_log_that_was_never_seen(bands):
     assert ((bands.coverage > low) & (bands.coverage < high)).all()
 
 
+def test_a_tube_holds_all_states_at_all_steps_jointly(illustrative, twin):
+    fresh = log_of(illustrative, 4, 3000, 2)
+    bands = free_running_bands(
+        twin, fresh, law(illustrative), rng=np.random.default_rng(3), steps=(1, 10), windows=400, draws=30
+    )
+    starts = np.linspace(0, 4 * 2991 - 1, 400).round().astype(int)  # of windows of ten steps
+    run, first = starts // 2991, starts % 2991
+    for i, k in enumerate((1, 10)):
+        lower, upper = bands.tube(k)
+        actual = np.stack([fresh.states[run, first + h] for h in range(1, k + 1)])
+        held = ((actual >= lower) & (actual <= upper)).all(axis=(0, 2))
+        assert held.mean() == bands.joint[i]
+        assert 0.7 < held.mean() < 0.9  # 120 windows that do not overlap calibrate, 400 are judged
+        assert (lower <= upper).all()
+    with pytest.raises(InputError, match="steps: got 7, expected one of 1, 10"):
+        bands.tube(7)
+
+
+def test_too_few_windows_to_calibrate_are_refused_with_the_number_needed(twin, log):
+    message = "twin: got 0 windows of 100 steps, held out .* level of 0.8, expected at least 4"
+    with pytest.raises(InputError, match=message):
+        free_running_bands(twin, log, LAW, rng=np.random.default_rng(0), steps=[100])
+    bands = free_running_bands(twin, log, LAW, rng=np.random.default_rng(0), steps=[10, 100], windows=20, draws=5)
+    assert bands.steps.tolist() == [10]
+    with pytest.raises(InputError, match="windows: got 3"):
+        free_running_bands(twin, log, LAW, rng=np.random.default_rng(0), steps=[10], windows=3)
+
+
 @pytest.mark.check
 def test_the_draws_spread_as_far_as_the_plant(bands):
     np.testing.assert_allclose(bands.spread, 1.0, atol=0.12)
@@ -102,7 +130,7 @@ def test_samples_of_a_former_policy_are_left_out(illustrative, twin, log):
 
 def test_runs_that_run_away_are_bounded(illustrative, twin, log):
     away = LinearFeedback([[-5.0, -5.0]], [-1e3], [1e3])
-    bands = free_running_bands(twin, log, away, rng=np.random.default_rng(0), steps=[100], windows=5, draws=5)
+    bands = free_running_bands(twin, log, away, rng=np.random.default_rng(0), steps=[60], windows=5, draws=5)
     assert np.isfinite(bands.lower).all()
     assert (np.abs(bands.upper) <= 1e3 * np.abs(log.states).max(axis=(0, 1))).all()
 

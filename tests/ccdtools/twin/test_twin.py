@@ -139,7 +139,7 @@ def test_more_blocks_than_samples_are_as_many_as_there_are(illustrative):
     log = driven(illustrative, DESIGN, 1, 60, 0)
     twin = DigitalTwin(illustrative.model).update(
         log, weight=illustrative.weight, rng=np.random.default_rng(0), blocks=35, held_out=0.45,
-        config=replace(SHORT, steps=2),
+        config=replace(SHORT, steps=2, calibration=0.3),
     )  # fmt: skip
     assert twin.scores.samples + 35 == 60  # one to train on in each, of one sample or two
 

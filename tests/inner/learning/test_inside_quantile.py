@@ -6,7 +6,7 @@ import torch
 from scipy.stats import norm
 
 from learning import QuantileConfig, fit_quantiles
-from learning.quantile import QuantileNetwork, _last_parts, pinball
+from learning.quantile import QuantileNetwork, _split, pinball
 
 LEVELS = (0.1, 0.5, 0.9)
 SHORT = QuantileConfig(hidden=(16, 16), steps=500, batch=256)
@@ -79,9 +79,13 @@ def test_pinball_falls_below_that_of_constant_quantiles(fitted):
     assert (pinball(y, fitted.predict(x), LEVELS) < 0.95 * pinball(y, constant, LEVELS)).all()
 
 
-def test_the_end_of_every_stretch_is_kept_from_the_descent():
-    held = _last_parts([10, 5], 0.2)
-    np.testing.assert_array_equal(np.flatnonzero(held), [8, 9, 14])
+def test_the_end_of_every_stretch_calibrates_and_what_stands_before_picks_the_iterate():
+    held, picking = _split([50, 25], QuantileConfig(calibration=0.2))
+    np.testing.assert_array_equal(np.flatnonzero(held), [*range(40, 50), *range(70, 75)])
+    np.testing.assert_array_equal(np.flatnonzero(picking), [*range(32, 40), *range(66, 70)])
+    held, picking = _split([50], QuantileConfig(levels=(0.5,), calibration=0.2))  # a median is not calibrated
+    assert not held.any()
+    np.testing.assert_array_equal(np.flatnonzero(picking), range(40, 50))
 
 
 def test_the_split_is_in_time_whatever_the_generator(monkeypatch):
@@ -95,5 +99,5 @@ def test_the_split_is_in_time_whatever_the_generator(monkeypatch):
     for seed in (0, 1):
         fit_quantiles(x, x, stretches=[60, 40], rng=np.random.default_rng(seed))
     for train, validation in seen:
-        np.testing.assert_array_equal(train[:, 0], [*range(48), *range(60, 92)])
-        np.testing.assert_array_equal(validation[:, 0], [*range(48, 60), *range(92, 100)])
+        np.testing.assert_array_equal(train[:, 0], [*range(38), *range(60, 86)])
+        np.testing.assert_array_equal(validation[:, 0], [*range(38, 48), *range(86, 92)])

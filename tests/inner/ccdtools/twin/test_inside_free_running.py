@@ -13,6 +13,7 @@ from ccdtools.twin import free_running_bands
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.residuals import residuals
+from ccdtools.twin.windows import Drawing, Windows
 from learning import QuantileConfig
 from mpc import lqr
 
@@ -124,5 +125,24 @@ def test_a_median_alone_gives_no_bands(illustrative, log):
 
 def test_draws_that_run_away_are_stopped_at_a_thousand_times_what_was_logged(twin, log):
     loose = LinearFeedback([[-9.0, -9.0]])
-    bands = free_running_bands(twin, log, loose, rng=np.random.default_rng(0), steps=(100,), windows=3, draws=4)
+    bands = free_running_bands(twin, log, loose, rng=np.random.default_rng(0), steps=(60,), windows=4, draws=4)
     assert 300 < np.abs(bands.upper).max() / np.abs(log.states).max() < 3000
+
+
+def test_the_scale_of_a_window_is_the_mean_of_twenty_recent_errors(illustrative, twin, log):
+    errors = residuals(illustrative.model, log)
+    drawing = Drawing(twin, LAW, 1, 2, 5, 0.8)
+    windows = drawing.on(errors, [(0, 0, 5), (0, 1000, 1001)], np.random.default_rng(0))
+    size = np.abs(errors.e_next[0]) / np.abs(errors.e_next[0]).mean(axis=0)
+    assert windows.scale[0] == 1.0  # nothing is known before a run
+    assert windows.scale[-1] == pytest.approx(size[980:1000].mean())
+
+
+def test_scores_that_grow_with_the_scale_have_its_exponent():
+    scale = np.geomspace(0.1, 10.0, 50)
+    ones = np.ones((3, 50, 1))
+    off = ones * scale[:, None] ** 0.5 * [[[1.0]], [[-2.0]], [[1.0]]]
+    windows = Windows(0 * ones, ones, ones, off, np.ones((3, 1)), scale, np.zeros(50, int), np.ones(1))
+    np.testing.assert_allclose(windows.scores_at(2), [2 * scale**0.5, 2 * scale**0.5])
+    np.testing.assert_allclose(windows.scores_at(3), [scale**0.5, 2 * scale**0.5])
+    np.testing.assert_allclose(windows.exponents(3), 0.5)

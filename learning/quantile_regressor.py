@@ -1,0 +1,91 @@
+"""Quantile regression in the manner of scikit-learn's estimators, without scikit-learn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from learning.checks import as_samples
+from learning.exceptions import InputError
+from learning.quantile import QuantileConfig, fit_quantiles, pinball
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class QuantileRegressor:
+    """Conditional quantiles that cannot cross, calibrated on the last part of the samples.
+
+    The arguments are those of `QuantileConfig`, kept as given until `fit`; `clone`, pipelines and cross-validation of
+    scikit-learn take it as one of theirs. Each outer level is held on its side with the rank of finitely many samples.
+
+    Attributes
+    ----------
+    random_state : int or numpy.random.Generator
+        Of the weights and batches; the same integer gives the same fit.
+    n_features_in_ : int
+        After `fit`.
+    network_ : QuantileNetwork
+        After `fit`: to save, or to draw from.
+    """
+
+    levels: tuple[float, ...] = QuantileConfig.levels
+    hidden: tuple[int, ...] = QuantileConfig.hidden
+    steps: int = QuantileConfig.steps
+    batch: int = QuantileConfig.batch
+    learning_rate: float = QuantileConfig.learning_rate
+    weight_decay: float = QuantileConfig.weight_decay
+    calibration: float = QuantileConfig.calibration
+    random_state: int | np.random.Generator = 0
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Arguments by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def set_params(self, **params: Any) -> QuantileRegressor:
+        """Estimator with other arguments: this one, changed."""
+        for name, value in params.items():
+            if name not in self.get_params():
+                raise InputError(name, "no argument of QuantileRegressor", f"one of {', '.join(self.get_params())}")
+            setattr(self, name, value)
+        return self
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> QuantileRegressor:
+        """Estimator after a fit to inputs (n, d) and targets (n,) or (n, m), in time order.
+
+        Raises
+        ------
+        InputError
+            As `fit_quantiles`, and as `QuantileConfig`.
+        """
+        params = self.get_params()
+        rng = np.random.default_rng(params.pop("random_state"))
+        self.network_ = fit_quantiles(X, y, rng=rng, config=QuantileConfig(**params))
+        self.n_features_in_ = len(self.network_.input_offset)
+        self._vector = np.ndim(y) == 1
+        return self
+
+    def predict(self, X: ArrayLike) -> Array:
+        """Quantiles (n, levels), or (n, levels, m) where the targets of the fit were (n, m)."""
+        if not hasattr(self, "network_"):
+            raise InputError("self", "a QuantileRegressor without a fit", "one after `fit`")
+        quantiles = self.network_.predict(X)
+        return quantiles[..., 0] if self._vector else quantiles
+
+    def score(self, X: ArrayLike, y: ArrayLike) -> float:
+        """Mean pinball loss, negative: more is better."""
+        quantiles = self.predict(X)
+        x, targets = as_samples(X, y)
+        return -float(np.mean(pinball(targets, quantiles.reshape(len(x), len(self.levels), -1), self.levels)))
+
+    def __sklearn_tags__(self) -> Any:
+        """What scikit-learn asks of its estimators."""
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor", target_tags=TargetTags(required=True, multi_output=True),
+            regressor_tags=RegressorTags(), input_tags=InputTags(),
+        )  # fmt: skip

@@ -1,0 +1,101 @@
+"""Conformal factors hold their level: with few samples, in every regime, jointly, and in a stream that changes."""
+
+import numpy as np
+import pytest
+from scipy.stats import betabinom, norm
+
+from learning import AdaptiveConformal, Conformal, InputError
+
+
+@pytest.mark.parametrize("n", [4, 9, 30])
+def test_few_samples_hold_the_level_exactly(n):
+    rng = np.random.default_rng(n)
+    factors = np.array([Conformal.fit(np.abs(rng.standard_normal(n)), 0.8).factors[0] for _ in range(2000)])
+    rank = int(np.ceil(0.8 * (n + 1)))
+    covered = 2 * norm.cdf(factors) - 1
+    assert covered.mean() == pytest.approx(betabinom(1, rank, n + 1 - rank).mean(), abs=0.01)
+    assert covered.mean() > 0.79
+
+
+@pytest.mark.parametrize(("level", "needed"), [(0.8, 4), (0.9, 9), (0.99, 99)])
+def test_too_few_samples_are_refused_with_the_number_needed(level, needed):
+    assert np.isfinite(Conformal.fit(np.ones(needed), level).factors).all()
+    with pytest.raises(InputError, match=f"scores: got {needed - 1} independent samples .* expected at least {needed}"):
+        Conformal.fit(np.ones(needed - 1), level)
+    with pytest.raises(InputError, match=f"got {needed - 1} independent samples"):
+        Conformal.fit(np.ones(1000), level, independent=needed - 1)
+
+
+def test_every_regime_holds_the_level():
+    rng = np.random.default_rng(0)
+    size = rng.choice([1.0, 5.0], 2000)
+    known = Conformal.fit(size * np.abs(rng.standard_normal(2000)), 0.8, scale=size)
+    fresh = rng.choice([1.0, 5.0], 20_000)
+    held = fresh * np.abs(rng.standard_normal(20_000)) <= known.at(fresh)
+    for regime in (1.0, 5.0):
+        assert held[fresh == regime].mean() == pytest.approx(0.8, abs=0.03)
+
+
+def test_a_regime_of_its_own_takes_a_hundred_samples():
+    scale = np.arange(399.0)
+    assert len(Conformal.fit(scale, 0.8, scale=scale).factors) == 3
+    assert len(Conformal.fit(scale, 0.8, scale=scale, independent=250).factors) == 2
+    assert len(Conformal.fit(scale[:120], 0.8, scale=scale[:120]).factors) == 1
+
+
+def test_overlapping_scores_count_as_those_that_do_not():
+    scores = np.arange(1.0, 101.0)
+    assert Conformal.fit(scores, 0.8).factors[0] == 81  # of 101
+    assert Conformal.fit(scores, 0.8, independent=10).factors[0] == 90  # the ninth of ten, of 11
+
+
+@pytest.mark.parametrize("change", [lambda e: 2 * e, lambda e: e + 1, lambda e: e / 2])
+def test_a_stream_holds_its_level_five_hundred_samples_after_a_shift(change):
+    rng = np.random.default_rng(1)
+    stream = AdaptiveConformal(0.8, norm.ppf(0.9))
+    inside = []
+    for score in np.abs(np.concatenate([rng.standard_normal(500), change(rng.standard_normal(1000))])):
+        inside.append(score <= stream.factor)
+        stream = stream.after(score)
+    assert np.mean(inside[:500]) == pytest.approx(0.8, abs=0.05)
+    assert np.mean(inside[1000:]) == pytest.approx(0.8, abs=0.05)
+
+
+def test_the_flag_is_raised_where_coverage_is_lost_and_falls_when_it_is_back():
+    rng = np.random.default_rng(2)
+    stream = AdaptiveConformal(0.8, norm.ppf(0.9))
+    lost = []
+    for part, size in ((1000, 1.0), (500, 2.0), (1000, 1.0)):
+        for score in np.abs(size * rng.standard_normal(part)):
+            stream = stream.after(score)
+            lost.append(stream.lost)
+    assert not any(lost[:1000])
+    assert lost[1200:1500] == [True] * 300
+    assert not lost[-1]
+
+
+def test_the_flag_takes_evidence_of_one_in_ten_thousand():
+    stream = AdaptiveConformal(0.8, 1.0)
+    taken = 0
+    while not stream.lost:
+        stream = stream.after(2.0)  # a miss wins 1.8 times the stake
+        taken += 1
+    assert taken == int(np.ceil(np.log(1e4) / np.log(1.8)))
+
+
+@pytest.mark.parametrize(
+    ("make", "argument"),
+    [
+        (lambda: Conformal.fit(np.ones((5, 2))), "scores"),
+        (lambda: Conformal.fit([np.nan] * 9), "scores"),
+        (lambda: Conformal.fit(np.ones(9), 1.0), "level"),
+        (lambda: Conformal.fit(np.ones(9), scale=np.ones(8)), "scale"),
+        (lambda: AdaptiveConformal(level=0.0), "level"),
+        (lambda: AdaptiveConformal(factor=0.0), "factor"),
+        (lambda: AdaptiveConformal(calibrated=-1.0), "calibrated"),
+        (lambda: AdaptiveConformal().after(-1.0), "score"),
+    ],
+)
+def test_wrong_calls_name_their_argument(make, argument):
+    with pytest.raises(InputError, match=f"^{argument}: got"):
+        make()

@@ -1,0 +1,75 @@
+"""QuantileRegressor keeps scikit-learn's conventions, without scikit-learn, and holds its level with few samples."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from learning import InputError, QuantileConfig, QuantileRegressor, fit_quantiles
+
+
+def samples(n, seed):
+    """y = sin(2 x₁) + (0.2 + 0.4 x₂²) ε."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-1, 1, (n, 2))
+    return x, np.sin(2 * x[:, 0]) + (0.2 + 0.4 * x[:, 1] ** 2) * rng.standard_normal(n)
+
+
+def cloned(estimator):
+    """What scikit-learn's `clone` makes and checks."""
+    params = {name: copy.deepcopy(value) for name, value in estimator.get_params(deep=False).items()}
+    made = type(estimator)(**params)
+    assert all(made.get_params(deep=False)[name] is value for name, value in params.items())
+    return made
+
+
+def test_an_estimator_is_cloned_set_fitted_and_asked():
+    x, y = samples(200, 0)
+    estimator = QuantileRegressor(steps=20).set_params(hidden=(8,))
+    assert estimator.fit(x, y) is estimator
+    assert estimator.n_features_in_ == 2
+    assert estimator.predict(x).shape == (200, 3)
+    again = cloned(estimator)
+    assert again.get_params() == estimator.get_params()
+    with pytest.raises(InputError, match="without a fit"):
+        again.predict(x)
+    np.testing.assert_array_equal(again.fit(x, y).predict(x), estimator.predict(x))
+
+
+def test_it_fits_what_fit_quantiles_fits():
+    x, y = samples(200, 1)
+    network = fit_quantiles(x, y, rng=np.random.default_rng(7), config=QuantileConfig(steps=20))
+    one = QuantileRegressor(steps=20, random_state=7).fit(x, y[:, None])
+    np.testing.assert_array_equal(one.predict(x), network.predict(x))
+
+
+def test_its_score_is_minus_the_pinball_loss():
+    x, y = samples(200, 2)
+    one = QuantileRegressor(levels=(0.1, 0.5, 0.9), steps=20).fit(x, y)
+    error = y[:, None] - one.predict(x)
+    by_hand = np.mean([np.where(e > 0, q * e, (q - 1) * e) for q, e in zip((0.1, 0.5, 0.9), error.T)])
+    assert one.score(x, y) == pytest.approx(-by_hand)
+
+
+def test_arguments_are_checked_by_fit_and_unknown_ones_refused():
+    with pytest.raises(InputError, match="steps: got 0"):
+        QuantileRegressor(steps=0).fit(*samples(50, 0))
+    with pytest.raises(InputError, match="depth: got no argument of QuantileRegressor"):
+        QuantileRegressor().set_params(depth=3)
+
+
+@pytest.mark.check
+def test_sixty_fits_to_fifty_samples_hold_what_they_promise():
+    covered = []
+    for seed in range(60):
+        fresh, after = samples(1000, 1000 + seed)
+        q = QuantileRegressor(hidden=(8,), steps=40).fit(*samples(50, seed)).predict(fresh)
+        assert (np.diff(q, axis=1) >= 0).all()
+        covered.append(np.mean((after >= q[:, 0]) & (after <= q[:, 2])))
+    assert np.mean(covered) > 0.77
+
+
+def test_too_few_samples_are_refused_with_the_number_needed():
+    with pytest.raises(InputError, match=r"30 samples, of which 6 calibrate .* expected at least 9: some 45 samples"):
+        QuantileRegressor().fit(*samples(30, 0))
+    assert np.isfinite(QuantileRegressor(steps=5).fit(*samples(45, 0)).predict(samples(5, 1)[0])).all()
