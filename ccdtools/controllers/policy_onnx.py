@@ -85,7 +85,7 @@ class OnnxPolicy:
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         kinds = {"tensor(double)": np.float64, "tensor(float)": np.float32}
         one_each = len(inputs) == len(outputs) == 1 and {inputs[0].type, outputs[0].type} <= set(kinds)
-        shape = inputs[0].shape if one_each else ()
+        shape = inputs[0].shape if one_each else []
         if len(shape) != 2 or (isinstance(shape[0], int) and shape[0] != 1):
             got = " and ".join(str([(one.shape, one.type) for one in ends]) for ends in (inputs, outputs))
             raise InputError("path", brief(got), "one input (n, nx), n free or 1, and one output, of float or double")
