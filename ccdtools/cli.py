@@ -260,7 +260,11 @@ def export(
         report = policy.to_c(where, scalar=scalar)
         typer.echo(f"{' and '.join(map(str, report.files))}\n{report}")
     else:
-        where.mkdir(parents=True, exist_ok=True)
+        try:
+            where.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            got = f"{str(where)!r} ({error.strerror})"
+            raise InputError("--output", got, "a folder that can be written to") from None
         typer.echo(policy.to_onnx(where / "policy.onnx"))
 
 

@@ -21,7 +21,7 @@ SUPERSCRIPTS = dict(zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM)
 EXPECTED = {
     "study": "the name of a study, or a Python file",
-    "folder": "the folder of an interrupted run",
+    "folder": "the folder of a run",
     "name": "a name for the study file",
 }
 

@@ -74,6 +74,7 @@ def imitate(
 
     The first round is fitted to runs of the expert, each further one also to runs of the policy before, which the
     expert labels along the way: with its own memory, an estimator's too, and the inputs that were applied.
+    Lost runs are left out.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def imitate(
     p = as_vector("design", design) if np.size(design) else np.zeros(0)
     length = as_count("history", history, least=0)
     needs_of(expert)
-    gamma = as_number("gamma", gamma, expected="a discount in (0, 1]", low=0.0, high=1.0)
+    gamma = as_number("gamma", gamma, expected="a discount from 0 to 1", low=0.0, high=1.0)
     held_out = _drawn(scenario, rng, length)
     lower, upper = _as_limits(limits, int(held_out.plant.nu))
     own = _run(held_out, expert, p, limit)
@@ -127,6 +128,8 @@ def imitate(
         runs = _drawn(scenario, rng, length)
         data.append(_labelled(expert, runs, _run(runs, acting, p, limit), objective, length, gamma))
         seen, actions, values = (np.concatenate(part) for part in zip(*data))
+        if not len(seen):
+            raise InputError("expert", *LOST)
         observed = np.hstack([seen, np.tile(p, (len(seen), 1))])
         agent = fit_actor_critic(
             observed, np.clip(actions, lower, upper), values, action_bounds=(lower, upper),
@@ -199,8 +202,6 @@ def _labelled(
     for k in range(steps - 2, -1, -1):
         values[:, k] += gamma * values[:, k + 1]
     kept = np.isfinite(actions).all(axis=2) & ~run.diverged[:, None]
-    if not kept.any():
-        raise InputError("expert", *LOST)
     return seen[kept], actions[kept], values[kept]
 
 

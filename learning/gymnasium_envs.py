@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -54,11 +55,11 @@ class GymnasiumEnvs:
             raise InputError("make", f"actions from {self._lower} to {self._upper}", "finite bounds of the actions")
         self._range = np.asarray(observations.low, float), np.asarray(observations.high, float)
         self._type = observations.dtype
-        first, again = (self._tried() for _ in range(2))
-        if not np.array_equal(first, again, equal_nan=True):
-            at = int((first != again).any(axis=1).argmax())
-            got = f"{first[at]} and {again[at]} as reward and observation {at} steps after two resets with seed {seed}"
-            raise InputError("make", brief(got, 200), "the same numbers")
+        tried = zip_longest(*(self._tried() for _ in range(2)), fillvalue="an end")
+        for k, (first, again) in enumerate(tried):
+            if first != again:
+                got = f"{first} and {again} as reward and observation {k} steps after two resets with seed {seed}"
+                raise InputError("make", brief(got, 200), "the same numbers")
 
     def agent(self, *, config: NetworkConfig | None = None, seed: int = 0) -> ActorCritic:
         """Untrained agent for these observations and actions.
@@ -76,6 +77,8 @@ class GymnasiumEnvs:
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Next observation, successor, reward, terminated and truncated, see `VectorEnv`."""
+        if actions.shape != (len(self.envs), len(self._lower)):
+            raise InputError("actions", f"shape {tuple(actions.shape)}", f"({len(self.envs)}, {len(self._lower)})")
         following, successors, rewards, terminated, truncated = [], [], [], [], []
         for env, action in zip(self.envs, actions.double().numpy()):
             rounded = action.astype(self._lower.dtype)  # can be beyond a bound
@@ -112,21 +115,24 @@ class GymnasiumEnvs:
             raise InputError("state", f"{len(kept)} environments of {kept[0]}", f"{len(own)} of {own[0]}")
         self.envs = envs
 
-    def _tried(self) -> Array:
-        """Rewards and observations (steps + 1, 1 + n_obs) of a few steps of the first environment."""
+    def _tried(self) -> list[list[float]]:
+        """Rewards and observations, 1 + n_obs numbers a step, of a few steps of the first environment."""
         env = self.envs[0]
-        rows = [[0.0, *self._seen(env.reset(seed=self.seed)[0])]]
+        rows = [[0.0, *self._seen(env.reset(seed=self.seed)[0]).tolist()]]
         for share in np.linspace(0.25, 0.75, TRIED_STEPS):
             action = self._lower + share * (self._upper - self._lower)
             observation, reward, over, cut = self._stepped(env, action.astype(self._lower.dtype))
-            rows.append([reward, *observation])
+            rows.append([reward, *observation.tolist()])
             if over or cut:
                 break
-        return np.array(rows, dtype=float)
+        return rows
 
     def _stepped(self, env: Any, action: Array) -> tuple[Tensor, float, bool, bool]:
         """Observation, reward, terminated and truncated of a step."""
-        observation, reward, over, cut, _ = env.step(action)
+        result = env.step(action)
+        if not isinstance(result, tuple) or len(result) != 5:
+            raise InputError("env", f"{brief(repr(result))} of a step", "what Gymnasium states: five values")
+        observation, reward, over, cut, _ = result
         return self._seen(observation), as_number("env", reward, expected="finite rewards"), bool(over), bool(cut)
 
     def _seen(self, observation: Any) -> Tensor:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import os
-import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,9 +19,6 @@ from learning.exceptions import CheckpointError, DivergedError, InputError
 from learning.networks import ActorCritic
 from learning.ppo import PPO, PPOConfig, UpdateStatistics
 from learning.rollout import Collector, VectorEnv
-
-# What reading a file of another kind, of other code or of another agent raises
-UNREADABLE = (OSError, RuntimeError, LookupError, TypeError, ValueError, EOFError, AttributeError, ImportError)
 
 
 @dataclass(frozen=True)
@@ -213,11 +209,14 @@ class _Run:
         judged = len(returns) >= window and bool(ended.all())
         before = max((row.mean_return for row in result.rows if row.judged), default=-np.inf)
         kept = copy.deepcopy(agent)
-        update = self.ppo.update(rollout, generator=self.collector.generator, actor=k >= config.critic_only)
-        finite = (tensor.isfinite().all() for tensor in agent.state_dict().values())
-        if not (np.isfinite(update.kl) and all(finite)):
+        try:
+            update = self.ppo.update(rollout, generator=self.collector.generator, actor=k >= config.critic_only)
+            finite = (tensor.isfinite().all() for tensor in agent.state_dict().values())
+            if not (np.isfinite(update.kl) and all(finite)):
+                raise DivergedError(k)
+        except BaseException:  # an interrupt, too
             agent.load_state_dict(kept.state_dict())
-            raise DivergedError(k)
+            raise
         samples = rollout.rewards.numel() + (result.rows[-1].samples if result.rows else 0)
         row = TrainingRow(k, samples, len(returns), mean_return, judged, update)
         best = kept if judged and mean_return > before else result.best
@@ -247,9 +246,14 @@ class _Run:
             last, best = copy.deepcopy(agent), copy.deepcopy(agent)
             last.load_state_dict(kept["agent"])
             best.load_state_dict(kept["best"])
+            other, own = ((net.action_offset.tolist(), net.action_scale.tolist()) for net in (last, agent))
+            if other != own:  # middle and half-width
+                raise CheckpointError(file, f"an agent with actions {other[0]} ± {other[1]}", f"{own[0]} ± {own[1]}")
             self.collector.restore(kept["collector"])
             self.ppo.restore(kept["ppo"])
-        except (*UNREADABLE, pickle.UnpicklingError) as error:
+        except CheckpointError:
+            raise
+        except Exception as error:  # whatever a file of another kind, of other code or of another agent raises
             first = str(error).partition("\n")[0]
             raise CheckpointError(file, first, "a checkpoint of a training of this agent") from None
         agent.load_state_dict(last.state_dict())
@@ -261,8 +265,8 @@ class _Run:
 def _move(agent: ActorCritic, device: str | torch.device) -> None:
     """Move an agent to a device of this machine."""
     try:
-        agent.to(device)
-    except (RuntimeError, AssertionError) as error:
+        agent.to(torch.device(device))
+    except (RuntimeError, AssertionError, TypeError) as error:
         got = f"{device!r}: {str(error).splitlines()[0]}"
         known = "cpu" + (", cuda" if torch.cuda.is_available() else "")
         raise InputError("device", got, f"one of this machine: {known}") from None

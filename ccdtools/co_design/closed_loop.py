@@ -127,7 +127,8 @@ def closed_loop_returns(
 
     def law(x: Tensor) -> Tensor:
         """Inputs (n, nu)."""
-        u = np.asarray(driver(next(sample), x.numpy()), dtype=float)
+        known = x.nan_to_num(0.0, 0.0, 0.0).numpy()  # a run that is not finite is lost
+        u = np.asarray(driver(next(sample), known), dtype=float)
         if u.shape != (len(x), len(least)):
             raise InputError("controller", f"inputs of shape {u.shape}", f"({len(x)}, {len(least)})")
         driver.remember(u)
@@ -136,7 +137,7 @@ def closed_loop_returns(
         return x.new_tensor(u)
 
     with torch.no_grad():
-        seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True)
+        seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True, guarded=True)
     limits = measured(seen)
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
     errors = measurement_errors(seen).values()

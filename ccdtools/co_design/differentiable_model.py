@@ -230,13 +230,18 @@ def visited(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor]) -> tuple[
         pairs.append((x, law(x)))
         return pairs[-1][1]
 
-    episode = simulated(step, watched, scenarios)
+    episode = simulated(step, watched, scenarios, guarded=True)
     states, inputs = (torch.cat(part) for part in zip(*pairs))
     return states, inputs, episode
 
 
-def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False) -> Episode:
-    """Episodes of a law from states (n, nx) to inputs (n, nu)."""
+def simulated(
+    step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, depths: bool = False, guarded: bool = False
+) -> Episode:  # fmt: skip
+    """Episodes of a law from states (n, nx) to inputs (n, nu).
+
+    With `guarded` the law is called once a step, also where runs diverge, as one with memory has to be.
+    """
     x0, w = scenarios
     warm_up = step.problem.warm_up
     steps = w.shape[1] - warm_up
@@ -245,14 +250,15 @@ def simulated(step: Stepper, law: Law, scenarios: tuple[Tensor, Tensor], *, dept
     progress: Progress = (x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
     recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD_SAMPLES
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
+    options = {"expected": not guarded}
 
     def advanced(progress: Progress, w: Tensor) -> Progress:
         """Progress after the steps of `w` (n, T, nw)."""
         for part in w.split(length, dim=1):
             if recomputed:
-                progress = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False)
+                progress = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False, **options)
             else:
-                progress = _segment(step, law, part, depths, *progress)
+                progress = _segment(step, law, part, depths, *progress, **options)
         return progress
 
     if warm_up:

@@ -93,7 +93,7 @@ class EpisodeEnv:
         return ActorCritic(low, high, lower, upper, config=config, seed=seed, action_limits=limits)
 
     def move(self, p: Tensor) -> None:
-        """Change the design from the next reset on."""
+        """Change the design, before a reset."""
         self._step = Stepper.at(self.problem, p.detach())
         model = self.problem.model
         if self._measurement is not None:
@@ -114,10 +114,20 @@ class EpisodeEnv:
         """Episodes where they stand, for `restore`."""
         kept = ("_x0", "_w", "_x", "_e", *(("_v", "_past") if self.history else ()))
         tensors = {name: getattr(self, name) for name in kept}
-        return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state}
+        p = self._step.p.tolist()
+        return {"tensors": tensors, "k": self._k, "rng": self._rng.bit_generator.state, "design": p}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a `state`."""
+        """Go on from a `state`.
+
+        Raises
+        ------
+        InputError
+            If it is of another number of runs, or at another design.
+        """
+        runs, p = len(state["tensors"]["_x"]), self._step.p.tolist()
+        if (runs, state["design"]) != (self.runs, p):
+            raise InputError("state", f"{runs} runs at the design {state['design']}", f"{self.runs} at {p}")
         for name, tensor in state["tensors"].items():
             setattr(self, name, tensor)
         self._k = state["k"]

@@ -62,12 +62,14 @@ class OnnxPolicy:
     Parameters
     ----------
     path : path
-        Of the model: rows of states (n, nx) in, rows of inputs (n, nu) out, in single or double precision.
+        Of the model: rows of states (n, nx) in, rows of inputs (n, nu) out, in single or double precision; n is free,
+        or one. Copies read the file again.
 
     Raises
     ------
     InputError
-        If onnxruntime is not installed, or the file is no such model or has operators that it does not know.
+        If onnxruntime is not installed, or the file is no such model or has operators that it does not know; when it is
+        called, if the model does not take the states or gives no row for each.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -82,22 +84,41 @@ class OnnxPolicy:
             raise InputError("path", reason, "an ONNX model that onnxruntime can run") from None
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         kinds = {"tensor(double)": np.float64, "tensor(float)": np.float32}
-        if len(inputs) != 1 or len(outputs) != 1 or inputs[0].type not in kinds or len(inputs[0].shape) != 2:
-            got = f"inputs {[(one.shape, one.type) for one in inputs]} and {len(outputs)} outputs"
-            raise InputError("path", got, "one input (n, nx) of float or double, and one output")
+        one_each = len(inputs) == len(outputs) == 1 and {inputs[0].type, outputs[0].type} <= set(kinds)
+        shape = inputs[0].shape if one_each else []
+        if len(shape) != 2 or (isinstance(shape[0], int) and shape[0] != 1):
+            got = " and ".join(str([(one.shape, one.type) for one in ends]) for ends in (inputs, outputs))
+            raise InputError("path", brief(got), "one input (n, nx), n free or 1, and one output, of float or double")
+        self._path = Path(path).resolve()
         self._kind = kinds[inputs[0].type]
         self._input = inputs[0].name
-        self._rows, self._nx = inputs[0].shape
+        self._rows, self._nx = shape
+
+    def __reduce__(self) -> tuple[type[OnnxPolicy], tuple[Path]]:
+        return OnnxPolicy, (self._path,)
+
+    def __repr__(self) -> str:
+        return f"OnnxPolicy({str(self._path)!r})"
 
     def __call__(self, x: ArrayLike) -> Array:
         """Inputs (n, nu) or (nu,)."""
         x = finite("x", as_floats("x", x))
         rows = np.atleast_2d(x).astype(self._kind)
-        if isinstance(self._nx, int) and rows.shape[1] != self._nx:
+        if x.ndim not in (1, 2) or (isinstance(self._nx, int) and rows.shape[1] != self._nx):
             raise InputError("x", f"shape {x.shape}", f"({self._nx},) or (n, {self._nx})")
-        parts = rows[:, None] if self._rows == 1 else rows[None]
-        u = np.concatenate([self._session.run(None, {self._input: part})[0] for part in parts])
-        return np.asarray(u.reshape(*x.shape[:-1], -1), float)
+        u = np.concatenate([self._of(part) for part in (rows[:, None] if self._rows == 1 else rows[None])])
+        return u if x.ndim == 2 else u[0]
+
+    def _of(self, rows: Array) -> Array:
+        """Inputs (n, nu) of one run of the model."""
+        try:
+            u = np.asarray(self._session.run(None, {self._input: rows})[0], float)
+        except Exception as error:  # as above
+            reason = brief(str(error).partition("\n")[0])
+            raise InputError("x", f"shape {rows.shape}: {reason}", "states that the model takes") from None
+        if u.ndim == 0 or len(u) != len(rows):
+            raise InputError("path", f"a model that gives {u.shape} for {rows.shape}", f"inputs ({len(rows)}, nu)")
+        return u.reshape(len(u), int(np.prod(u.shape[1:])))
 
 
 def _installed(package: str) -> Any:

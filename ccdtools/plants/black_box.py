@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_flag, as_instance, as_positive, shown
+from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_positive, shown
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 
@@ -90,7 +90,7 @@ class BlackBox(Immutable):
     def _after(self, x: Array, u: Array, w: Array, p: Array) -> Array:
         """What `advance` returns, checked."""
         try:
-            found = np.asarray(self.advance(x.copy(), u.copy(), w.copy(), p.copy()), dtype=float)
+            found = as_floats("advance", self.advance(x.copy(), u.copy(), w.copy(), p.copy()))
         except CCDError:
             raise
         except Exception as error:

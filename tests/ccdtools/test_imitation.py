@@ -21,6 +21,7 @@ from ccdtools import (
 )
 from ccdtools.co_design import EpisodeEnv
 from ccdtools.controllers import History, Observed
+from ccdtools.plants import BlackBox
 from learning import CloningConfig, NetworkConfig, train
 
 A, B, C = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
@@ -90,6 +91,18 @@ def test_an_expert_may_see_the_state_where_the_policy_sees_outputs():
     assert isinstance(found.controller, History)
     assert found.expert > max(found.returns) > 6 * found.expert
     assert found.samples == (32 * 60, 2 * 32 * 60, 3 * 32 * 60)
+
+
+def test_runs_that_the_policy_loses_are_not_blamed_on_the_expert():
+    plant = BlackBox(lambda x, u, w, p: 1.3 * x + u, nx=1, nu=1, dt=0.1)
+    found = imitated(
+        LinearFeedback([[1.0]], -1, 1), lambda rng: Scenario(plant, rng.uniform(-1, 1, (20, 1)), np.zeros((20, 60, 0))),
+        objective=QuadraticObjective([[1.0]], [[0.1]]), limits=(-1, 1), rounds=2, rng=np.random.default_rng(1),
+        network=NetworkConfig((4,), skip=False), config=CloningConfig(steps=5),
+    )  # fmt: skip
+    assert found.expert > -1.0
+    assert found.returns == (-np.inf, -np.inf)
+    assert found.samples[0] == 20 * 60
 
 
 def test_the_best_round_is_kept_and_seeds_repeat():

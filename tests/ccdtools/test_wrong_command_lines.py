@@ -180,7 +180,7 @@ WRONG = [
     ([*RUN, "--output", "note.txt/run"], "--output: got note.txt/run, expected a folder that can be made"),
     ([*RUN, "--output", "n" * 300], "expected a folder that can be made (File name too long)"),
     ([*RUN, "--output", "a\0b"], "--output: got"),
-    (["resume"], "folder: got nothing, expected the folder of an interrupted run"),
+    (["resume"], "folder: got nothing, expected the folder of a run"),
     (["resume", "nowhere"], "folder: got nowhere, which is no folder"),
     (["resume", "note.txt"], "folder: got note.txt, which is no folder"),
     (["resume", "place.py"], "folder: got place.py without a readable run.json"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from learning import Collector, GymnasiumEnvs, train
+from learning import ActorCritic, Collector, GymnasiumEnvs, train
 from learning.exceptions import CheckpointError, InputError
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -94,6 +94,21 @@ def by_chance(reset):
     return begun
 
 
+def stepping_to(end):
+    """Return a part of `changed`: a `step` whose episodes are over after `end()` steps in all."""
+
+    def part(env):
+        step = env.step
+
+        def stepped(action):
+            observation, reward, *_ = step(action)
+            return observation, reward, end(), False, {}
+
+        return stepped
+
+    return part
+
+
 class Sized:
     """Environment with n observations, which are always the same array."""
 
@@ -110,6 +125,7 @@ class Sized:
         return self.seen, 1.0, False, bool(self.seen[0] > 0.095), {}
 
 
+ENDS = iter([False, False, False, True, False, True])
 DRAWS = iter(np.random.default_rng(0).random((99, 3), np.float32))
 SAME = gymnasium.make("Pendulum-v1")
 SIZES = iter((3, 3, 5, 5))
@@ -122,6 +138,7 @@ REFUSED = {
     "one environment again and again": (lambda: SAME, "a new one at every call"),
     "several spaces": (lambda: Sized(next(SIZES)), "the same spaces at every call"),
     "rewards by chance": (changed(step=lambda env: rewarded_by_chance(env.step)), "the same numbers"),
+    "episodes that end by chance": (changed(step=stepping_to(lambda: next(ENDS))), "and an end as reward"),
     "whole numbers as actions": (changed(action_space=box(0, 5, (1,), np.int64)), "of float"),
     "observations by chance": (changed(reset=lambda env: by_chance(env.reset)), "the same numbers"),
 }
@@ -141,6 +158,7 @@ FAILING = {
     "a reward that is no number": (lambda o, r, *rest: (o, float("nan"), *rest), "finite rewards"),
     "another shape": (lambda o, *rest: (o[:2], *rest), "shape"),
     "another type": (lambda o, *rest: (o.astype(np.float64), *rest), "float64"),
+    "four values, as before Gymnasium": (lambda o, r, over, cut, _: (o, r, over, {}), "five values"),
     "an observation that is no number": (lambda o, *rest: (o * np.nan, *rest), "finite ones"),
 }
 
@@ -152,6 +170,12 @@ def test_an_environment_that_breaks_its_word_is_named(name):
     with pytest.raises(InputError, match=message) as caught:
         Collector(env, env.agent(), generator=generator()).rollout(40)
     assert caught.value.argument == "env"
+
+
+def test_an_agent_of_other_actions_is_refused():
+    env = GymnasiumEnvs(lambda: Sized(3), runs=2)
+    with pytest.raises(InputError, match=r"actions: got shape \(2, 2\), expected \(2, 1\)"):
+        Collector(env, ActorCritic([-1] * 3, [1] * 3, [-1] * 2, [1] * 2), generator=generator()).rollout(1)
 
 
 def test_an_environment_may_use_its_own_array_again():

@@ -130,6 +130,24 @@ def test_an_update_that_is_not_finite_leaves_the_agent_as_it_was():
     assert torch.equal(weights(net), start)
 
 
+def test_an_interrupted_update_leaves_the_agent_as_it_was():
+    class Interrupted(ActorCritic):
+        calls = 0
+
+        def value(self, observations):
+            self.calls += 1
+            if self.calls == 6:  # the fourth gradient step
+                raise KeyboardInterrupt
+            return super().value(observations)
+
+    net = Interrupted([-1, -1], [1, 1], [-1], [1])
+    start = weights(net)
+    with pytest.raises(KeyboardInterrupt):
+        short(net)
+    assert net.calls == 6
+    assert torch.equal(weights(net), start)
+
+
 def test_a_state_stays_as_it_is_while_the_training_goes_on():
     collector = Collector(DoubleIntegrator(), agent(), generator=generator())
     collector.rollout(15)
@@ -243,6 +261,10 @@ def test_a_training_that_cannot_be_resumed_says_why(tmp_path):
         short(agent(), checkpoint=file, config=PPOConfig(clip=0.1))
     with pytest.raises(CheckpointError, match="a checkpoint of a training of this agent"):
         short(agent((5,)), checkpoint=file)
+    stronger = agent()
+    stronger.action_scale *= 2
+    with pytest.raises(CheckpointError, match="an agent with actions"):
+        short(stronger, checkpoint=file)
     file.write_bytes(b"no checkpoint")
     with pytest.raises(CheckpointError, match="a checkpoint of a training of this agent"):
         short(agent(), checkpoint=file)
@@ -254,9 +276,10 @@ def test_a_number_is_no_callback_and_no_file(argument):
         short(agent(), **{argument: 3})
 
 
-def test_a_device_that_is_not_there_is_refused():
-    with pytest.raises(InputError, match="device: got 'nowhere'"):
-        short(agent(), device="nowhere")
+@pytest.mark.parametrize("device", ["nowhere", [], 1.5])
+def test_a_device_that_is_not_there_is_refused(device):
+    with pytest.raises(InputError, match="device: got"):
+        short(agent(), device=device)
 
 
 def test_entropy_and_clipped_values_are_options():

@@ -22,7 +22,7 @@ from ccdtools import (
 from ccdtools.co_design import EpisodeEnv
 from ccdtools.controllers import History
 from ccdtools.disturbances import Uniform
-from learning import train
+from learning import CheckpointError, train
 
 
 def test_an_agent_from_scratch_learns_a_problem_and_is_its_policy(suspension):
@@ -97,6 +97,21 @@ def test_what_was_measured_goes_on_from_a_state_and_is_forgotten_where_a_run_beg
     env.restore(kept)
     for k in range(12, 40):
         torch.testing.assert_close(env.step(torch.full((16, 1), 0.1 * k))[0], seen[k], rtol=0, atol=0)
+
+
+def test_a_checkpoint_of_other_runs_or_another_design_is_refused(illustrative, tmp_path):
+    problem = illustrative.problem()
+
+    def trained(iterations, design=1.0, runs=4):
+        env = EpisodeEnv(problem, [design], runs=runs, rng=np.random.default_rng(0))
+        options = {"steps": 5, "generator": torch.Generator(), "checkpoint": tmp_path / "a.pt"}
+        return train(env, env.agent(), iterations=iterations, **options)
+
+    trained(1)
+    for change in ({"design": 1.5}, {"runs": 3}):
+        with pytest.raises(CheckpointError, match="4 runs at the design"):
+            trained(2, **change)
+    assert len(trained(2).rows) == 2
 
 
 def test_wrong_calls_name_their_argument(illustrative):

@@ -1,5 +1,7 @@
 """Policies outside Python: C99 and ONNX give the mean action of the policy that was exported."""
 
+import copy
+import pickle
 import shutil
 import subprocess
 import sys
@@ -134,10 +136,20 @@ def test_the_command_exports_the_policy_of_a_run(tmp_path, rng, monkeypatch, cap
     assert run(monkeypatch, "export", tmp_path / "nowhere") == 2
     assert "expected the folder of a run with a policy" in capsys.readouterr().err
     assert run(monkeypatch, "export", tmp_path, "--to", "fortran") == 2
+    assert run(monkeypatch, "export") == 2
+    assert "folder: got nothing, expected the folder of a run." in capsys.readouterr().err
 
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
+
+
+@pytest.mark.parametrize("to", ["c", "onnx"])
+def test_a_file_is_no_folder_to_export_to(tmp_path, monkeypatch, capsys, to):
+    policy().save(tmp_path / "policy.safetensors")
+    for output in (tmp_path / "policy.safetensors", tmp_path / "policy.safetensors" / "x"):
+        assert run(monkeypatch, "export", tmp_path, "--to", to, "--output", output) == 2
+        assert "expected a folder that can be written to" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("options", [{}, {"skip": False}], ids=str)
@@ -150,12 +162,13 @@ def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, 
 
 
 def test_what_is_no_policy_in_onnx_is_refused(tmp_path):
-    helper, kind = onnx.helper, onnx.TensorProto.DOUBLE
+    helper, kind, whole = onnx.helper, onnx.TensorProto.DOUBLE, onnx.TensorProto.INT64
 
-    def saved(operator, inputs, shape, domain=""):
-        values = [helper.make_tensor_value_info(name, kind, shape) for name in (*inputs, "u")]
-        node = helper.make_node(operator, inputs, ["u"], domain=domain)
-        graph = helper.make_graph([node], "policy", values[:-1], values[-1:])
+    def saved(operator, inputs, shape, domain="", out=None, given=kind, **options):
+        values = [helper.make_tensor_value_info(name, kind, shape) for name in dict.fromkeys(inputs)]
+        found = helper.make_tensor_value_info("u", given, shape if out is None else out)
+        node = helper.make_node(operator, inputs, ["u"], domain=domain, **options)
+        graph = helper.make_graph([node], "policy", values, [found])
         versions = [helper.make_opsetid("", 17), helper.make_opsetid("of.mine", 1)]
         path = tmp_path / f"{operator}{len(shape)}{shape[0]}.onnx"
         onnx.save(helper.make_model(graph, opset_imports=versions, ir_version=8), path)
@@ -165,6 +178,8 @@ def test_what_is_no_policy_in_onnx_is_refused(tmp_path):
         (saved("Unknown", ["x"], ["n", 2], "of.mine"), "expected an ONNX model that onnxruntime can run"),
         (saved("Add", ["x", "y"], ["n", 2]), "expected one input"),
         (saved("Tanh", ["x"], ["n", 2, 3]), "expected one input"),
+        (saved("Tanh", ["x"], [4, 2]), "expected one input .*, n free or 1"),
+        (saved("Cast", ["x"], ["n", 2], to=whole, given=whole), "one output, of float or double"),
         (tmp_path / "nowhere.onnx", "expected a file"),
         (__file__, "expected an ONNX model"),
     ):
@@ -173,5 +188,18 @@ def test_what_is_no_policy_in_onnx_is_refused(tmp_path):
         assert caught.value.argument == "path"
     one = OnnxPolicy(saved("Tanh", ["x"], [1, 2]))
     np.testing.assert_allclose(one(np.ones((3, 2))), np.tanh(np.ones((3, 2))))
-    with pytest.raises(InputError, match=r"x: got shape \(3,\)"):
-        one(np.ones(3))
+    for x in (np.ones(3), np.ones((2, 2, 2))):
+        with pytest.raises(InputError, match=r"x: got shape"):
+            one(x)
+    for wrong in (saved("Transpose", ["x"], ["n", 2], out=[2, "n"]), saved("ReduceSum", ["x"], ["n", 2], out=[1, 1])):
+        with pytest.raises(InputError, match=r"path: got a model that gives .* expected inputs \(3, nu\)"):
+            OnnxPolicy(wrong)(np.ones((3, 2)))
+    with pytest.raises(InputError, match="expected states that the model takes"):
+        OnnxPolicy(saved("MatMul", ["x", "x"], ["n", "m"]))(np.ones((3, 2)))
+
+
+def test_a_policy_in_onnx_is_copied_and_pickled(tmp_path):
+    law = OnnxPolicy(policy().to_onnx(tmp_path / "a policy ü.onnx"))
+    for other in (copy.deepcopy(law), pickle.loads(pickle.dumps(law))):
+        np.testing.assert_array_equal(other(WIDE), law(WIDE))
+        assert repr(other) == repr(law)

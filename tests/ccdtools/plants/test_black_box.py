@@ -53,6 +53,12 @@ def test_a_function_that_changes_what_it_is_given_changes_no_run():
     assert simulate(box(advance=rude), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=2).states[0, 1, 0] == 0.5
 
 
+@pytest.mark.parametrize("wrong", [np.array([1j, 0]), None, [1.0], "here", [[1.0, 0.0]], [True, False]])
+def test_what_is_no_state_is_refused(wrong):
+    with pytest.raises(InputError, match="advance: got"):
+        simulate(box(advance=lambda x, u, w, p: wrong), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=2)
+
+
 def test_controllers_are_compared_and_deployed_on_it_as_on_the_plant_it_hides():
     problem = load_study("suspension").problem()
     design = problem.design.centre
