@@ -12,7 +12,8 @@ EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
 
 # ---- the online QP ----
 # Relative optimality residual above which the second solver is asked, at which OSQP stops before it polishes, at which
-# a sequence of quadratic programs has come to an optimum, and up to which a piece of an explicit law is accepted [-]
+# a sequence of quadratic programs has come to an optimum, and up to which a piece of an explicit law is accepted; rate,
+# beside its parts, at which a row that depends on acting ones leaves its bound by rounding alone [-]
 KKT = 1e-7
 # Size of terms, in units of their difference, beyond which it has fewer digits than `KKT` asks for [-]: of a feedback
 # Kx beside the limits of u = v - Kx, and of what an unstable plant makes of costates
@@ -22,7 +23,8 @@ RUNAWAY = KKT / EPS
 KKT_REPORTED = 1e-6
 # What counts as none on scaled data [-]: a violation of a row (DAQP accepts it; a row that cuts no deeper into the set
 # of the others is redundant; a box or a region that reaches no further across a side does not cross it), a gap between
-# opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws
+# opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws, a part of a
+# row outside the span of those that act
 PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]: that which a plan may have,
@@ -30,8 +32,8 @@ INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt a
 FEASIBLE = KKT_REPORTED
 NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
 # Part of the bounds below which forces and steps count as zero in the residuals, part of an extent, of a size or of the
-# largest change below which a bound, an unknown or a change says nothing of sizes, and weight of an aim that only
-# settles what the others leave open [-]
+# largest change below which a bound, an unknown, a state or a change says nothing of sizes, and weight of an aim that
+# only settles what the others leave open [-]
 NEGLIGIBLE = 1e-6
 # Part of the terms of a sum that is rounding [-]: of bounds along an axis, costs of a mode, coefficients of laws and
 # rows, rates along a unit row, a row at a projected point, a residual or slack of a row, a feedback, a closed loop's
@@ -39,8 +41,6 @@ NEGLIGIBLE = 1e-6
 ROUNDED_SUM = 1e-13
 
 # ---- sets ----
-# Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
-SMALL_STATE = 1e-3
 # Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator
 OVERFLOW = 1e100
 
@@ -59,12 +59,10 @@ RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 # Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
 # inverse of how many times further than the plant a feedback may move the states [-]
 REACH = 1e-7
-UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts as not decaying [-]
 # Distance from the unit circle up to which a mode neither grows nor decays within what is computed [-]
 NEAR_CIRCLE = 1e-6
 # Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]
 RICCATI = 1e-4
-GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken where it may be rounding [-]
 # Last relative change of the distance of the closed loop from the unit circle that is accepted [-]
 SETTLED_MARGIN = 0.1
 
@@ -83,16 +81,11 @@ FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs 
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]
 
 # ---- sensitivities ----
-# Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
-# `KKT_REPORTED`. The Newton steps that follow decide.
-ACTIVE = 1e-5
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
 # Newton step, in sizes of inputs and states, at which a stagewise plan is found and from which on derivatives are taken
 # [-]; their error is of this size
 NEWTON = 1e-9
-INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below which it depends on them [-]
-TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its parts, that is rounding [-]
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
 # Squared distance of a unit row from the span of others below which it depends on them, and no projection moves along
