@@ -37,7 +37,8 @@ NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a la
 NEGLIGIBLE = 1e-6
 # Part of the terms of a sum that is rounding [-]: of bounds along an axis, costs of a mode, coefficients of laws and
 # rows, rates along a unit row, a row at a projected point, a residual or slack of a row, a feedback, a closed loop's
-# distance from the unit circle, an eigenvalue of a matrix with unit diagonal
+# distance from the unit circle, an eigenvalue of a matrix with unit diagonal, what is added to a unit diagonal that may
+# be singular
 ROUNDED_SUM = 1e-13
 
 # ---- sets ----
@@ -83,8 +84,8 @@ TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both o
 # ---- sensitivities ----
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
-# Newton step, in sizes of inputs and states, at which a stagewise plan is found and from which on derivatives are taken
-# [-]; their error is of this size
+# Newton step, in sizes of inputs and states, at which a stagewise plan or a target is found and from which on
+# derivatives are taken [-]; their error is of this size
 NEWTON = 1e-9
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
@@ -104,8 +105,6 @@ FAR_OPTIMUM = 1e8
 IMPLIED_EQUALITY = 1e-8
 # Size of a bound, in units of the distance to the unconstrained optimum, from which on it is never met [-]
 NOT_NEAR = 10.0
-# Distances from all constraints tried in turn when a feasible parameter is sought, scaled [-]
-INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 CROSSING = 1e-5  # Distance behind a facet at which the QP is solved to find the neighbour, scaled parameters [-]
 # Radius of the ball found in a region below which the region is thinner than CROSSING, scaled parameters [-]: the ball
 # is within a factor 20 of the largest. Also the distance from the regions up to which a feasible parameter makes no
@@ -120,10 +119,8 @@ TIE = 1e-8
 INSIDE = 1e-7
 INSIDE_FLOAT = 1e-5  # Distance `INSIDE` in generated code of single precision [-]
 SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets of rows agree that are one
-FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
 
 # ---- explicit laws: exploration and the search for holes ----
-CLEARANCE = 0.1  # Distance from the other facets that a point behind a facet keeps where it can, scaled parameters [-]
 FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
 
 # ---- optimal control: solving ----
@@ -131,7 +128,6 @@ OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipl
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
 # Negative cost, in sizes of the cost at the guess, and scaled unknown from which on they have no bound [-]
 BOTTOMLESS = 1e12
-SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
 IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
 # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
 AT_BOUND = 1e-6
@@ -168,6 +164,4 @@ NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a pa
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
-GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
-TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]
 TARGET_STEADY = 1e-8  # Drift of a target, in sizes of the states, up to which it is steady [-]
