@@ -11,6 +11,9 @@ LEAF_ENTRIES = 200  # Entries of leaves, for each region of the partition, at wh
 TESTS_AT_ONCE = 20_000  # Regions tested between two looks at the clock
 
 # ---- explicit laws: exploration and the search for holes ----
+# Distances from all constraints at which a feasible parameter is sought in turn, scaled parameters [-]
+INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
+CLEARANCE = 0.1  # A point behind a facet is sought so far from the other facets first, scaled parameters [-].
 LAWS_AT_ONCE = 4096  # Laws checked at once, which bounds the memory
 POINTS_ANYWHERE = 4  # Random parameters, and as many near the border, at which holes are looked for
 POINTS_BETWEEN = 100  # Points between facets at which holes are looked for
@@ -22,6 +25,8 @@ QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are check
 USUAL_ITERATIONS = 3000  # Iterations of Ipopt at most, unless the caller says otherwise
 LEAST_SECONDS = 1e-3  # Time that a call of the solver is given, however late it is [s]
 NAMED_ROWS = 5  # Violated constraints, and others in the way, that are named at most
+SHAKEN = 0.3  # A second start is moved by this part of the sizes of unknowns at most [-].
+ASIDE = 1e-3  # A start is moved by this part of the sizes of unknowns at most so that it stays on no saddle [-].
 
 # ---- nonlinear MPC ----
 PROGRAMS_TO_GO = 8  # Quadratic programs that may still be expected before an interior-point solver is asked

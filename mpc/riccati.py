@@ -15,7 +15,7 @@ from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 from mpc.checks import Array, as_cross_weight, as_pair, as_weight
 from mpc.exceptions import NotStabilisableError
 from mpc.modes import least_reached, units_of
-from mpc.tolerances import EPS, GAINED, NEAR_CIRCLE, REACH, RICCATI, ROUNDED_SUM, SETTLED_MARGIN, UNIT_CIRCLE
+from mpc.tolerances import EPS, NEAR_CIRCLE, REACH, RICCATI, ROUNDED_SUM, SETTLED_MARGIN
 
 
 def lqr(
@@ -156,7 +156,7 @@ class _Regulation:
             K_after, after = self.gain(root), root.T @ root
             settled = abs(self._margin(K_after) - margin) <= SETTLED_MARGIN * margin
             if settled and _relative(after - P, after) <= RICCATI:  # of the last step most may be rounding
-                gained = _relative(self._missed(K_after, after), P) <= GAINED * _relative(self._missed(K, P), P)
+                gained = _relative(self._missed(K_after, after), P) < _relative(self._missed(K, P), P)
                 K, P = (K_after, after) if gained else (K, P)
                 return (K, P) if margin > NEAR_CIRCLE or self._is_seen(K, P) else None
             K, P = K_after, after
@@ -233,7 +233,7 @@ def _explained(scaled: _Regulation, user_unit: Array) -> NotStabilisableError:
     A, B, Q, R, S = scaled.A, scaled.B, scaled.Q, scaled.R, scaled.S
     none = np.ones(len(A))
     eigenvalues = np.linalg.eigvals(A)
-    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - UNIT_CIRCLE], none, user_unit)
+    lost = least_reached(A, B, eigenvalues[np.abs(eigenvalues) >= 1 - NEAR_CIRCLE], none, user_unit)
     what = "Q: got no weight on the mode"
     if S.any():  # of the plant and the cost that u = v - R⁻¹S'x leaves
         free = np.linalg.pinv(R, rcond=WEIGHT_ROUNDING, hermitian=True) @ S.T

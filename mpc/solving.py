@@ -35,12 +35,12 @@ from mpc.tolerances import (
     GROWTH,
     KKT,
     KKT_REPORTED,
+    NEAR_CIRCLE,
     OVERFLOW,
     RELAXATION_MARGIN,
     RELAXATION_SHARES,
     RELAXATION_WIDER,
     RUNAWAY,
-    UNIT_CIRCLE,
 )
 
 
@@ -89,7 +89,7 @@ class CondensedSolver:
         self.units = row_units(problem, self.qp.labels)
         self.soft = np.array([label.kind in ("state", "terminal") for label in self.qp.labels], dtype=bool)
         self.feedback = stabilising_feedback(problem)
-        self.unstable = float(np.abs(np.linalg.eigvals(problem.A)).max()) > 1 + UNIT_CIRCLE
+        self.unstable = float(np.abs(np.linalg.eigvals(problem.A)).max()) > 1 + NEAR_CIRCLE
         # of a long unstable horizon the second form is the stagewise one
         self.dense = DenseQP(self.qp.H, self.qp.G, self.units, second=self.feedback is None)
 

@@ -10,7 +10,7 @@ from mpc.checks import Array
 from mpc.feedback import block_lengths
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, no_faster, pushes
-from mpc.tolerances import FIRST_GUESS_SHARE, SMALL_STATE
+from mpc.tolerances import FIRST_GUESS_SHARE, NEGLIGIBLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ def _input_size(problem: MPCProblem, x: Array, given: Given) -> Array:
     Limits of 1e6 on an input say nothing of its size, and a solver's tolerance is a part of it.
     """
     N = problem.horizon
-    reach = np.abs(x) + SMALL_STATE * problem.state_size
+    reach = np.abs(x) + NEGLIGIBLE * problem.state_size
     asked = np.zeros(problem.nu)
     if "x_ref" in given:
         reach = reach + np.abs(given["x_ref"].reshape(N + 1, -1)).max(axis=0)

@@ -12,7 +12,8 @@ EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
 
 # ---- the online QP ----
 # Relative optimality residual above which the second solver is asked, at which OSQP stops before it polishes, at which
-# a sequence of quadratic programs has come to an optimum, and up to which a piece of an explicit law is accepted [-]
+# a sequence of quadratic programs has come to an optimum, and up to which a piece of an explicit law is accepted; rate,
+# beside its parts, at which a row that depends on acting ones leaves its bound by rounding alone [-]
 KKT = 1e-7
 # Size of terms, in units of their difference, beyond which it has fewer digits than `KKT` asks for [-]: of a feedback
 # Kx beside the limits of u = v - Kx, and of what an unstable plant makes of costates
@@ -22,7 +23,8 @@ RUNAWAY = KKT / EPS
 KKT_REPORTED = 1e-6
 # What counts as none on scaled data [-]: a violation of a row (DAQP accepts it; a row that cuts no deeper into the set
 # of the others is redundant; a box or a region that reaches no further across a side does not cross it), a gap between
-# opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws
+# opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws, a part of a
+# row outside the span of those that act
 PRIMAL = 1e-9
 INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]: that which a plan may have,
@@ -30,17 +32,16 @@ INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt a
 FEASIBLE = KKT_REPORTED
 NO_BOUND = 1e30  # DAQP takes this bound for none, and scaled parameters of a law are cut off there [-].
 # Part of the bounds below which forces and steps count as zero in the residuals, part of an extent, of a size or of the
-# largest change below which a bound, an unknown or a change says nothing of sizes, and weight of an aim that only
-# settles what the others leave open [-]
+# largest change below which a bound, an unknown, a state or a change says nothing of sizes, and weight of an aim that
+# only settles what the others leave open [-]
 NEGLIGIBLE = 1e-6
 # Part of the terms of a sum that is rounding [-]: of bounds along an axis, costs of a mode, coefficients of laws and
 # rows, rates along a unit row, a row at a projected point, a residual or slack of a row, a feedback, a closed loop's
-# distance from the unit circle, an eigenvalue of a matrix with unit diagonal
+# distance from the unit circle, an eigenvalue of a matrix with unit diagonal, what is added to a unit diagonal that may
+# be singular
 ROUNDED_SUM = 1e-13
 
 # ---- sets ----
-# Part of the size of the states that inputs must at least be able to regulate, to have a size of their own [-]
-SMALL_STATE = 1e-3
 # Entries of the QP beyond which nothing is computed: such data are answered by the saturated regulator
 OVERFLOW = 1e100
 
@@ -59,12 +60,10 @@ RELAXATION_WIDER = (0.0, 1e-6, 1e-4, 1e-2)
 # Relative distance to a pair that does not reach or see a mode below which it counts as not reached or unseen, and
 # inverse of how many times further than the plant a feedback may move the states [-]
 REACH = 1e-7
-UNIT_CIRCLE = 1e-9  # Distance inside the unit circle up to which a mode counts as not decaying [-]
 # Distance from the unit circle up to which a mode neither grows nor decays within what is computed [-]
 NEAR_CIRCLE = 1e-6
 # Last Newton step of the Riccati equation that is accepted, in units in which the solution has a unit diagonal [-]
 RICCATI = 1e-4
-GAINED = 0.1  # Part of its residual that a Newton step must leave to be taken where it may be rounding [-]
 # Last relative change of the distance of the closed loop from the unit circle that is accepted [-]
 SETTLED_MARGIN = 0.1
 
@@ -83,16 +82,11 @@ FIRST_GUESS_SHARE = 0.9  # Share of the limits that a first guess of the inputs 
 TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both of unit size, which settles ties [-]
 
 # ---- sensitivities ----
-# Distance from its bound, in its unit, up to which a row of a plan may act [-]: plans are no more exact than
-# `KKT_REPORTED`. The Newton steps that follow decide.
-ACTIVE = 1e-5
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
-# Newton step, in sizes of inputs and states, at which a stagewise plan is found and from which on derivatives are taken
-# [-]; their error is of this size
+# Newton step, in sizes of inputs and states, at which a stagewise plan or a target is found and from which on
+# derivatives are taken [-]; their error is of this size
 NEWTON = 1e-9
-INDEPENDENT = 1e-9  # Part of a row outside the span of the acting ones below which it depends on them [-]
-TOGETHER = 1e-7  # Rate at which a dependent row leaves its bound, beside its parts, that is rounding [-]
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
 # Squared distance of a unit row from the span of others below which it depends on them, and no projection moves along
@@ -111,8 +105,6 @@ FAR_OPTIMUM = 1e8
 IMPLIED_EQUALITY = 1e-8
 # Size of a bound, in units of the distance to the unconstrained optimum, from which on it is never met [-]
 NOT_NEAR = 10.0
-# Distances from all constraints tried in turn when a feasible parameter is sought, scaled [-]
-INSETS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9)
 CROSSING = 1e-5  # Distance behind a facet at which the QP is solved to find the neighbour, scaled parameters [-]
 # Radius of the ball found in a region below which the region is thinner than CROSSING, scaled parameters [-]: the ball
 # is within a factor 20 of the largest. Also the distance from the regions up to which a feasible parameter makes no
@@ -127,10 +119,8 @@ TIE = 1e-8
 INSIDE = 1e-7
 INSIDE_FLOAT = 1e-5  # Distance `INSIDE` in generated code of single precision [-]
 SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets of rows agree that are one
-FAR_AWAY = 4.0  # Distance from the centre, scaled parameters, beyond which only the direction of a parameter counts [-]
 
 # ---- explicit laws: exploration and the search for holes ----
-CLEARANCE = 0.1  # Distance from the other facets that a point behind a facet keeps where it can, scaled parameters [-]
 FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
 
 # ---- optimal control: solving ----
@@ -138,7 +128,6 @@ OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipl
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
 # Negative cost, in sizes of the cost at the guess, and scaled unknown from which on they have no bound [-]
 BOTTOMLESS = 1e12
-SHAKEN = 0.3  # Part of the sizes of unknowns by which a second start is moved at most [-]
 IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is named as one that stands in the way [-]
 # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
 AT_BOUND = 1e-6
@@ -175,7 +164,4 @@ NAMED_SHARE = 0.1  # Part of the largest share in a combination below which a pa
 
 # ---- nonlinear MPC ----
 VIOLATION_PRICE = 100.0  # Price of violating a hard limit by one unit, in costs of the first plan [-]
-ASIDE = 1e-3  # Part of the sizes of unknowns by which a start is moved so that it stays on no saddle [-]
-GAIN_REGULARISATION = 1e-12  # Part added to a diagonal that is divided by: gains only have to stabilise [-]
-TARGET_STEP = 1e-10  # Change of a target, in sizes of states and inputs, that is rounding [-]
 TARGET_STEADY = 1e-8  # Drift of a target, in sizes of the states, up to which it is steady [-]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -250,15 +251,15 @@ def simulated(
     progress: Progress = (x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
     recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD_SAMPLES
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
-    options = {"expected": not guarded}
+    segment = partial(_segment, expected=not guarded)
 
     def advanced(progress: Progress, w: Tensor) -> Progress:
         """Progress after the steps of `w` (n, T, nw)."""
         for part in w.split(length, dim=1):
             if recomputed:
-                progress = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False, **options)
+                progress = checkpoint(segment, step, law, part, depths, *progress, use_reentrant=False)
             else:
-                progress = _segment(step, law, part, depths, *progress, **options)
+                progress = segment(step, law, part, depths, *progress)
         return progress
 
     if warm_up:

@@ -6,6 +6,8 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
 
+from ccdtools.checks import as_choice
+from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
 from ccdtools.exceptions import InputError
@@ -44,6 +46,8 @@ def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
 
 
 def _check_effect(options: Options, study: Study) -> None:
+    if options.expert is not None:
+        as_choice("--expert", options.expert, (*EXPERTS, *study.laws))
     sets = study.sets if options.sets is None else options.sets
     if options.sets_time_limit is not None and sets != "auto":
         raise InputError("--sets-time-limit", f"it with sets {sets!r}, which computes none", "it with --sets auto")

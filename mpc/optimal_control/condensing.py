@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from mpc.checks import Array
-from mpc.tolerances import GAIN_REGULARISATION
+from mpc.tolerances import ROUNDED_SUM
 
 
 @cache
@@ -84,5 +84,5 @@ def _divided(M: Array, right: Array) -> Array:
     scale = np.zeros((n, 1))
     for i in range(n):
         scale[i, 0] = 1.0 / np.sqrt(M[i, i]) if M[i, i] > 0 else 0.0
-    regular = M * scale * scale.T + GAIN_REGULARISATION * np.eye(n)
+    regular = M * scale * scale.T + ROUNDED_SUM * np.eye(n)
     return np.linalg.solve(regular, right * scale) * scale

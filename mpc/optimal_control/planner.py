@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mpc.budgets import PROGRAMS_TO_GO
+from mpc.budgets import ASIDE, PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
@@ -20,7 +20,7 @@ from mpc.optimal_control.shooting import ShootingProgram
 from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
-from mpc.tolerances import ASIDE, COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME = "linear law", "shifted plan", "real-time iteration"
 CONVERGING, INTERIOR = "SQP", "Ipopt"

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from mpc.budgets import SHAKEN
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, at_points, coordinates
@@ -16,7 +17,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, SHAKEN
+from mpc.tolerances import COST_DIGITS, NEGLIGIBLE
 
 
 @dataclass(frozen=True)

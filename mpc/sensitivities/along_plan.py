@@ -14,7 +14,7 @@ from mpc.rollout import Given
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
-from mpc.tolerances import ACTIVE, INDEPENDENT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, ROUNDED_SUM, TOGETHER
+from mpc.tolerances import KKT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, PRIMAL, ROUNDED_SUM
 
 
 def sensitivity_of(
@@ -33,7 +33,7 @@ def sensitivity_of(
                 return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = step.size
             # rounding ends it sooner where the problem is badly conditioned
-            if size <= NEWTON or (last <= ACTIVE and not size <= last):
+            if size <= NEWTON or (last <= KKT_REPORTED and not size <= last):
                 return _at_optimum(plan, step)
             if not size <= last:
                 break
@@ -99,7 +99,7 @@ class IdleRows:
         length = np.linalg.norm(rows, axis=1)
         left = rows - rows @ basis @ basis.T
         size = np.linalg.norm(left, axis=1)
-        alone = met & (size <= INDEPENDENT * length)
+        alone = met & (size <= PRIMAL * length)
         together = np.zeros_like(met)
         for i in np.flatnonzero(alone):
             together[i] = _moves_along(linear, rates, {int(i): 1.0})
@@ -138,7 +138,7 @@ def _vanishing_sum(unit: Array, weak: Flags) -> dict[int, float] | None:
         return None
     both = np.vstack([unit[rows].T, np.ones(len(rows))])
     parts, missed = nnls(both, np.append(np.zeros(len(both) - 1), 1.0), maxiter=30 * len(both))
-    return {int(i): float(part) for i, part in zip(rows, parts) if part > 0} if missed <= INDEPENDENT else None
+    return {int(i): float(part) for i, part in zip(rows, parts) if part > 0} if missed <= PRIMAL else None
 
 
 def _moves_along(linear: Linearised, rates: Array, parts: dict[int, float]) -> bool:
@@ -147,7 +147,7 @@ def _moves_along(linear: Linearised, rates: Array, parts: dict[int, float]) -> b
     terms = [part * np.vstack([linear.rows[i, :nt], linear.rows[i, linear.free][:, None] * rates])
              for i, part in parts.items()]  # fmt: skip
     terms_of_all = np.concatenate(terms)
-    return bool((np.abs(terms_of_all.sum(axis=0)) <= TOGETHER * np.abs(terms_of_all).sum(axis=0)).all())
+    return bool((np.abs(terms_of_all.sum(axis=0)) <= KKT * np.abs(terms_of_all).sum(axis=0)).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class NewtonStep:
         right = -np.column_stack([linear.F, residual]) * d[:, None]
         missed = rows[:, at["gap"]].ravel() + linear.values[acting]
         at_rows = -np.column_stack([rows[:, :nt], missed]) / length[:, None]
-        if len(G) and (len(G) > len(d) or np.linalg.svd(G, compute_uv=False)[-1] <= INDEPENDENT):
+        if len(G) and (len(G) > len(d) or np.linalg.svd(G, compute_uv=False)[-1] <= PRIMAL):
             return None
         first = np.linalg.lstsq(G, at_rows, rcond=None)[0] if len(G) else np.zeros_like(right)
         Z = null_directions(G)
@@ -239,7 +239,7 @@ def enter(rows: Array, multipliers: Array, acting: Flags, passed: Flags) -> None
     for i in np.flatnonzero(passed):
         kept = np.flatnonzero(acting)
         parts = np.linalg.lstsq(rows[kept].T, rows[i], rcond=None)[0]
-        length = INDEPENDENT * np.linalg.norm(rows[i])
+        length = PRIMAL * np.linalg.norm(rows[i])
         if np.linalg.norm(rows[i] - parts @ rows[kept]) <= length:
             giving = parts * np.linalg.norm(rows[kept], axis=1) > length
             shares = multipliers[kept[giving]] / parts[giving]

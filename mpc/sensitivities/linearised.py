@@ -17,7 +17,7 @@ from mpc.problem import MPCProblem
 from mpc.rollout import Given, deviations, relative_violations
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
-from mpc.tolerances import ACTIVE, KKT_REPORTED
+from mpc.tolerances import KKT_REPORTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +193,7 @@ class Linearised:
 
     def with_multipliers(self) -> Point:
         """The point with multipliers >= 0 that best balance the gradient."""
-        met = np.flatnonzero((self.values >= -ACTIVE * self.units) & self.own)
+        met = np.flatnonzero((self.values >= -KKT_REPORTED * self.units) & self.own)
         multipliers = np.zeros(len(self.rows))
         scaled = self.rows[met][:, self.free] * self.scale
         length = np.linalg.norm(scaled, axis=1)
@@ -226,7 +226,7 @@ class Linearised:
         near = {
             label.step
             for label, value, unit in zip(self.labels, self.values, self.units)
-            if label.kind in SOFTENED and value >= -ACTIVE * unit
+            if label.kind in SOFTENED and value >= -KKT_REPORTED * unit
         }
         idle = [label.kind == "slack" and label.step not in near for label in self.labels]
         return np.asarray(pushing | np.array(idle, dtype=bool))

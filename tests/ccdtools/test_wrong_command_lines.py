@@ -55,7 +55,7 @@ WRONG = [
     # Commands and options that do not exist
     (
         ["rum", "suspension"],
-        "command: got 'rum', expected run, resume, codesign, export, new or studies. Did you mean run?",
+        "command: got 'rum', expected run, resume, codesign, reproduce, export, new or studies. Did you mean run?",
     ),
     (["Run", "suspension"], "command: got 'Run'"),
     (["suspension"], "command: got 'suspension'"),

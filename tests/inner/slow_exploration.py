@@ -12,6 +12,7 @@ from typing import Any
 import daqp
 import numpy as np
 
+from mpc.budgets import INSETS
 from mpc.checks import Array
 from mpc.explicit.exploration import irredundant_rows
 from mpc.explicit.mpqp import partitioned
@@ -19,7 +20,7 @@ from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.region_graph import Found
 from mpc.explicit.scaled_qp import ScaledQP
 from mpc.parametric_qp import ParametricQP
-from mpc.tolerances import DEPENDENT_ROW, INSETS, INSIDE, PRIMAL, TIE
+from mpc.tolerances import DEPENDENT_ROW, INSIDE, PRIMAL, TIE
 
 _SEEDS = 8
 _BOX = 4.0  # linear programs look for parameters in [-4, 4], which holds the set

@@ -48,7 +48,6 @@ SOURCE = """\
 #define NU @NAME@_NU
 #define TOLERANCE @tolerance@
 #define LARGE @large@
-#define FAR_AWAY @far@
 
 typedef @name@_real real;
 
@@ -169,7 +168,7 @@ static int pull_back(real theta[NT])
         far = way[j] > far ? way[j] : -way[j] > far ? -way[j] : far;
     }
     for (j = 0; j < NT; j++) {
-        way[j] *= half[j] * (far > FAR_AWAY ? FAR_AWAY / far : 1);
+        way[j] *= half[j] * (far > 2 ? 2 / far : 1);
     }
     for (i = 0; i < @nborder@; i++) {
         real step = 0;

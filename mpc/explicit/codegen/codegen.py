@@ -17,7 +17,7 @@ from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.piecewise_law import PiecewiseLaw
 from mpc.explicit.search_tree import distinct_planes, is_scan, region_points
 from mpc.halfspaces import box_of
-from mpc.tolerances import FAR_AWAY, INSIDE, INSIDE_FLOAT, NO_BOUND
+from mpc.tolerances import INSIDE, INSIDE_FLOAT, NO_BOUND
 
 _TOLERANCE = {"double": INSIDE, "float": INSIDE_FLOAT}
 
@@ -100,7 +100,6 @@ def write_c(
         "law": _law_tables(law, scalar), "summary": f"{len(law)} regions, {count} laws, {method} search",
         "low": table(low, scalar), "high": table(high, scalar), "nearest": table(nearest, scalar),
         "large": real(NO_BOUND, scalar), "largest": c.LARGEST[scalar], "tolerance": real(_TOLERANCE[scalar], scalar),
-        "far": real(FAR_AWAY, scalar),
         "outside": c.OUTSIDE[complete],
     }  # fmt: skip
     source = c.fill(c.SOURCE, fields)

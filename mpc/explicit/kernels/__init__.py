@@ -5,11 +5,12 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-SOURCES = (*Path(__file__).parent.glob("*.py"), Path(__file__).parents[2] / "tolerances.py")
+NUMBERS = (Path(__file__).parents[2] / name for name in ("tolerances.py", "budgets.py"))
+SOURCES = (*Path(__file__).parent.glob("*.py"), *NUMBERS)
 
 
 def forget_stale(cache: str | None) -> None:
-    """Remove what numba has kept in a folder, if in any, from before the last change of any kernel or tolerance.
+    """Remove what numba kept in a folder, if in any, before the last change of any kernel, tolerance or budget.
 
     Numba itself notices a change in the file of a function, not in what it calls and in the constants that it takes.
     """

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.budgets import CLEARANCE
 from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider, consider_parameter, flip, from_mask
 from mpc.explicit.kernels.data import (
@@ -29,7 +30,7 @@ from mpc.explicit.kernels.data import (
 )
 from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind
 from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, region_rows
-from mpc.tolerances import CLEARANCE, EXCLUDED, INSIDE, PRIMAL
+from mpc.tolerances import EXCLUDED, INSIDE, PRIMAL
 
 
 @njit(cache=True)

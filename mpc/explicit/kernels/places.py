@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mpc.budgets import INSETS
 from mpc.checks import Array
 from mpc.explicit.kernels.active_sets import consider_parameter
 from mpc.explicit.kernels.data import DONE, INFEASIBLE, Facets, Flags, Graph, Ints, QPData
 from mpc.explicit.kernels.halfspace import margin_at, project, violation
-from mpc.tolerances import INSETS, ROUNDED_SUM
+from mpc.tolerances import ROUNDED_SUM
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ from numba import njit
 from mpc.checks import Array
 from mpc.explicit.kernels.data import Flags, Ints
 from mpc.explicit.kernels.halfspace import side, violation
-from mpc.tolerances import CROSSING, FAR_AWAY, INSIDE, NO_BOUND
+from mpc.tolerances import CROSSING, INSIDE, NO_BOUND
 
 
 @njit(cache=True)
@@ -78,7 +78,7 @@ def pull_back(columns: Array, room: Array, inner: Array, t: Array) -> None:
     for j in range(len(t)):
         t[j] -= inner[j]
         far = max(far, abs(t[j]))
-    shrink = FAR_AWAY / far if far > FAR_AWAY else 1.0
+    shrink = 2.0 / far if far > 2.0 else 1.0  # the parameters fill a box two wide: only the direction counts
     for j in range(len(t)):
         t[j] *= shrink
     share = 1.0

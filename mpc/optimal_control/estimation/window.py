@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mpc.budgets import USUAL_ITERATIONS
+from mpc.budgets import ASIDE, USUAL_ITERATIONS
 from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.estimation.experiment import whitened
@@ -18,7 +18,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.ipopt import WARM, Settings, once
 from mpc.optimal_control.pieces import Piece, kind_of, piece_function
 from mpc.optimal_control.program import SizedProgram
-from mpc.tolerances import ASIDE, KKT_REPORTED
+from mpc.tolerances import KKT_REPORTED
 
 
 @dataclass(frozen=True, eq=False)

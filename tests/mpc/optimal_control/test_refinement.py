@@ -87,3 +87,11 @@ def test_a_corridor_that_is_blocked_is_not_made_passable_by_a_lower_accuracy():
     assert "Ask for" not in found.advice
     told = (found.advice, *found.conflicts)
     assert any("finer mesh" in one or "outside the disc" in one for one in told)
+
+
+@pytest.mark.parametrize("intervals", [1, 2])
+def test_refinement_begins_at_a_mesh_of_one_or_two_intervals(intervals):
+    phase = Phase(lambda x, u: u, 1, 1, start=[0], end=[1], duration=1.0, stage_cost=lambda x, u: u**2 + 2 * x**4)
+    found = refine(phase, Radau(3), intervals=intervals)
+    assert found.cost == pytest.approx(refine(phase, Radau(3), intervals=8).cost, rel=1e-5)
+    assert len(found.phases[0].times) > intervals + 1
