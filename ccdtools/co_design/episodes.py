@@ -90,15 +90,16 @@ def simulated(
     progress: Progress = (x0, torch.zeros_like(x0), running, nothing, nothing, nothing, nothing)
     recomputed = torch.is_grad_enabled() and w.shape[1] > 2 * LONGEST_SEGMENT and w.shape[0] * w.shape[1] > HELD_SAMPLES
     length = math.isqrt(w.shape[1]) if recomputed else LONGEST_SEGMENT
-    options = {"expected": not guarded}
 
     def advanced(progress: Progress, w: Tensor) -> Progress:
         """Progress after the steps of `w` (n, T, nw)."""
         for part in w.split(length, dim=1):
             if recomputed:
-                progress = checkpoint(_segment, step, law, part, depths, *progress, use_reentrant=False, **options)
+                progress = checkpoint(
+                    _segment, step, law, part, depths, *progress, expected=not guarded, use_reentrant=False
+                )
             else:
-                progress = _segment(step, law, part, depths, *progress, **options)
+                progress = _segment(step, law, part, depths, *progress, expected=not guarded)
         return progress
 
     if warm_up:
