@@ -27,7 +27,7 @@ from torch import Tensor
 
 from ccdtools.co_design.budgets import MPC_RUNS
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
-from ccdtools.co_design.differentiable_model import Episode, Stepper, fewer_runs, simulated, to_design
+from ccdtools.co_design.differentiable_model import Episode, Stepper, fewer_runs, in_double, simulated, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import (
     AIMED_SHARE,
@@ -138,11 +138,11 @@ def _beside(seen: Episode) -> Tensor:
 def mpc_episodes(problem: CoDesignProblem, v: Tensor, scenarios: tuple[Tensor, Tensor]) -> Episode:
     """Episodes of online MPC with relaxed state limits, on few scenarios."""
     mpc = linear_mpc(problem, problem.design.from_unit(v.detach().double().numpy()))
-    x0, w = scenarios
-    runs = fewer_runs(MPC_RUNS, w.shape[1])
+    runs = fewer_runs(MPC_RUNS, scenarios[1].shape[1])
+    x0, w = (part[:runs].double() for part in scenarios)
     with torch.no_grad():
-        step = Stepper.at(problem, to_design(problem, v.detach().to(x0.dtype)))
-        return simulated(step, lambda x: x.new_tensor(mpc(x.double().numpy())), (x0[:runs], w[:runs]), depths=True)
+        step = Stepper.at(in_double(problem), to_design(problem, v.detach().double()))
+        return simulated(step, lambda x: x.new_tensor(mpc(x.numpy())), (x0, w), depths=True)
 
 
 def measured(episode: Episode) -> Pair:

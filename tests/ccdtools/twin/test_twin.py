@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import DigitalTwin, InputError, LinearFeedback, simulate
+from ccdtools import (
+    DigitalTwin,
+    InputError,
+    LinearFeedback,
+    Nested,
+    Search,
+    closed_loop_returns,
+    codesign,
+    saturated_lqr,
+    simulate,
+)
+from ccdtools.twin import updated_problem
 from learning import QuantileConfig
 from mpc import lqr
 
@@ -145,3 +156,14 @@ def test_more_blocks_than_samples_are_as_many_as_there_are(illustrative):
 
 
 # ── the learned model ──
+
+
+@pytest.mark.quick(1)
+@pytest.mark.parametrize("method", [Nested("lqr", evaluations=5), Search("cma", evaluations=8)])
+def test_methods_of_the_model_redesign_on_an_updated_problem_whose_limits_act(illustrative, twin, method):
+    problem = updated_problem(illustrative.problem(), twin)  # whose tolerance MPC says, in double precision
+    narrow = replace(problem, X=([-4, -2.2], [4, 1.0]), steps=20)
+    result = codesign(narrow, method=method, design=DESIGN, rng=np.random.default_rng(0))
+    law = saturated_lqr(narrow, result.design)
+    own = closed_loop_returns(narrow, law, result.design, np.random.default_rng(1), runs=500)
+    assert result.closed_loop.summary.mean == pytest.approx(own.summary.mean, abs=0.8)  # five standard errors
