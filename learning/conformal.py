@@ -107,7 +107,7 @@ def _factor(scores: Array, level: float, share: float) -> float:
 
 @dataclass(frozen=True)
 class AdaptiveConformal:
-    """Factor of a stream, which follows its scores, and a flag when a fixed one no longer holds.
+    """Factor that follows the scores of a stream, with a flag.
 
     In its logarithm a miss makes the factor larger by the rate times the level, a hit smaller by the rate times the
     rest. Over any T scores the share of misses differs from 1 − level by at most the change of that

@@ -57,7 +57,7 @@ def follow(
 
 
 def _stepped(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array, Array], tuple[Array, Any]]:
-    """Step to next states (n, nx) and penalties (n,), of a model with learned error where there is one.
+    """Step to next states (n, nx) and penalties (n,).
 
     It is NaN where the state is: a lost run takes its step from the origin, so that no draw is looked up at NaN.
     """
@@ -81,7 +81,7 @@ def _stepped(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array
 def expert_law(
     problem: CoDesignProblem, starts: Starts, expert: str | DesignLaw, horizon: int, *, progress: bool = False
 ) -> Law:  # fmt: skip
-    """Inputs (n, nu) of filtered LQR, MPC or a law, at the designs of the starts; NaN where the state is.
+    """Inputs (n, nu) of the expert at each start's design; NaN where the state is.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Disturbance set of a log: what a nominal model may be wrong by in one step, jointly over the states."""
+"""Disturbance set of a log: joint one-step errors of a nominal model."""
 
 from __future__ import annotations
 

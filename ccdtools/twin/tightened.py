@@ -1,4 +1,4 @@
-"""MPC that keeps its limits under what a log says of the model's errors, with what that costs."""
+"""MPC that keeps its limits under the errors of a log."""
 
 from __future__ import annotations
 

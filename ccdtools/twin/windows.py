@@ -82,14 +82,14 @@ class Windows:
         return replace(self, **columns, scale=self.scale[kept], span=self.span[kept])
 
     def scores_at(self, step: int) -> Array:
-        """Least factors (nx + 1, n) by which the widths hold each state there, and last all states so far."""
+        """Least factors (nx + 1, n) by which widths hold each state, and all."""
         off = (self.actual - self.path)[:step]
         width = np.where(off < 0, self.below[:step], self.above[:step])
         scores = np.abs(off) / np.maximum(width, np.finfo(float).eps * np.abs(self.actual).max())
         return np.concatenate([scores[-1].T, scores.max(axis=(0, 2))[None]])
 
     def exponents(self, step: int) -> Array:
-        """Powers (nx + 1,) of the scale, from 0 to 1, that scores grow with, by least squares of logarithms."""
+        """Powers (nx + 1,) of the scale that scores grow with, from 0 to 1."""
         x = np.log(self.scale) - np.log(self.scale).mean()
         y = np.log(np.maximum(self.scores_at(step), np.finfo(float).eps))
         slope = y @ x / max(float(x @ x), np.finfo(float).tiny)
@@ -127,7 +127,7 @@ class Drawing:
         return Windows(middle, middle - low, high - middle, actual, spread, recent, starts[:, 2], limit)
 
     def _recent(self, errors: Array, starts: NDArray[np.int64]) -> Array:
-        """Mean of the last errors (n, T, nx) before each start, in units of the newest log's; one where unknown."""
+        """Mean size of the last errors before each start; one where unknown."""
         unit = np.abs(self.twin.logs[-1].e_next).mean(axis=(0, 1))
         size = (np.abs(errors) / np.where(unit > 0, unit, 1.0)).mean(axis=2)
         size[:, 0] = 1.0

@@ -9,7 +9,6 @@ from pathlib import Path
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.disturbances.recordings import read_disturbance
 from ccdtools.studies.loading import load_study
-from ccdtools.studies.presets import StudyConfig, configuration
 from ccdtools.studies.study import Study
 
 CASES = ("illustrative", "suspension")
@@ -54,19 +53,12 @@ class Budget:
         recorded = Recorded(read_disturbance(self.road, dt=study.plant.dt))
         return replace(study, real=replace(study.real, disturbance=recorded))
 
-    def config(self, study: Study, preset: str = "default") -> StudyConfig:
-        """Configuration of a preset within the budget."""
-        config = configuration(study, preset=preset, quick=self.quick)
-        if not self.paper:
-            config = replace(config, online=replace(config.online, updates=UPDATES))
-        if preset == "paper" and not self.paper:
-            epochs = 8 if self.quick else EPOCHS
-            config = replace(config, codesign=replace(config.codesign, iterations=epochs, block=epochs))
-        return config
-
 
 def recorded_road() -> str:
-    """File of the released road, in the folder CCDTOOLS_DATA or beside the repository; empty if there is none."""
+    """File of the released road; empty if there is none.
+
+    It is looked for in the folder CCDTOOLS_DATA, or beside the repository.
+    """
     folder = os.environ.get("CCDTOOLS_DATA") or Path(__file__).parents[4] / "shared" / "data"
     path = Path(folder, ROAD)
     return str(path.resolve()) if path.is_file() else ""

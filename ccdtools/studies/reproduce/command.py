@@ -37,20 +37,16 @@ def begun(path: Path, budget: Budget, *, overwrite: bool = False) -> RunFolder:
     return folder
 
 
-def computed(folder: RunFolder, budget: Budget, *, jobs: int, echo: Callable[[str], None], progress: bool) -> None:
-    """Compute every task that is not in the folder yet."""
-    tasks = all_tasks(folder.path, budget)
-    names = [task.name for task in tasks]
-    for name in as_they_end(
-        methodcaller("run"), tasks, jobs=jobs, label="tasks", names=names if progress else (), progress=progress
-    ):
-        echo(f"{name} is finished")
-
-
 def reproduced(folder: RunFolder, budget: Budget, *, jobs: int, echo: Callable[[str], None], progress: bool) -> str:
-    """Table of a reproduction and the path of its page, after what was not finished yet."""
-    computed(folder, budget, jobs=jobs, echo=echo, progress=progress)
-    rows = filled_rows(folder, budget)
-    path = written(rows, folder, budget)
+    """Table of a reproduction and the path of its page.
+
+    What was not finished yet is computed first.
+    """
+    tasks = all_tasks(folder.path, budget)
+    names = [task.name for task in tasks] if progress else ()
+    for name in as_they_end(methodcaller("run"), tasks, jobs=jobs, label="tasks", names=names, progress=progress):
+        echo(f"{name} is finished")
+    rows = filled_rows(tasks, budget)
+    path = written(rows, tasks, folder, budget)
     notes = "\n".join(notes_of(budget))
     return "\n".join([*table_of(rows, PRINTED).aligned(), "", notes, "", f"Page, rows.csv and figures: {path}"])

@@ -63,7 +63,7 @@ def optimal_return(
 def viable(
     A: Array, B: Array, inputs: tuple[float, float], box: tuple[Array, Array], *, cells: int = 201, choices: int = 41
 ) -> float:
-    """Area of the states of a box that inputs can keep in it for ever, by a grid."""
+    """Area of the states that inputs can keep in a box, by a grid."""
     lower, upper = box
     axes = np.linspace(lower, upper, cells).T
     x = np.stack(np.meshgrid(*axes, indexing="ij"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,10 +17,12 @@ from ccdtools.figure_style import Figure
 from ccdtools.scenario import Scenario
 from ccdtools.studies.reproduce.paper_figures import FIRST, SECOND, SETS_AT, SIGNALS, STARTS
 from ccdtools.studies.reproduce.places import COMMON, STRETCHES
-from ccdtools.studies.reproduce.tasks import Task
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.twin.residuals import residuals
 from invariant_sets import plot_polytope
+
+if TYPE_CHECKING:
+    from ccdtools.studies.reproduce.tasks import Task
 
 PAPERS = "#7F7F7F"  # colour of what the paper prints
 SHOWN = 150  # samples of the logged errors that are drawn

@@ -6,16 +6,18 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ccdtools import figure_style as style
 from ccdtools.studies.report.method_page import LOOK
 from ccdtools.studies.reproduce.budget import CASES, EPOCHS, Budget
 from ccdtools.studies.reproduce.figures import Drawn, drawn_figures
 from ccdtools.studies.reproduce.places import SIGMA_WINDOW
-from ccdtools.studies.reproduce.tasks import all_tasks
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.table import Table, csv_text
+
+if TYPE_CHECKING:
+    from ccdtools.studies.reproduce.tasks import Task
 
 COLUMNS = {
     "row": "row of the paper", "paper": "paper", "place": "its place", "LQR": "LQR at the paper's design",
@@ -30,9 +32,8 @@ def table_of(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = tuple(C
     return Table(tuple(COLUMNS[name] for name in columns), [tuple(row[name] for name in columns) for row in rows])
 
 
-def written(rows: Sequence[Mapping[str, Any]], folder: RunFolder, budget: Budget) -> Path:
+def written(rows: Sequence[Mapping[str, Any]], tasks: Sequence[Task], folder: RunFolder, budget: Budget) -> Path:
     """Path of the page, written with rows.csv and its figures."""
-    tasks = all_tasks(folder.path, budget)
     loops, presets = (
         {case: [t for t in tasks if (t.case, t.kind) == (case, kind)] for case in CASES} for kind in ("loop", "paper")
     )

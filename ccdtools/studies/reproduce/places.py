@@ -1,4 +1,4 @@
-"""Places where laws are measured, and what LQR does there: at the paper's designs, and at the best of a grid."""
+"""Places where laws are measured, and what LQR does there."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def on_model(name: str, problem: CoDesignProblem, runs: int) -> Seen:
 
 
 def fixed_places(study: Study, budget: Budget) -> dict[str, Seen]:
-    """Places that do not depend on what was learned: the model, and of the suspension what the paper drives."""
+    """Places that do not depend on what was learned."""
     problem = study.problem()
     places = {"nominal": on_model("nominal", problem, budget.runs)}
     if study.name != "suspension":
@@ -76,14 +76,14 @@ def fixed_places(study: Study, budget: Budget) -> dict[str, Seen]:
 
 
 def steady(run: Trajectory) -> dict[str, Array]:
-    """Standard deviations of x₃, x₄ and u in steady state, from each of the three starts on every stretch."""
+    """Standard deviations of x₃, x₄ and u in steady state, by start and stretch."""
     signals = np.concatenate([run.states[:, 1:, 2:4], run.inputs], axis=2)[:, SIGMA_WINDOW]
     sigma = signals.std(axis=1).reshape(len(STARTS), STRETCHES, len(SIGNALS))
     return {f"sigma-{i + 1}-{name}": sigma[i, :, k] for i in range(len(sigma)) for k, name in enumerate(SIGNALS)}
 
 
 def paper_designs(study: Study) -> dict[str, Array]:
-    """Designs of the paper by what was measured there: before and after each of its optimisations."""
+    """Designs of the paper, before and after each of its optimisations."""
     first, second = (np.array(found[study.name]) for found in (FIRST, SECOND))
     return {"before": np.asarray(study.p0), "after": first, "1": first, "2": second}
 
@@ -95,7 +95,7 @@ def grid(space: DesignSpace, points: int) -> Array:
 
 
 def lqr_beside(problem: CoDesignProblem, seen: Seen, designs: Mapping[str, Array], points: int) -> Stage:
-    """What saturated LQR does in a place: at each of the paper's designs, and at the best of a grid."""
+    """Returns of saturated LQR at the paper's designs and the best of a grid."""
     arrays = {}
     for tag, design in designs.items():
         for name, values in seen(saturated_lqr(problem, design), design).items():
@@ -112,7 +112,7 @@ def lqr_beside(problem: CoDesignProblem, seen: Seen, designs: Mapping[str, Array
 
 
 def best_of(values: Array, *, lower: bool) -> int:
-    """Row of values (designs, runs) with the best mean, among those that lose few runs."""
+    """Row of values (designs, runs) with the best mean and few losses."""
     kept = np.isfinite(values)
     means = np.where(kept, values, 0.0).sum(axis=1) / np.maximum(kept.sum(axis=1), 1)
     score = np.where(kept.mean(axis=1) >= 1 - LOST, -means if lower else means, -np.inf)

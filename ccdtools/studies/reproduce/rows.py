@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies.reproduce.budget import CASES, Budget
 from ccdtools.studies.reproduce.lines import Line, lines_of
-from ccdtools.studies.reproduce.tasks import Task, all_tasks
-from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.stage_storage import Stage
+
+if TYPE_CHECKING:
+    from ccdtools.studies.reproduce.tasks import Task
 
 COMMON_TO_ALL = -1  # in place of a seed
 WORDS = {Status.BETTER: "better", Status.WORSE: "worse"}
@@ -28,7 +29,7 @@ ELSEWHERE = " (on a generated road: the recorded one is not at hand)"
 
 @dataclass(frozen=True)
 class Cell:
-    """Mean with its 95 % interval over seeds and runs, spread over runs, and design; NaN where there is none."""
+    """Mean with its 95 % interval, spread and design; NaN without one."""
 
     mean: float = float("nan")
     low: float = float("nan")
@@ -58,7 +59,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Found:
-    """What the tasks of one case study have found, by key: of each seed, and once for all.
+    """Findings of one case study by key, of each seed and once.
 
     `seeds` and `once` hold arrays, `designs` texts of designs or lists of their values.
     """
@@ -70,7 +71,7 @@ class Found:
     decisions: tuple[bool, ...] = ()
 
     def values(self, key: str) -> Array | None:
-        """Values (seeds, runs) of a key such as "free-1.lqr", or (1, runs) if common; None if there are none."""
+        """Values (seeds, runs) of a key, (1, runs) if common, or None."""
         own = [found[key] for found in self.seeds if key in found]
         if not own:
             return self.once[key][None] if key in self.once else None
@@ -88,7 +89,7 @@ class Found:
         return Cell(found.mean, *found.ci95, spread, at)
 
     def beside(self, key: str, other: str, *, fresh: bool, lower: bool) -> Judged | None:
-        """Status and gain of one key beside another on the same runs; None if one is missing."""
+        """Status and gain of one key beside another, or None."""
         one, two = self.values(key), self.values(other)
         if one is None or two is None:
             return None
@@ -108,9 +109,8 @@ class Found:
         )
 
 
-def filled_rows(folder: RunFolder, budget: Budget) -> list[dict[str, Any]]:
+def filled_rows(tasks: Sequence[Task], budget: Budget) -> list[dict[str, Any]]:
     """Rows of both case studies, as texts and numbers by column."""
-    tasks = all_tasks(folder.path, budget)
     rows = []
     for case in CASES:
         found = found_in([task for task in tasks if task.case == case])
@@ -171,7 +171,7 @@ def _row(line: Line, found: Found, note: str) -> dict[str, Any]:
 
 
 def verdict(line: Line, found: Found, ours: Cell, optimum: Cell) -> str:
-    """Verdict on a row: reproduced, better or worse than the paper; or that its figure cannot be, and why.
+    """Verdict on a row, beside the paper.
 
     Where the paper prints no figure, ours is compared with LQR at the paper's design, on the same runs.
     """
@@ -191,7 +191,7 @@ def verdict(line: Line, found: Found, ours: Cell, optimum: Cell) -> str:
 
 
 def _out_of_reach(line: Line, optimum: Cell, word: str) -> str:
-    """Why a figure of the paper beyond the optimum cannot be, as far as that was measured."""
+    """Why a figure beyond the optimum cannot be, as far as measured."""
     best = with_minus(number(optimum.mean))
     if line.key != "rmse":
         bound = "no policy at a design of the grid" if optimum.at.startswith("dynamic") else "no LQR of the grid"

@@ -1,4 +1,4 @@
-"""Tasks of a reproduction: each one keeps its finished stages in the folder, and goes on from them."""
+"""Tasks of a reproduction, which keep their finished stages in the folder."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from ccdtools.co_design.expert import expert_dataset, feasible_sets
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.studies.evaluation import Evaluation
+from ccdtools.studies.presets import StudyConfig, configuration
 from ccdtools.studies.redesign import RedesignJudge
-from ccdtools.studies.reproduce.budget import CASES, Budget
+from ccdtools.studies.reproduce.budget import CASES, EPOCHS, UPDATES, Budget
 from ccdtools.studies.reproduce.dynamic_program import optimal_return, viable
 from ccdtools.studies.reproduce.paper_figures import SETS_AT
 from ccdtools.studies.reproduce.places import fixed_places, floors, grid, lqr_beside, on_model, paper_designs
@@ -93,7 +94,7 @@ class Task:
     @cached_property
     def evaluation(self) -> Evaluation:
         """What a redesign is trained and decided on, as in `ccdtools run`."""
-        return Evaluation(self.study, self.budget.config(self.study), self.seed)
+        return Evaluation(self.study, configured(self.budget, self.study), self.seed)
 
     def stage(self, name: str, compute: Callable[[np.random.Generator], Stage]) -> Stage:
         """Stage of this task, read back or computed."""
@@ -125,7 +126,7 @@ class Task:
         }))  # fmt: skip
 
     def _imitated(self, rng: np.random.Generator, preset: str) -> Stage:
-        config = self.budget.config(self.study, preset)
+        config = configured(self.budget, self.study, preset)
         problem = self.problem
         data, fresh = (
             expert_dataset(problem, samples=n, rng=rng, sets=config.sets, time_limit=config.sets_time_limit)
@@ -142,7 +143,7 @@ class Task:
         return Stage({"samples": len(data.inputs)}, {"r2": np.array([score])}, {"agent": agent})
 
     def _first(self, rng: np.random.Generator, start: Stage, preset: str) -> Stage:
-        config = self.budget.config(self.study, preset)
+        config = configured(self.budget, self.study, preset)
         found = codesign(
             self.problem, agent=start.networks["agent"], design=self.study.p0, rng=rng, method=config.method,
             config=config.codesign,
@@ -167,7 +168,7 @@ class Task:
 
     def _learned(self, rng: np.random.Generator, logged: Stage) -> Stage:
         twin = DigitalTwin(self.study.model, scale=self.problem.state_scale).update(
-            self.log(logged), weight=self.study.weight, rng=rng, config=self.budget.config(self.study).quantile
+            self.log(logged), weight=self.study.weight, rng=rng, config=configured(self.budget, self.study).quantile
         )
         assert twin.discrepancy is not None
         assert twin.scores is not None
@@ -182,7 +183,7 @@ class Task:
         return replace(taught, discrepancy=Discrepancy(network, self.study.weight, transport=taught.transport))
 
     def _second(self, rng: np.random.Generator, logged: Stage, twin: DigitalTwin) -> Stage:
-        """Co-design on the updated model, ranked on replays, and whether it is deployed: all as in `ccdtools run`."""
+        """Co-design on the updated model, and whether it is deployed."""
         evaluation = self.evaluation
         current = Deployable(logged.networks["agent"], logged.arrays["design"], "generation 1")
         window, before = evaluation.training_episode(twin.logs, self.problem.design)
@@ -297,8 +298,19 @@ def _designed(found: Any) -> Stage:
     return Stage({"status": found.status.name}, arrays, {"agent": found.agent})
 
 
+def configured(budget: Budget, study: Study, preset: str = "default") -> StudyConfig:
+    """Configuration of a preset within a budget."""
+    config = configuration(study, preset=preset, quick=budget.quick)
+    if not budget.paper:
+        config = replace(config, online=replace(config.online, updates=UPDATES))
+    if preset == "paper" and not budget.paper:
+        epochs = 8 if budget.quick else EPOCHS
+        config = replace(config, codesign=replace(config.codesign, iterations=epochs, block=epochs))
+    return config
+
+
 def all_tasks(path: Path, budget: Budget) -> list[Task]:
-    """Every task of a reproduction; seed after seed, so that one that is stopped has whole seeds."""
+    """Every task of a reproduction, seed after seed."""
     folder = RunFolder(path)
     own = [
         Task(folder, budget, case, kind, seed)
