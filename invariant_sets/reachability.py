@@ -265,7 +265,10 @@ def _repeat(
     outer: Polytope,
     last: Callable[[Deadline], Polytope | None] | None,
 ) -> SetResult:
-    """Result of `steps` steps from S; at a limit `outer` and the inner hull of states that `last` finds, if any."""
+    """Result of `steps` steps from S, or of those before a limit.
+
+    At a limit it has `outer`, and the inner hull of states that `last` finds.
+    """
     exact = deadline.part(EXACT_SHARE)
     violation = -np.inf
     missing = 0.0

@@ -78,8 +78,9 @@ def _sizes(problem: MPCProblem, parameters: tuple[str, ...]) -> dict[str, int]:
 def predict(
     problem: MPCProblem, A: Array, B: Array, driven: Array, free: int, feedback: Array | None
 ) -> tuple[Array, Array]:
-    """Inputs (N, nu, n) and states (N + 1, nx, n) as matrices on ξ, which begins with x and ends with free inputs.
+    """Inputs (N, nu, n) and states (N + 1, nx, n) as matrices on ξ.
 
+    ξ begins with x and ends with the free inputs.
     A, B : (N, nx, nx) and (N, nx, nu); driven : (N, nx, n), what else moves each next state; free : the first column of
     the inputs, one for each block; feedback : see `stabilising_feedback`.
     """
@@ -121,7 +122,10 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]) -> Arra
 def constraints_of(
     problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]
 ) -> tuple[Array, Array, list[Constraint]]:
-    """Rows (m, nv) with rows ξ <= w, and their labels; with soft limits one slack per step, relative to their units."""
+    """Rows (m, nv) with rows ξ <= w, and their labels.
+
+    With soft limits there is one slack per step, relative to their units.
+    """
     nv = U.shape[-1]
     rows = [np.zeros((0, nv))]
     bounds = [np.zeros(0)]

@@ -19,7 +19,7 @@ Given = dict[str, Array]
 
 
 def simulated(problem: MPCProblem, x: Array, push: Array, law: Callable[[int, Array], Array]) -> tuple[Array, Array]:
-    """Inputs (N, nu) and states (N + 1, nx) under a law of step and state, with `push` (N, nx) on each next state."""
+    """Inputs (N, nu) and states (N + 1, nx) under a law, with pushes."""
     inputs = np.empty((problem.horizon, problem.nu))
     states = np.empty((problem.horizon + 1, problem.nx))
     states[0] = x

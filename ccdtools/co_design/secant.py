@@ -142,7 +142,7 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
 def _least_squares(
     problem: CoDesignProblem, p: Array, states: Array, inputs: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:  # fmt: skip
-    """A and B that predict the undisturbed step best, over pairs of the loop and, to tell x from u, mixed ones."""
+    """A and B that predict the undisturbed step best over given pairs."""
     nx = problem.model.nx
     pairs = np.vstack([np.hstack([states, inputs]), np.hstack([states, rng.permutation(inputs)])])
     after = problem.model.undisturbed(p)(pairs[:, :nx], pairs[:, nx:])

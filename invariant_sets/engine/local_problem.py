@@ -116,7 +116,7 @@ def localise(system: LinearSystem, X: Polytope, U: Polytope, units: Array) -> Lo
 
 
 def _stay_on_hull(motion: Array, basis: Array, spread: Array | None, size: Array) -> Array | tuple[Array, Array] | None:
-    """Map of (1, y, v') to (1, y, v) that stays on the hull of `basis`, or equalities on y to meet before, or None."""
+    """Map of (1, y, v') to (1, y, v) on the hull, equalities on y, or None."""
     # `spread` (k, n) are the vertices of the disturbance about its mean, `size` (n,) is one in each coordinate of x
     k = basis.shape[1]
     normal = normals(basis)

@@ -87,7 +87,7 @@ def _of_columns(function: ca.Function) -> ca.Function:
 
 
 def _program(law: LinearMPC, lowest: Array, highest: Array) -> tuple[ca.Function, ca.Function]:
-    """Scaled data of the QP along a plan; moves (nx, N + 1) and (nu, N) of the plan from its unknowns."""
+    """Scaled data of the QP along a plan, and moves of it."""
     nx, nu, N = law.nx, law.nu, law.horizon
     size_x, size_u = law.state_extent, np.where(law.input_extent > 0, law.input_extent, 1.0)
     slacks = N if len(law.state_rows[1]) + len(law.terminal_rows[1]) else 0

@@ -43,7 +43,7 @@ def _when(program: NonlinearProgram, phase: int, fraction: float, v: Array) -> s
 
 
 def _unknown(program: NonlinearProgram, index: int) -> tuple[str, int, int, float]:
-    """Name of an unknown, its phase or −1, its coordinate there or −1, and its fraction of the phase or NaN."""
+    """Name of an unknown, with its phase, coordinate and fraction if any."""
     for k, part in enumerate(program.parts):
         if index == part.duration:
             return "the duration", k, -1, np.nan

@@ -42,7 +42,7 @@ class ShootingProgram:
 
     def solve(self, law: MPCProblem, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, *,
               cost: float, prices: tuple[float, float]) -> tuple[Array, Array] | None:  # fmt: skip
-        """Plan that the solver comes to from another, (N + 1, nx) and (N, nu), from x (nx,); None of no numbers.
+        """Plan that the solver comes to from another; None of no numbers.
 
         Whether it is an optimum or where the solver stopped, a quadratic program there tells. `cost` is the size of the
         cost, `prices` are those of a violation, linear and quadratic.

@@ -139,7 +139,7 @@ class _Assembly:
 
     def _piece(self, values: Callable[..., Any], places: dict[str, Numbers], rows: Numbers, *functions: Any,
                factors: Array | None = None, data: Array | None = None) -> None:  # fmt: skip
-        """Append values that `functions` make of unknowns at places (n,) or (n, M) to rows (k,) or (k, M) of [f; g]."""
+        """Append values that `functions` make of unknowns to rows of [f; g]."""
         rows = rows.reshape(len(rows), -1)
         count = rows.shape[1]
         data = np.zeros((0, count)) if data is None else data
