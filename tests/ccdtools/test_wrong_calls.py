@@ -67,7 +67,7 @@ def agent(n_obs=4, lower=None, upper=None, action=1.0):
 AGENT = agent()
 POLICY = cc.LearnedPolicy(AGENT, P0)
 QUICK = cc.CoDesignConfig(iterations=1, runs=2, pathwise_runs=2, evaluation_runs=2)
-LOG = cc.simulate(MODEL, LQR, x0=[[1.0, 0.0]] * 2, steps=40, disturbance=cc.Gaussian([0.1]), design=P0, rng=rng())
+LOG = cc.simulate(MODEL, LQR, x0=[[1.0, 0.0]] * 2, steps=60, disturbance=cc.Gaussian([0.1]), design=P0, rng=rng())
 SCENARIO = cc.Scenario(MODEL, np.ones((3, 2)), np.zeros((3, 5, 1)))
 ROAD = np.zeros((1, 9, 1))
 
