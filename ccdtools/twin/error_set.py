@@ -15,6 +15,7 @@ from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.residuals import Residuals, block_parts, stacked
 from ccdtools.twin.tolerances import HELD_OUT
 from invariant_sets import Polytope
+from learning.conformal import Conformal, samples_needed
 
 
 def disturbance_set(
@@ -69,10 +70,9 @@ def disturbance_set(
         [part for log in given for part in block_parts(log, held_out, blocks, last=last)] for last in (False, True)
     ]
     count = sum(part.runs * part.steps for part in parts[1])
-    rank = int(np.ceil((count + 1) * level))
-    if rank > count or not parts[0]:
+    if count < samples_needed(level) or not parts[0]:
         got = f"{count} samples held out to calibrate a level of {level:g}"
-        raise InputError("logs", got, f"at least {int(np.ceil(level / (1 - level)))}: a longer log, or a lower level")
+        raise InputError("logs", got, f"at least {samples_needed(level)}: a longer log, or a lower level")
     errors, unseen = (stacked(part)[-1] for part in parts)
     back = _regressed(errors)
     scores, unseen_scores = (np.linalg.solve(back, rows.T).T for rows in (errors, unseen))
@@ -80,7 +80,7 @@ def disturbance_set(
     outside = np.quantile(np.minimum(place, 1 - place).min(axis=1), 1 - level)  # of each axis, on each of its sides
     low, high = np.quantile(scores, (outside, 1 - outside), axis=0)
     middle, half = (low + high) / 2, (high - low) / 2
-    factor = np.partition(_sizes(unseen_scores - middle, half), rank - 1)[rank - 1]
+    factor = Conformal.fit(_sizes(unseen_scores - middle, half), level).factors[0]
     return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(back)
 
 
