@@ -17,7 +17,7 @@ from mpc.exceptions import InputError
 from mpc.parametric_qp import ParametricQP
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import for_each_state, spread_signals
+from mpc.rollout import Given, for_each_state, spread_signals
 from mpc.solving import CondensedSolver
 from mpc.sparse_qp import SparseSolver
 
@@ -176,11 +176,14 @@ class LinearMPC(MPCProblem):
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu), always finite."""
         x = as_floats("x", x)
         if x.ndim == 2:
-            return np.array([plan.inputs[0] for plan in self.solve_many(x, **signals)]).reshape(len(x), self.nu)
-        for name in signals:
-            if name not in (*self.signal_shapes, "w"):
-                raise InputError(name, f"unknown signal {name!r}", f"some of {sorted(self.signal_shapes)}")
-        return np.array(self.solve(x, **signals).inputs[0])
+            rows = as_array("X", x, (None, self.nx))
+            return self._first_inputs(rows, for_each_state(self, signals, len(rows)))
+        given = spread_signals(self, dict(signals))
+        return self._first_inputs(as_array("x", x, (self.nx,))[None], [given])[0]
+
+    def _first_inputs(self, states: Array, given: list[Given]) -> Array:
+        """First inputs (n, nu) from states (n, nx)."""
+        return self._solver_for(tuple(sorted(given[0]))).first_inputs(states, given) if given else np.zeros((0, self.nu))
 
     def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
         """Explanation why the problem from x is infeasible.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from mpc.checks import Array
-from mpc.condensing import condense, row_units
+from mpc.condensing import condense, number_of_slacks, row_units
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import NotStabilisableError
 from mpc.feedback import block_lengths, stabilising_feedback
@@ -92,6 +93,10 @@ class CondensedSolver:
         self.unstable = float(np.abs(np.linalg.eigvals(problem.A)).max()) > 1 + NEAR_CIRCLE
         # of a long unstable horizon the second form is the stagewise one
         self.dense = DenseQP(self.qp.H, self.qp.G, self.units, second=self.feedback is None)
+        moves = self.qp.nz - number_of_slacks(problem)
+        self._scale = 1 / np.sqrt(np.diag(self.qp.H)[:moves])
+        self._H = self.qp.H[:moves, :moves] * self._scale * self._scale[:, None]
+        self._inverse = np.linalg.inv(self._H)
 
     def theta(self, x: Array, given: Given) -> Array:
         """Parameter of the QP."""
@@ -104,6 +109,25 @@ class CondensedSolver:
         plan = self.plan(x, given, time.perf_counter())
         away = plan.status is Status.SOFTENED and relative_violations(self.problem, plan.states).max() > GROWTH
         return plan.states if away else None
+
+    def first_inputs(self, states: Array, given: Sequence[Given]) -> Array:
+        """First inputs (n, nu) of the plans from states (n, nx).
+
+        Where no limit acts on the minimiser it is a linear law, evaluated for all states at once.
+        """
+        qp = self.qp
+        moves = len(self._scale)
+        with np.errstate(over="ignore", invalid="ignore"):
+            theta = np.array([self.theta(*each) for each in zip(states, given)])
+            q = (theta @ qp.F[:moves].T + qp.f[:moves]) * self._scale
+            v = -q @ self._inverse
+            z = v * self._scale
+            free = np.linalg.norm(v @ self._H + q, axis=1) <= KKT * np.linalg.norm(q, axis=1)
+            free &= (z @ qp.G[:, :moves].T <= qp.w + theta @ qp.S.T).all(axis=1)
+            u = z @ qp.Lz[: qp.nu, :moves].T + theta @ qp.Lt[: qp.nu].T + qp.l[: qp.nu]
+        for i in np.flatnonzero(~free):
+            u[i] = self.plan(states[i], given[i], time.perf_counter()).inputs[0]
+        return np.asarray(u)
 
     def plan(self, x: Array, given: Given, start: float) -> Plan:
         """Plan from the state x; its clock began at `start`."""

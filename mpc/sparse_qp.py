@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -65,6 +67,10 @@ class SparseSolver:
         self._remembers = problem.horizon * np.log(max(radius, 1.0)) < np.log(RUNAWAY)
         self._parameters = parameters
         self._workspace = threading.local()
+
+    def first_inputs(self, states: Array, given: Sequence[Given]) -> Array:
+        """First inputs (n, nu) of the plans from states (n, nx)."""
+        return np.array([self.plan(*each, time.perf_counter()).inputs[0] for each in zip(states, given)])
 
     def plan(self, x: Array, given: Given, start: float) -> Plan:
         """Plan from the state x; its clock began at `start`."""

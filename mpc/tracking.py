@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import copy
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -105,10 +107,21 @@ class OffsetFreeMPC:
         mpc = self.mpc
         x = as_array("x", x, (mpc.nx,))
         u = as_array("u", u, (mpc.nu,))
-        error = as_array("x_next", x_next, (mpc.nx,)) - mpc.A @ x - mpc.B @ u
-        scale = 1 / mpc.state_extent
-        seen = np.linalg.lstsq(mpc.E * scale[:, None], error * scale, rcond=None)[0]
-        return replace(self, disturbance=self.disturbance + self.gain * (seen - self.disturbance))
+        seen = self._seen @ (as_array("x_next", x_next, (mpc.nx,)) - mpc.A @ x - mpc.B @ u)
+        after = copy.copy(self)  # with what is known of the steady states
+        object.__setattr__(after, "disturbance", self.disturbance + self.gain * (seen - self.disturbance))
+        return after
+
+    @cached_property
+    def _seen(self) -> Array:
+        """Disturbance of a one-step error, (nw, nx)."""
+        scale = 1 / self.mpc.state_extent
+        return np.asarray(np.linalg.pinv(self.mpc.E * scale[:, None]) * scale)
+
+    @cached_property
+    def _steady(self) -> SteadyStates:
+        """Steady states of the model."""
+        return SteadyStates(self.mpc, self.mpc.A, self.mpc.B, self.C)
 
     def target(self, reference: ArrayLike) -> tuple[Array, Array]:
         """Steady state (x, u) with Cx nearest to `reference` (ny,).
@@ -131,9 +144,7 @@ class OffsetFreeMPC:
 
     def nearest_target(self, reference: ArrayLike) -> Target:
         """Target, or the least drifting state and input."""
-        mpc = self.mpc
-        r = as_array("reference", reference, (len(self.C),))
-        return nearest_target(mpc, mpc.A, mpc.B, mpc.E @ self.disturbance, self.C, r)
+        return self._steady.nearest(self.mpc.E @ self.disturbance, as_array("reference", reference, (len(self.C),)))
 
     def solve(self, x: ArrayLike, reference: ArrayLike, **signals: ArrayLike) -> Plan:
         """Plan from x towards the `nearest_target` of `reference`.
@@ -236,52 +247,68 @@ class Target(ReadOnly):
     steady: bool
 
 
-def nearest_target(problem: MPCProblem, A: Array, B: Array, push: Array, C: Array, r: Array) -> Target:
-    """Target of x⁺ = Ax + Bu + push, steady or least drifting.
+class SteadyStates:
+    """Steady states of x⁺ = Ax + Bu + push within the sets of a problem, of outputs Cx and by its weights."""
 
-    Weights and sets are those of the problem. Its outputs Cx are nearest to r.
-    """
-    size = sizes_of(problem)
-    # (A - I)x + Bu + push = 0, states and inputs in units of their limits
-    M = np.hstack([A - np.eye(problem.nx), B]) / problem.state_extent[:, None] * size
-    scaled = push / problem.state_extent
-    particular = np.asarray(np.linalg.lstsq(M, -scaled, rcond=None)[0], dtype=np.float64)
-    basis = null_space(M)
-    basis[np.abs(basis) < STEADY] = 0.0  # what rounding left of a zero would count as a direction
-    drift = M @ particular + scaled
-    steady = np.abs(drift).max() <= STEADY * max(1.0, np.abs(scaled).max())
-    result = _nearest(problem, C, r, particular, basis, np.zeros((len(size), len(size))))
-    if result is None or result.infeasible or not steady:
-        basis = np.eye(len(size))
-        steady = False
-        result = _nearest(problem, C, r, particular, basis, M.T @ M / NEGLIGIBLE)
-    point = particular + basis @ (np.zeros(basis.shape[1]) if result is None else result.z)
-    drift = (M @ point + scaled) * problem.state_extent
-    state, action = np.split(point * size, [problem.nx])
-    return Target(state, action, drift, bool(steady))
+    def __init__(self, problem: MPCProblem, A: Array, B: Array, C: Array):
+        self.problem = problem
+        self.size = sizes_of(problem)
+        # (A - I)x + Bu + push = 0, states and inputs in units of their limits
+        self._M = np.hstack([A - np.eye(problem.nx), B]) / problem.state_extent[:, None] * self.size
+        self._particular = np.linalg.pinv(self._M)
+        output = np.hstack([C, np.zeros((len(C), problem.nu))]) * self.size
+        self._unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
+        self._T = output / self._unit
+        W = problem.stage_weight * self.size * self.size[:, None]
+        self._W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(self.size))
+        (HX, self._hX), (HU, self._hU) = problem.state_rows, problem.input_rows
+        self._rows = block_diag(HX, HU) * self.size
+
+    def nearest(self, push: Array, r: Array) -> Target:
+        """Target whose outputs are nearest to r, steady or least drifting."""
+        scaled = push / self.problem.state_extent
+        particular = -self._particular @ scaled
+        drift = self._M @ particular + scaled
+        steady = np.abs(drift).max() <= STEADY * max(1.0, np.abs(scaled).max())
+        basis, qp = self._kept_steady
+        result = None if qp is None else self._solved(qp, basis, particular, r)
+        if result is None or result.infeasible or not steady:
+            basis, qp = self._drifting
+            steady = False
+            result = self._solved(qp, basis, particular, r)
+        point = particular + basis @ result.z
+        drift = (self._M @ point + scaled) * self.problem.state_extent
+        state, action = np.split(point * self.size, [self.problem.nx])
+        return Target(state, action, drift, bool(steady))
+
+    @cached_property
+    def _kept_steady(self) -> tuple[Array, DenseQP | None]:
+        """Basis of the steady states, and the QP over it unless there is one alone."""
+        basis = null_space(self._M)
+        basis[np.abs(basis) < STEADY] = 0.0  # what rounding left of a zero would count as a direction
+        return basis, self._over(basis, np.zeros((len(self.size), len(self.size)))) if basis.shape[1] else None
+
+    @cached_property
+    def _drifting(self) -> tuple[Array, DenseQP]:
+        """Basis of all states and inputs, and the QP over it with a price on drift."""
+        basis = np.eye(len(self.size))
+        return basis, self._over(basis, self._M.T @ self._M / NEGLIGIBLE)
+
+    def _over(self, basis: Array, drift: Array) -> DenseQP:
+        """QP over particular + basis z: output error, cost and drift."""
+        full = self._T.T @ self._T + TARGET_COST * self._W + drift
+        units = np.concatenate([self.problem.row_units["state"], self.problem.row_units["input"]])
+        return DenseQP(basis.T @ full @ basis, self._rows @ basis, units)
+
+    def _solved(self, qp: DenseQP, basis: Array, particular: Array, r: Array) -> QPResult:
+        """Solution of a QP from `_over`."""
+        T = self._T
+        # the particular solution has the least drift, so the drift has no slope there
+        q = basis.T @ (T.T @ (T @ particular - r / self._unit) + TARGET_COST * self._W @ particular)
+        right = np.concatenate([self._hX, self._hU]) - self._rows @ particular
+        return qp.solve(q, right, confirm_infeasible=True)
 
 
 def sizes_of(problem: MPCProblem) -> Array:
     """Sizes (nx + nu,) of states and inputs, 1 without limits."""
     return np.concatenate([problem.state_extent, np.where(problem.input_extent > 0, problem.input_extent, 1.0)])
-
-
-def _nearest(problem: MPCProblem, C: Array, r: Array, particular: Array, basis: Array, drift: Array) -> QPResult | None:
-    """QP over particular + basis z: output error, cost and drift."""
-    size = sizes_of(problem)
-    output = np.hstack([C, np.zeros((len(C), problem.nu))]) * size
-    unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
-    W = problem.stage_weight * size * size[:, None]
-    W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(size))
-    T = output / unit
-    full = T.T @ T + TARGET_COST * W + drift
-    if not basis.shape[1]:
-        return None
-    H = basis.T @ full @ basis
-    # the particular solution has the least drift, so the drift has no slope there
-    q = basis.T @ (T.T @ (T @ particular - r / unit) + TARGET_COST * W @ particular)
-    (HX, hX), (HU, hU) = problem.state_rows, problem.input_rows
-    rows = block_diag(HX, HU)
-    units = np.concatenate([problem.row_units["state"], problem.row_units["input"]])
-    right = np.concatenate([hX, hU]) - rows * size @ particular
-    return DenseQP(H, rows * size @ basis, units).solve(q, right, confirm_infeasible=True)

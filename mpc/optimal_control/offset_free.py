@@ -16,7 +16,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
 from mpc.tolerances import NEWTON, TARGET_STEADY
-from mpc.tracking import OffsetFreeMPC, Target, nearest_target, sizes_of
+from mpc.tracking import OffsetFreeMPC, SteadyStates, Target, sizes_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +107,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
             after, A, B = model.linearised_at(x, u, w, p)
             if not (np.isfinite(after).all() and np.isfinite(A).all() and np.isfinite(B).all()):
                 return np.zeros(len(size)), False
-            found = nearest_target(problem, A, B, after - A @ x - B @ u, self.C, r)
+            found = SteadyStates(problem, A, B, self.C).nearest(after - A @ x - B @ u, r)
             then = np.concatenate([found.state, found.input])
             moved = float(np.abs((then - at) / size).max())
             at = then
