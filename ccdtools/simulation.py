@@ -136,9 +136,10 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
         inputs[:, k] = np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         x_next = step(x, u, w[:, k])
-        left = running & ~(np.isfinite(x_next) & (np.abs(x_next) <= bound)).all(axis=1)
-        diverged_at[left] = k
-        x_next = np.where(np.isfinite(x_next), x_next, np.sign(x) * edge)
+        inside = np.abs(x_next) <= edge
+        if not inside.all():
+            diverged_at[running & ~inside.all(axis=1)] = k
+            x_next = np.where(np.isfinite(x_next), x_next, np.sign(x) * edge)
         x = np.where(running[:, None], x_next, x)
         states[:, k + 1] = x
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)

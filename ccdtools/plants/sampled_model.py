@@ -166,6 +166,9 @@ class SampledModel(Immutable, DiscreteModel):
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p` (np,)."""
         p = self.design.check_one(p)
+        own = self._own_step
+        if isinstance(own, ExplicitStep) and not self.errors:
+            return lambda x, u, w: own.rows(x, (u, w, p))
         return lambda x, u, w: self.advance(x, u, w, p)
 
     @cached_property
