@@ -183,7 +183,9 @@ class LinearMPC(MPCProblem):
 
     def _first_inputs(self, states: Array, given: list[Given]) -> Array:
         """First inputs (n, nu) from states (n, nx)."""
-        return self._solver_for(tuple(sorted(given[0]))).first_inputs(states, given) if given else np.zeros((0, self.nu))
+        if not given:
+            return np.zeros((0, self.nu))
+        return self._solver_for(tuple(sorted(given[0]))).first_inputs(states, given)
 
     def explain(self, x: ArrayLike, **signals: ArrayLike) -> Explanation:
         """Explanation why the problem from x is infeasible.
