@@ -3,6 +3,7 @@ from ccdtools.vehicles.car_metrics import (
     SuspensionMetrics as SuspensionMetrics,
     suspension_metrics as suspension_metrics,
 )
+from ccdtools.vehicles.corner import RealStrut as RealStrut
 from ccdtools.vehicles.iso_road import ISORoad as ISORoad
 from ccdtools.vehicles.ride import Ride as Ride
 from ccdtools.vehicles.ride_comfort import comfort as comfort, weighted_acceleration as weighted_acceleration

@@ -1,4 +1,4 @@
 """Budgets of `ccdtools.vehicles`: what an answer may cost. None of them judges it."""
 
-SKYHOOK_EVALUATIONS = 60  # Skyhook is tuned by so many evaluations at a design,
-SKYHOOK_RUNS = 32  # of so many runs each.
+TUNING_EVALUATIONS = 30  # A damper's law is tuned by so many evaluations for each of its gains,
+TUNING_RUNS = 32  # of so many runs each.

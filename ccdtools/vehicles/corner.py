@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ccdtools.plants.library.elements import Parameters, dry_friction, hardening_spring, limited
+from ccdtools.plants.library.elements import Parameters, bump_stop, dry_friction, hardening_spring, limited
 
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
@@ -31,9 +31,11 @@ class RealStrut(Parameters):
         Dry friction of the strut [N], smoothed below a speed [m/s].
     force_limit : float
         Of the actuator [N].
+    stop, clearance : float
+        Stiffness of the bump stops [N/m], none by default, and travel at which they are met [m].
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("hardening", "friction")
+    may_be_zero: ClassVar[tuple[str, ...]] = ("hardening", "friction", "stop")
     shares: ClassVar[tuple[str, ...]] = ("asymmetry",)
 
     hardening: float = 20.0
@@ -42,6 +44,8 @@ class RealStrut(Parameters):
     friction: float = 40.0
     sliding: float = 0.02
     force_limit: float = 2500.0
+    stop: float = 0.0
+    clearance: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class Corner:
     strut : RealStrut
         What is not linear.
     nonlinear : bool
-        Whether the spring hardens and the damper is asymmetric.
+        Whether the spring hardens, the damper is asymmetric and there are bump stops.
     real : bool
         Whether there is dry friction, too, a largest active force, and a tyre that cannot pull.
     """
@@ -79,6 +83,7 @@ class Corner:
         strut = self.strut
         force = hardening_spring(self.spring, travel, strut.hardening)
         force += asymmetric_damper(self.damper, rate, strut.asymmetry, strut.knee)
+        force += bump_stop(travel, strut.stop, strut.clearance, 0.1 * strut.clearance)
         return force + dry_friction(strut.friction, rate, strut.sliding) if self.real else force
 
     def active(self, u: ca.SX) -> ca.SX:

@@ -13,13 +13,14 @@ from scipy.optimize import minimize
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_floats, as_instance
-from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.library.elements import linear_part
 from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools.vehicles.budgets import SKYHOOK_EVALUATIONS, SKYHOOK_RUNS
+from ccdtools.scenario import Scenario
+from ccdtools.vehicles.budgets import TUNING_EVALUATIONS, TUNING_RUNS
 from ccdtools.vehicles.quarter_car import SOFTEST
 from mpc import lqr
 
@@ -59,29 +60,36 @@ def skyhook(problem: CoDesignProblem, design: Array) -> SemiActive:
     Karnopp, Crosby and Harwood, "Vibration control using semi-active force generators", Journal of Engineering for
     Industry 96, 1974; Valášek et al., "Extended ground-hook", Vehicle System Dynamics 29, 1998.
     """
+    to_sky, to_ground = np.array([0.0, 0.0, 0.0, design[1]]), np.array([0.0, -design[1], 0.0, 0.0])
+    return _tuned(problem, design, np.array([to_sky, to_ground]), np.array([[1.0, 0.2], [2.0, 0.2], [1.0, 0.6]]))
 
-    def of(gains: Array) -> SemiActive:
-        return SemiActive(np.array([0.0, -gains[1], 0.0, gains[0]]) * design[1], design[1])
 
-    def cost(gains: Array) -> float:
-        found = closed_loop_returns(problem, of(gains), design, rng=np.random.default_rng(0), runs=SKYHOOK_RUNS)
-        return -float(found.values.mean())
+def _tuned(problem: CoDesignProblem, design: Array, parts: Array, first: Array) -> SemiActive:
+    """Best damper found whose F is a sum of parts (n, 4), by Nelder–Mead from a simplex (n + 1, n) of their shares."""
 
-    first = np.array([[1.0, 0.2], [2.0, 0.2], [1.0, 0.6]])
-    options = {"maxfev": SKYHOOK_EVALUATIONS, "initial_simplex": first}
-    return of(minimize(cost, first[0], method="Nelder-Mead", options=options).x)
+    x0, w = problem.scenarios.sample(TUNING_RUNS, problem.steps, np.random.default_rng(0))
+    scenario = Scenario(problem.model, x0, w)
+
+    def cost(shares: Array) -> float:
+        run = scenario.run(SemiActive(shares @ parts, design[1]), design=design, limit=problem.limit)
+        return -float(run.returns(problem.objective).mean())
+
+    options = {"maxfev": TUNING_EVALUATIONS * len(parts), "initial_simplex": first}
+    return SemiActive(minimize(cost, first[0], method="Nelder-Mead", options=options).x @ parts, design[1])
 
 
 ForceWeights = Callable[[Array], tuple[Array, Array, Array]]
 
 
-def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], SemiActive]:
+def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDesignProblem, Array], SemiActive]:
     """Law: LQR of an actuator in the place of the problem's damper, clipped to what a damper can do.
 
     Parameters
     ----------
     weights : function of the design
         Q (4, 4), R (1, 1) and S (4, 1) of the force.
+    tuned : bool
+        Whether its four gains are tuned in closed loop at the design: the best clipped linear feedback that is found.
     """
     actuated = cache(_actuated)
 
@@ -89,7 +97,8 @@ def clipped_lqr(weights: ForceWeights) -> Callable[[CoDesignProblem, Array], Sem
         model = as_instance("problem.model", problem.model, SampledModel, "that of a car with semi_active")
         A, B, _ = actuated(model.plant).matrices(design)
         Q, R, S = weights(design)
-        return SemiActive(lqr(A, B, Q=Q, R=R, S=S)[0][0], design[1])
+        F = lqr(A, B, Q=Q, R=R, S=S)[0][0]
+        return _tuned(problem, design, np.diag(F), 1 + np.eye(5, 4, -1)) if tuned else SemiActive(F, design[1])
 
     return law
 
@@ -98,5 +107,6 @@ def _actuated(car: Plant) -> Model:
     """Model of a car with a force in its damper's place."""
     x, push = ca.DM([0.0, 0.0, 0.0, -1.0]), ca.jacobian(car.dynamics, car.p[1])  # of a force, where the rate is −1
     force = ca.substitute(push, ca.vertcat(car.x, car.u, car.w), ca.vertcat(x, 1, 0)) * car.u
-    undamped = replace(car, dynamics=ca.substitute(car.dynamics, car.p[1], 0) + force)
+    at_rest = linear_part(ca.substitute(car.dynamics, car.p[1], 0) + force, car.x, car.u, car.w)
+    undamped = replace(car, dynamics=at_rest)
     return discretise(undamped, sampling_guard="ignore")

@@ -52,6 +52,13 @@ def hardening_spring(stiffness: ca.SX, deflection: ca.SX, hardening: float) -> c
     return stiffness * (deflection + hardening * deflection**3)
 
 
+def bump_stop(deflection: ca.SX, stiffness: float, clearance: float, rounding: float) -> ca.SX:
+    """Force of a spring of `stiffness` beyond ±`clearance`, corners rounded over the width `rounding`."""
+    beyond = [side * deflection - clearance for side in (1, -1)]
+    up, down = ((past + ca.sqrt(past**2 + rounding**2)) / 2 for past in beyond)
+    return stiffness * (up - down)
+
+
 def dry_friction(force: float, speed: ca.SX, knee: float) -> ca.SX:
     """F tanh(v / v₀): Coulomb friction F, smoothed below `knee`; creeps instead of sticking."""
     return force * ca.tanh(speed / knee)
