@@ -22,6 +22,7 @@ BESIDE_LQR = {  # by the verdict on the return
     "not worse": "the learned policy is not worse than LQR at the same design",
     "open": "the learned policy and LQR cannot be told apart on these runs",
 }
+BROUGHT_BY = {"design": "the design", "policy": "the policy", "updates": "updates", "redesign": "the redesign"}
 
 
 def headline(results: Results) -> str:
@@ -105,34 +106,34 @@ def _cost(results: Results, last: int) -> str:
     lqr = _row(results, last, "LQR")
     after = _row(results, last, "learned")
     place = next(iter(results.get("gains", ())), None)
+    brought = {}
     if place is not None and gain_percent(place, "total") is not None:  # the runs of the table
         before = before | {"mean": place["start"]}
-        lqr = lqr | {"mean": place["start"] + place["design"]["mean"]}
         after = after | {"mean": place["start"] + place["total"]["mean"]}
+        brought = {source: place[source]["mean"] for source in BROUGHT_BY}
     lost = f", with {share(after['diverged'])} of its runs diverged" if after["diverged"] else ""
     if after["mean"] is None:
         return "real plant: every run of the learned policy diverges"
-    if before["mean"] is None or lqr["mean"] is None or before["mean"] == 0:
+    if before["mean"] is None or before["mean"] == 0 or not (brought or lqr["mean"] is not None):
         return f"real plant: cost {_cost_text(after)}{lost}; LQR at the start design: {_cost_text(before)}"
     change = 100 * (before["mean"] - after["mean"]) / (size_of(before) or abs(before["mean"]))
     of = " of what control costs" if before.get("design_cost") else ""
     costs = f"({_cost_text(before)} → {_cost_text(after)}{lost})"
     if abs(change) < NOT_WORSE_PERCENT:
         return f"real plant: cost unchanged within {NOT_WORSE_PERCENT:g} %{of} {costs}"
-    return f"real plant: cost {signed_percent(change)}{of} {costs}, {_origin(before, lqr, after)}"
+    brought = brought or {"design": lqr["mean"] - before["mean"], "policy": after["mean"] - lqr["mean"]}
+    return f"real plant: cost {signed_percent(change)}{of} {costs}, {_origin(brought, before)}"
 
 
-def _origin(before: dict[str, Any], lqr: dict[str, Any], after: dict[str, Any]) -> str:
-    whole = after["mean"] - before["mean"]
-    by_design = (lqr["mean"] - before["mean"]) / whole
-    if abs(1 - by_design) <= SMALL_PART:
-        return "all of it from the design"
-    if abs(by_design) <= SMALL_PART:
-        return "all of it from the policy"
+def _origin(brought: Mapping[str, float], before: Mapping[str, Any]) -> str:
+    """Phrase for what brought a change of the return."""
+    whole = sum(brought.values())
+    told = {source: gain for source, gain in brought.items() if abs(gain) > SMALL_PART * abs(whole)}
+    if len(told) == 1:
+        return f"all of it from {BROUGHT_BY[next(iter(told))]}"
     size = size_of(before) or abs(before["mean"])
-    design = signed_percent(100 * (before["mean"] - lqr["mean"]) / size)
-    policy = signed_percent(100 * (lqr["mean"] - after["mean"]) / size)
-    return f"{design} from the design and {policy} from the policy"
+    *parts, end = (f"{signed_percent(-100 * gain / size)} from {BROUGHT_BY[source]}" for source, gain in told.items())
+    return f"{', '.join(parts)} and {end}"
 
 
 def _policy(results: Results, last: int) -> str:

@@ -114,6 +114,15 @@ def test_a_fiftieth_of_a_change_goes_unmentioned(lqr, learned, origin):
     assert origin in headline(outcome(100.0, lqr, learned))
 
 
+def test_the_headline_tells_a_redesign_from_the_policy():
+    gains = {"design": 40.0, "policy": 0.3, "updates": 5.0, "redesign": 14.7, "total": 60.0}
+    place = {"place": "real plant", "start": -100.0, "steps": 10}
+    place |= {name: {"mean": gain, "ci95": [gain, gain]} for name, gain in gains.items()}
+    results = outcome(100, 42, 40, accepted=True, moved=True, ends=(1.9, 2.1)) | {"gains": [place]}
+    origin = "(100 → 40), −40 % from the design, −5 % from updates and −15 % from the redesign. The learned"
+    assert origin in headline(results)
+
+
 @pytest.mark.parametrize(
     ("cost", "said"),
     [(82.0, "The learned policy costs 2.5 % more than LQR here"),
@@ -217,8 +226,9 @@ def metric(name, before, after, half):
 def with_places(results, *metrics):
     """Results with one other place, in which the learned policy is 6 % worse than LQR."""
     gain = {"mean": 20.0, "ci95": [19.0, 21.0]}
+    none = {"mean": 0.0, "ci95": [0.0, 0.0]}
     place = {"start": -100.0, "design_cost": 0.0, "runs": 5, "steps": 10, "left_out": 0.0, "design": gain,
-             "total": gain}  # fmt: skip
+             "policy": none, "updates": none, "redesign": none, "total": gain}  # fmt: skip
     results["gains"] = [place | {"place": "drive", "metrics": metrics[:-1]},
                         place | {"place": "start", "metrics": metrics}]  # fmt: skip
     same = {"plant": "held out: start", "model": "start", "generation": 2, "n": 30, "diverged": 0.0, "lqr_mean": -50.0}
