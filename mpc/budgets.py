@@ -43,3 +43,5 @@ GUESSED_STEPS = 10  # Gauss–Newton steps from outputs to the states that a par
 # --- limits tightened for disturbances -------------------------------------------------------------------------------
 INPUT_WEIGHTS = tuple(10.0**k for k in range(1, 7))  # Multiples of R of the regulators tried for the tube.
 TUBE_STEPS = 300  # Disturbances are followed for so many steps to compare these.
+TUBE_TRIALS = 200  # Gains at most that are tried from the best of these.
+TUBE_ACCURACY = 1e-3  # Gains are tried until they leave as much of the limits within this part of them [-].

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.optimize import minimize
 
 from ccdtools_ground.door import shown
-from mpc.budgets import INPUT_WEIGHTS, TUBE_STEPS
+from mpc.budgets import INPUT_WEIGHTS, TUBE_ACCURACY, TUBE_STEPS, TUBE_TRIALS
 from mpc.checks import Array, as_set
 from mpc.exceptions import InfeasibleError, InputError, NotStabilisableError
 from mpc.riccati import lqr
@@ -44,34 +45,43 @@ def tightened(rows: Array, loop: Array, E: Array, W: Any, steps: int) -> Array:
     For k = 0, 1, … steps and `rows` (m, nx) of a state, the support of ⊕_{i<k} loopⁱ E W: the error of a prediction
     under the gain that `loop` = A − B K is closed by.
     """
-    room = np.zeros((steps + 1, len(rows)))
-    for k in range(steps):
-        room[k + 1] = room[k] + (W.support(rows @ E) if len(rows) else 0.0)
-        rows = rows @ loop
-    return room
+    moved = [rows]
+    for _ in range(steps - 1):
+        moved.append(moved[-1] @ loop)
+    grown = W.support(np.concatenate(moved[:steps]) @ E) if steps * len(rows) else np.zeros(0)
+    return np.vstack([np.zeros(len(rows)), grown.reshape(steps, len(rows)).cumsum(axis=0)])
 
 
 def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Array, W: Any) -> Array:
-    """Regulator (nu, nx) that leaves most of the limits.
+    """Gain (nu, nx) that leaves most of the limits.
 
-    Those with the weight of the inputs times `INPUT_WEIGHTS` are compared. A gain that is high for the cost's sake
-    passes disturbances on to the inputs; one that is low, to the states. Both are counted in the limits' own size, and
-    the row that is left least decides.
+    A gain that is high for the cost's sake passes disturbances on to the inputs; one that is low, to the states. Both
+    are counted in the limits' own size, and the row that is left least decides. Compared are the regulators with the
+    weight of the inputs times `INPUT_WEIGHTS`; where each of these leaves nothing of some row, and so no terminal set,
+    the best begins a search over all gains.
     """
     (HX, _), (HU, _) = (rows for rows, _ in sides)
     units = np.concatenate([unit for _, unit in sides])
 
     def left(K: Array) -> float:
-        rows = np.vstack([HX, -HU @ K])
-        with np.errstate(over="ignore", invalid="ignore"):
-            room = tightened(rows, A - B @ K, E, W, TUBE_STEPS)[-1]
-        return float(np.nan_to_num(1 - room / units, nan=-np.inf).min(initial=np.inf))
+        """Part of the row that is left least, of which an unstable loop leaves nothing."""
+        loop = A - B @ K
+        rest = 1 - np.abs(np.linalg.eigvals(loop)).max() ** TUBE_STEPS  # what the steps that are followed leave out
+        if not rest > 0:
+            return -np.inf
+        room = tightened(np.vstack([HX, -HU @ K]), loop, E, W, TUBE_STEPS)[-1] / rest
+        return float((1 - room / units).min(initial=np.inf))
 
     gains = [lqr(A, B, **weights)[0]]
     for by in INPUT_WEIGHTS:
         with suppress(NotStabilisableError):  # an input may become too dear for the solver's digits
             gains.append(lqr(A, B, **{**weights, "R": by * weights["R"]})[0])
-    return max(gains, key=left)
+    best = max(gains, key=left)
+    if left(best) > 0:
+        return best
+    options = {"xatol": np.inf, "fatol": TUBE_ACCURACY, "maxfev": TUBE_TRIALS, "adaptive": True}
+    found = minimize(lambda K: -left(K.reshape(best.shape)), best.ravel(), method="Nelder-Mead", options=options)
+    return np.asarray(found.x.reshape(best.shape))
 
 
 def robust_terminal_rows(A: Array, B: Array, K: Array, state: Rows, action: Rows, E: Array, W: Any) -> Rows:

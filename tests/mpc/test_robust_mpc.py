@@ -199,6 +199,18 @@ def test_where_the_costs_gain_leaves_nothing_of_the_inputs_the_tube_has_a_lower_
     assert of_the_cost.set.is_empty
 
 
+def test_a_gain_that_no_weight_of_the_inputs_gives_is_found():
+    weights, limits = {"Q": [10.0, 0.1], "R": 1.0}, {"X": ([-0.5, -0.4], [0.5, 0.4]), "U": (-0.1, 0.1)}
+    A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.035], [0.7]])
+    W = ([-0.003, -0.06], [0.003, 0.06])
+    slow = np.array([[0.19, 1.43]])  # leaves something of every limit: sums over 400 steps, by hand
+    rows = np.vstack([np.eye(2), slow])
+    room = sum(np.abs(rows @ np.linalg.matrix_power(A - B @ slow, i)) @ W[1] for i in range(400))
+    assert (room < [0.5, 0.4, 0.1]).all()
+    controller = LinearMPC(A, B, **weights, **limits, horizon=10, W=W)
+    assert controller.solve([0.1, 0.0]).status is Status.SOLVED
+
+
 def test_a_state_without_a_plan_is_told_and_explained():
     controller = cart()
     plan = controller.solve([4.9, 0.79])
