@@ -64,12 +64,13 @@ def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Arra
     units = np.concatenate([unit for _, unit in sides])
 
     def left(K: Array) -> float:
-        """Part of the row that is left least, of which an unstable loop leaves nothing."""
+        """Part left of the row that is left least."""
         loop = A - B @ K
-        rest = 1 - np.abs(np.linalg.eigvals(loop)).max() ** TUBE_STEPS  # what the steps that are followed leave out
-        if not rest > 0:
+        radius = np.abs(np.linalg.eigvals(loop)).max()
+        if radius >= 1:
             return -np.inf
-        room = tightened(np.vstack([HX, -HU @ K]), loop, E, W, TUBE_STEPS)[-1] / rest
+        followed = 1 - radius**TUBE_STEPS  # part of the room that these steps take, of the slowest mode
+        room = tightened(np.vstack([HX, -HU @ K]), loop, E, W, TUBE_STEPS)[-1] / followed
         return float((1 - room / units).min(initial=np.inf))
 
     gains = [lqr(A, B, **weights)[0]]

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 
 NOTEBOOKS = sorted(Path(__file__).parents[1].joinpath("notebooks").glob("*.ipynb"))
@@ -92,6 +93,52 @@ def test_learning_pays_at_the_wall_alone_as_its_notebook_shows(tmp_path):
         assert abs(float(suspension.split(" %")[0].replace("−", "-"))) < 3
         assert len(wall) == 5
         assert all(float(gain.split("[")[1].split(",")[0].replace("−", "-")) > 0 for gain in wall)
+
+
+@pytest.mark.check
+def test_generations_earn_by_redesign_and_simple_means_get_as_much_as_their_notebook_says(tmp_path):
+    for notebook in (kept("08"), run_again("08", tmp_path)):
+        lines = "".join(printed(notebook)).splitlines()
+        sources = ("design", "policy", "updates", "redesign", "total")
+        gains = {line.split()[0]: line for line in lines if line.split()[:1] and line.split()[0] in sources}
+        means = {name: float(line.split()[1]) for name, line in gains.items()}
+        assert sum(means[name] for name in sources[:4]) == pytest.approx(means["total"], abs=0.03)
+        assert means["redesign"] == max(means[name] for name in sources[:4])
+        assert float(gains["total"].split("[")[1].split(",")[0]) > 0
+        assert any("refused" in line for line in lines)
+        forces = [float(line.split(": ")[1].split()[0]) for line in lines if "from the true force" in line]
+        assert forces[1] < 0.2 * forces[0]  # the learned median beside nothing learned
+        learned, identified = (
+            next(float(line[32:].split()[0].rstrip(",")) for line in lines if line.startswith(f"generation 3, {name}"))
+            for name in ("learned", "LQR, identified")
+        )
+        assert abs(learned / identified - 1) < 0.02
+        shares = re.findall(r"(\d+)%", next(line for line in lines if line.startswith("of what the truth is worth")))
+        assert all(80 < int(share) <= 102 for share in shares)
+
+
+@pytest.mark.check
+def test_a_log_gives_a_guarantee_with_the_price_and_coverage_of_its_notebook(tmp_path):
+    for notebook in (kept("09"), run_again("09", tmp_path)):
+        lines = "".join(printed(notebook)).splitlines()
+        held = [line for line in lines if line.startswith("W at a level")]
+        for line, sd in zip(held, (0.8, 0.27), strict=True):  # of the part of 1440 samples, which calibrate [%]
+            level, found = (float(share) for share in re.findall(r"([\d.]+)%", line))
+            assert abs(found - level) < 4 * sd
+        prices, left = ([float(line.split(after)[1].split()[0].rstrip("%")) for line in lines if after in line]
+                        for after in ("at a return of ", "volume left of X_fea: "))  # fmt: skip
+        assert 0 < prices[0] < prices[1]
+        assert 100 > left[0] > left[1]
+        rows = [[float(n) for n in re.findall(r"-?\d+\.\d+", line)] for line in lines if "samples outside" in line]
+        outside, violated, returns = np.array(rows).T[:3]
+        assert (np.diff(outside) < 0).all()
+        assert outside[2] < 10
+        assert outside[3] < 1  # [%], as promised by W
+        assert violated[1] > 50
+        assert violated[3] == 0
+        assert (np.diff(returns) < 0).all()
+        tube = next(line for line in lines if line.startswith("30 steps"))
+        assert 78 <= float(re.findall(r"(\d+)%", tube)[-2]) <= 100  # of 60 windows that calibrate 90 %
 
 
 @pytest.mark.slow
