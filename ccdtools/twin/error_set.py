@@ -11,19 +11,21 @@ from scipy.stats import rankdata
 from ccdtools.arrays import Array
 from ccdtools.checks import as_instance, as_share, shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.budgets import BLOCKS
-from ccdtools.twin.residuals import Residuals, block_parts, stacked
+from ccdtools.twin.residuals import Residuals, block_parts, check_errors, of_linearisation, stacked
 from ccdtools.twin.tolerances import HELD_OUT
 from invariant_sets import Polytope
 from learning.conformal import Conformal, samples_needed
 
 
 def disturbance_set(
-    logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS
-) -> Polytope:
+    logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS,
+    model: Model | None = None,
+) -> Polytope:  # fmt: skip
     """Set W of one-step errors at a level.
 
-    It holds e⁺ = x⁺ − f(x, u, 0, p) (nx,), all states at once, and is what `LinearMPC(W=…)` takes.
+    It holds e⁺ = x⁺ − f(x, u, 0, p) (nx,), all states at once; of a linear model it is what `LinearMPC(W=…)` takes.
 
     A box of what the error of each state adds to that which those before it explain by regression, in the order that
     explains most, between quantiles that hold the level together. Its size is conformal: the last part of every block
@@ -41,6 +43,9 @@ def disturbance_set(
         Part of every block that calibrates.
     blocks : int
         Blocks that a single long run is cut into.
+    model : LinearModel or SampledModel, optional
+        That of the logs. The set is then one of x⁺ − Ax − Bu, which `LinearMPC(W=…)` and sets need: what the
+        linearisation of a nonlinear model at rest leaves out is part of the errors.
 
     Returns
     -------
@@ -64,6 +69,10 @@ def disturbance_set(
         if not np.array_equal(log.p, given[0].p):
             got = f"design {log.p} beside {given[0].p}"
             raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")
+        if model is not None:
+            check_errors(f"logs[{i}]", as_model("model", model), log)
+    if model is not None:
+        given = [of_linearisation(model, log) for log in given]
     level = as_share("level", level)
     held_out = as_share("held_out", held_out)
     parts = [

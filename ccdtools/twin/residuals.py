@@ -103,6 +103,13 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 
 
+def of_linearisation(model: Model, errors: Residuals) -> Residuals:
+    """Errors x⁺ − A(p) x − B(p) u of the linearisation at rest."""
+    A, B, _ = model.matrices(errors.p)
+    after = model.undisturbed(errors.p)(errors.x, errors.u) + errors.e_next
+    return replace(errors, e_next=after - errors.x @ A.T - errors.u @ B.T)
+
+
 def check_errors(argument: str, model: Model, log: Residuals) -> None:
     """Raise an `InputError` unless `log` is finite and fits sizes and design."""
     sizes = (log.x.shape[2], log.e_next.shape[2], log.u.shape[2])
