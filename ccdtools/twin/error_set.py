@@ -9,7 +9,7 @@ from scipy.linalg import qr
 from scipy.stats import rankdata
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, as_share, shown
+from ccdtools.checks import as_instance, as_share, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.budgets import BLOCKS
@@ -66,6 +66,7 @@ def disturbance_set(
         raise InputError("logs", shown(logs), "Residuals, from residuals(model, log), or several")
     for i, log in enumerate(given):
         as_instance(f"logs[{i}]", log, Residuals, "Residuals")
+        finite(f"logs[{i}].e_next", log.e_next)
         if not np.array_equal(log.p, given[0].p):
             got = f"design {log.p} beside {given[0].p}"
             raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")
@@ -89,7 +90,10 @@ def disturbance_set(
     outside = np.quantile(np.minimum(place, 1 - place).min(axis=1), 1 - level)  # of each axis, on each of its sides
     low, high = np.quantile(scores, (outside, 1 - outside), axis=0)
     middle, half = (low + high) / 2, (high - low) / 2
-    factor = Conformal.fit(_sizes(unseen_scores - middle, half), level).factors[0]
+    away = np.abs(unseen_scores - middle)
+    rounding = np.finfo(float).eps * away.max(initial=np.finfo(float).tiny)
+    half = np.where((away > rounding).any(axis=0), np.maximum(half, rounding), half)  # what is left is not flat
+    factor = Conformal.fit((away / np.maximum(half, rounding)).max(axis=1), level).factors[0]
     return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(back)
 
 
@@ -108,9 +112,3 @@ def _regressed(errors: Array) -> Array:
     back = np.zeros((nx, nx))
     back[order] = columns
     return np.asarray(unit[:, None] * back)
-
-
-def _sizes(offsets: Array, half: Array) -> Array:
-    """Least factors (n,) of a box that hold offsets (n, nx)."""
-    least = np.finfo(float).eps * np.abs(offsets).max(initial=np.finfo(float).tiny)
-    return np.asarray((np.abs(offsets) / np.maximum(half, least)).max(axis=1))
