@@ -194,6 +194,22 @@ def test_a_missing_baseline_lets_nothing_be_better():
     assert result.verdicts["learned", ""].startswith("open")
 
 
+def test_lost_runs_are_told_as_a_part_of_all_where_no_controller_can_be_made():
+    def never(design, rng):
+        raise InputError("gains", "none", "some")
+
+    bold = {"LQR": LAWS["LQR"], "never": never, "bold": lambda design, rng: LinearFeedback([[GAIN + 1.4]])}
+    wild = Scenario(PLANT, [[0.1], [5.0]], np.zeros((2, 15, 1)))
+    shares = {}
+    for baseline in ("LQR", "never"):
+        result = found(bold, wild, seeds=3, limit=[5.0], baseline=baseline)
+        for name in bold:
+            lost, runs = result[name].evidence.lost[0], result[name].evidence.runs
+            shares[baseline, name] = lost / runs
+    assert shares["LQR", "never"] == shares["never", "never"] == 1.0
+    assert shares["LQR", "bold"] == shares["never", "bold"] == 0.5
+
+
 def test_lost_runs_count_against_a_controller_whatever_it_gains():
     bold = {"LQR": lambda design, rng: Passive(1), "bold": lambda design, rng: LinearFeedback([[GAIN + 1.4]])}
     wild = Scenario(PLANT, [[0.1], [5.0]], np.zeros((2, 15, 1)))
