@@ -110,10 +110,11 @@ class Plan:
         )[1]  # fmt: skip
         rewards = run.rewards(self.objective)
         single = len(rewards) == 1
+        by_chance = scenario.disturbance.any() or np.any(getattr(scenario.output, "noise", None))
         return Cell(
             *names, returns=rewards.sum(axis=1), lost=run.diverged, fraction=outside.fraction, peak=outside.peak,
             exceeded=outside.exceeded, single=single, times=times,
-            series=rewards[0] if single and scenario.disturbance.any() else np.zeros(0),
+            series=rewards[0] if single and by_chance else np.zeros(0),
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
             metrics={} if self.metrics is None else metrics_of(self.metrics, run),
         )  # fmt: skip

@@ -437,6 +437,25 @@ def test_one_drawn_run_has_no_interval():
     assert cell.word == "open"
 
 
+def test_one_run_whose_measurement_is_noisy_has_the_interval_that_compare_gives_it():
+    class FromOutput:
+        needs = frozenset({"output"})
+
+        def __init__(self, gain):
+            self.gain = gain
+
+        def __call__(self, x, y):
+            return -self.gain * y
+
+    noise = 0.3 * np.random.default_rng(0).standard_normal((1, 200, 1))
+    run = Scenario(PLANT, [[0.0]], np.zeros((1, 200, 1)), output=Measurement([[1.0]], noise=noise))
+    cell = found({"LQR": lambda p, rng: FromOutput(0.5), "weak": lambda p, rng: FromOutput(0.4)}, run, seeds=3)["weak"]
+    both = compare({"LQR": FromOutput(0.5), "weak": FromOutput(0.4)}, run, objective=OBJECTIVE, X=(-50, 50))
+    low, high = cell.evidence.gain.ci95
+    assert low < cell.evidence.gain.mean < high
+    assert (low, high) == pytest.approx(both["weak"].paired_to_lqr.ci95)
+
+
 def test_a_function_that_always_returns_the_same_runs_is_taken_as_these_runs():
     scenario = drawn(np.random.default_rng(5))
     laws = {"LQR": LAWS["LQR"], "weak": lambda design, rng: LinearFeedback([[0.3]])}
