@@ -158,6 +158,8 @@ def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]
         got = f"one that stops with {reason[:120]} for states of shape {x.shape}"
         raise InputError("controller", got, f"inputs {shape}", BATCHED) from error
     try:
+        if np.iscomplexobj(given):
+            raise TypeError
         u: Array = np.asarray(given, dtype=float)
     except (TypeError, ValueError, RuntimeError):
         raise InputError("controller", f"{shown(given)} as its inputs", f"an array {shape}") from None
