@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import joblib
@@ -132,6 +133,14 @@ def test_a_killed_experiment_goes_on_where_it_was(tmp_path):
     assert len(kept) == 3
     assert found(folder=tmp_path).rows() == found().rows()
     assert kept < {path.name for path in tmp_path.glob("*.npz")}
+
+
+def test_threads_may_share_a_folder(tmp_path):
+    scenario = drawn(np.random.default_rng(0))
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda _: found(scenarios=scenario, folder=tmp_path), range(4)))
+    assert len({result["learned"].evidence.gain for result in results}) == 1
+    assert not list(tmp_path.glob("*.partial"))
 
 
 def test_what_is_finished_is_not_computed_again_and_what_changed_is(tmp_path):
