@@ -28,7 +28,7 @@ from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.jobs import as_jobs, as_they_end
-from ccdtools.limits import Excursions, limits_in_words
+from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, as_simulable
@@ -121,7 +121,8 @@ class Plan:
 
     def simulated(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory:
         """Runs of a scenario at a design (np,) or none."""
-        return scenario.run(controller, design=p if len(p) else None, limit=self.limit)
+        limit = divergence_limit(self.limits_at(scenario, p)) if self.limit is None else self.limit
+        return scenario.run(controller, design=p if len(p) else None, limit=limit)
 
     def limits_at(self, scenario: Scenario, p: Array) -> Any:
         """Set X at a design."""
@@ -207,7 +208,7 @@ def experiment(
     baseline : str, optional
         The controller that the others are paired to, at the same design: "LQR" by default, or the first.
     limit : (nx,) array_like, optional
-        Divergence limit on |x|, see `simulate`.
+        Divergence limit on |x|, see `simulate`; a thousand times the largest |x| within X by default.
     output_limits : OutputLimits, optional
     metrics : function, optional
         `Trajectory` → mapping of names, with units, to numbers.
