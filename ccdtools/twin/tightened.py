@@ -87,7 +87,7 @@ def robust_mpc(
     design : (np,) array_like
         That of the logs.
     logs : Trajectory or Residuals, or a sequence of them
-        From `deploy`, or `twin.carried()` for a design that was not deployed.
+        From `deploy`, or `twin.carried()` of logs at several designs, the newest of which is meant.
     rng : numpy.random.Generator
         Draws the scenarios of the price.
     level : float

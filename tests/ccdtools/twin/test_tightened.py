@@ -19,7 +19,7 @@ from ccdtools import (
 )
 from ccdtools.co_design import admissible_inputs, closed_loop_returns, feasible_sets
 from ccdtools.controllers import Filtered
-from ccdtools.twin import robust_mpc
+from ccdtools.twin import DigitalTwin, disturbance_set, robust_mpc
 from invariant_sets import Polytope
 from mpc import InfeasibleError, Status
 
@@ -86,6 +86,16 @@ def test_w_holds_what_the_linearisation_of_a_nonlinear_model_leaves_out():
     A, B, _ = own.model.matrices([1.0])
     errors = logged.states[:, 1:] - logged.states[:, :-1] @ A.T - logged.inputs @ B.T
     assert robust.W.contains(errors.reshape(-1, 2)).mean() > 0.92
+
+
+def test_logs_of_several_designs_are_carried_to_the_newest(problem, illustrative, log):
+    law, rng = saturated_lqr(problem, P), np.random.default_rng(5)
+    draws = illustrative.real.disturbance.sample(30, 100, rng)
+    elsewhere = deploy(illustrative.real.plant, law, [2.0], draws, x0=illustrative.x0)
+    twin = DigitalTwin(problem.model).remembering(elsewhere).remembering(log)
+    W = disturbance_set(twin.carried(), level=0.95)
+    assert 0.9 < W.contains(twin.logs[1].e_next.reshape(-1, 2)).mean() < 0.99
+    assert robust_mpc(problem, P, twin.carried(), rng=rng, level=0.95, runs=2).W.equals(W, tol=1e-9)
 
 
 def test_the_robust_set_is_part_of_the_nominal_one_and_shrinks_with_the_level(found, problem):
