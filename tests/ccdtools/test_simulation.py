@@ -8,7 +8,16 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import PID, Gaussian, InputError, LinearFeedback, QuadraticObjective, Trajectory, simulate
+from ccdtools import (
+    PID,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    QuadraticObjective,
+    Trajectory,
+    plant_from_matrices,
+    simulate,
+)
 from ccdtools.controllers import Passive
 from ccdtools.plants import LinearModel
 from mpc import lqr
@@ -286,3 +295,11 @@ def test_a_trajectory_is_drawn_and_becomes_a_table(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match="pip install pandas"):
         run.to_frame()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e305])
+def test_a_run_is_not_lost_where_it_starts_whatever_the_unit(unit):
+    plant = plant_from_matrices([[0.9]], [[1.0]], dt=1.0, continuous=False)
+    run = simulate(plant, Passive(1), x0=[[unit], [-unit]], steps=5)
+    assert not run.diverged.any()
+    np.testing.assert_allclose(run.states[:, -1, 0], np.array([1, -1]) * unit * 0.9**5, rtol=1e-12)
