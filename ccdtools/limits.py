@@ -107,7 +107,10 @@ class Excursions(Immutable):
 
 
 def divergence_limit(X: Polytope) -> Array:
-    """Largest |x| (nx,) of runs that are not lost, a thousand times that within X."""
+    """Largest |x| (nx,) of runs that are not lost.
+
+    It is a thousand times that within X.
+    """
     largest = np.max(np.abs(X.bounding_box()), axis=0)
     return np.where((largest > 0) & np.isfinite(largest), DIVERGENCE * largest, DIVERGENCE_LIMIT)
 

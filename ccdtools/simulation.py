@@ -205,7 +205,7 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
 
 
 def _bound(limit: ArrayLike | None, x: Array) -> Array:
-    """Divergence limit (nx,) of runs that start at x (n, nx)."""
+    """Divergence limit (nx,) for runs from x (n, nx)."""
     nx = x.shape[1]
     if limit is None:
         with np.errstate(over="ignore"):

@@ -117,7 +117,7 @@ def expert_law(
 
 
 def _asked(controller: Law, x: Array, nu: int) -> Array:
-    """Input (nu,) that a controller returns at a state x (nx,)."""
+    """Input (nu,) of a controller at a state (nx,)."""
     try:
         given = controller(x)
     except CCDError:

@@ -226,7 +226,7 @@ def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def _lost(refused: int, cells: Collection[Cell]) -> tuple[int, int]:
-    """Number of lost runs, and of runs, refused ones among both."""
+    """Numbers of lost runs and of runs, refused ones included."""
     lost = sum(int(cell.lost.sum()) for cell in cells)
     return refused + lost, refused + sum(len(cell.returns) for cell in cells)
 

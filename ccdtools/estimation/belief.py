@@ -164,7 +164,7 @@ class Filter(Immutable):
 
 
 def rows_of(argument: str, value: ArrayLike, belief: Belief, size: int) -> Array:
-    """Signal (n, size) of the runs of a belief, NaN where one is lost."""
+    """Signal (n, size) of a belief's runs; NaN is kept."""
     rows = as_floats(argument, value)
     if rows.shape != (len(belief.mean), size):
         raise InputError(argument, f"shape {rows.shape}", f"({len(belief.mean)}, {size}), a row for each run")

@@ -105,7 +105,7 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
 
 
 def of_linearisation(model: Model, errors: Residuals) -> Residuals:
-    """Errors x⁺ − A(p) x − B(p) u of the linearisation at rest."""
+    """Errors of the model's linearisation at rest, x⁺ − Ax − Bu."""
     A, B, _ = model.matrices(errors.p)
     after = model.undisturbed(errors.p)(errors.x, errors.u) + errors.e_next
     return replace(errors, e_next=after - errors.x @ A.T - errors.u @ B.T)

@@ -148,7 +148,7 @@ class DigitalTwin(Immutable):
 
 
 def _carried(twin: DigitalTwin) -> tuple[Residuals, ...]:
-    """Logs of their own designs with errors carried to the newest one's."""
+    """Logs with errors carried to the newest log's design."""
     if not twin.logs or twin.scale is None:
         raise InputError("twin", "one without a log", "one after `update`")
     newest = twin.logs[-1].p

@@ -225,7 +225,7 @@ class MovingHorizonEstimator:
         return self._belief([self._updated(*row) for row in zip(belief.windows, outputs, inputs)])
 
     def _inputs_of(self, belief: MovingHorizonBelief, u: ArrayLike, *, ahead: int) -> Array:
-        """Inputs (n, nu) of runs whose states are so many samples ahead of their outputs."""
+        """Inputs (n, nu), for states that many samples ahead of outputs."""
         if any(len(window.course) != len(window.outputs) + ahead for window in belief.windows):
             after = "`start` or `predict`" if ahead else "`update`"
             cure = "Update with NaN where nothing was measured."
