@@ -22,6 +22,7 @@ from mpc.optimal_control.bounds import (
     as_guess,
     as_names,
     as_number,
+    as_prices,
     as_samples,
 )
 from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, wanted
@@ -44,7 +45,7 @@ class Phase:
         nx and nu.
     stage_cost : function, optional
         Scalar; integrated over time, or summed if `discrete`.
-    terminal_cost : function of x, p, t, optional
+    terminal_cost : function of x, w, p, t, optional
         Scalar, at the end.
     start, end : (nx,) array, or bounds (lower, upper) as a tuple; optional
         Of the states there; None or NaN where an entry is free.
@@ -57,7 +58,10 @@ class Phase:
     path : function, optional
         Values that are kept within `path_bounds`, at all points of the mesh: ≤ 0 by default.
     path_bounds : (lower, upper)
-    boundary : function of x0, x, t0, t, p, optional
+    path_prices : (linear, quadratic), optional
+        Makes path limits soft: a violation e costs linear · e + quadratic · e², integrated over time, or summed over all
+        points if `discrete`. Each a number ≥ 0 or one for every value, None where a limit is hard; not both zero.
+    boundary : function of x0, x, w, t0, t, p, optional
         Of both ends of the phase; values that are kept within `boundary_bounds`: = 0 by default.
     boundary_bounds : (lower, upper)
     signal : function of t, or (n, nw) array, optional
@@ -97,6 +101,7 @@ class Phase:
     u_bounds: Bounds = (-INF, INF)
     path: Statement | None = None
     path_bounds: Bounds = (-INF, 0.0)
+    path_prices: Any = None
     boundary: Statement | None = None
     boundary_bounds: Bounds = (0.0, 0.0)
     signal: Callable[[Array], ArrayLike] | ArrayLike | None = None
@@ -148,7 +153,9 @@ class Phase:
                 continue
             function = None if given is None else compiled(name, given, sizes, rows)
             if name in LIMITED:
-                _with_limits(self, name, function)
+                _, names = _with_limits(self, name, function)
+            if name == "path":
+                as_prices(self.path_prices, len(names))
 
     @property
     def free_duration(self) -> bool:
@@ -162,11 +169,13 @@ class PhaseFunctions:
     Attributes
     ----------
     dynamics, stage_cost, path : (x, u, w, p, t) → value, or None
-    terminal_cost : (x, p, t) → scalar, or None
+    terminal_cost : (x, w, p, t) → scalar, or None
     sample_cost : (x, w, p, t, y) → scalar, or None
-    boundary : (x0, x, t0, t, p) → value, or None
+    boundary : (x0, x, w, t0, t, p) → value, or None
     path_bounds, boundary_bounds : (lower, upper)
         Arrays, one entry a value.
+    path_prices : (2, values) array
+        Linear and quadratic prices of violations; infinite where a limit is hard.
     path_names, boundary_names : tuple of str
     """
 
@@ -179,6 +188,7 @@ class PhaseFunctions:
         self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost = made.values()
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
+        self.path_prices = as_prices(phase.path_prices, len(self.path_names))
 
     @cached_property
     def path_slopes(self) -> ca.Function:
@@ -197,8 +207,8 @@ class PhaseFunctions:
 def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
     """Columns and lengths of each function's arguments, and its value's length."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
-    at_end = {"x": phase.states, "p": parameters, "t": 1}
-    ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
+    at_end = {"x": phase.states, "w": width, "p": parameters, "t": 1}
+    ends = {"x0": phase.states, "x": phase.states, "w": width, "t0": 1, "t": 1, "p": parameters}
     known = 0 if phase.samples is None else phase.samples[1].shape[1]
     at_samples = {"x": phase.states, "w": width, "p": parameters, "t": 1, "y": known}
     return {
@@ -218,6 +228,12 @@ def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple
                 raise InputError(own, got, f"a function `{name}`, whose values they are of")
         return (np.zeros(0), np.zeros(0)), ()
     size = function.numel_out(0)
+    tied = {row for i, of in enumerate(function.name_in()) if of not in ("w", "t", "t0")
+            for row in function.jac_sparsity(0, i).row()}  # fmt: skip
+    idle = next((i for i in range(size) if i not in tied), None)
+    if idle is not None:
+        got = f"value {idle + 1}, which depends on no state, input or parameter"
+        raise InputError(name, got, "limits of what can be chosen")
     bounds = as_bounds(f"{name}_bounds", getattr(phase, f"{name}_bounds"), size)
     return bounds, as_names(f"{name}_names", getattr(phase, f"{name}_names"), f"{name} ", size)
 
