@@ -35,7 +35,7 @@ class Phase:
     """One stretch of time with its own dynamics, costs and limits.
 
     Every function is stated in CasADi and named arguments: any of the state `x`, the input `u`, the given signal `w`,
-    the parameters `p` and the time `t`.
+    the parameters `p` and the time `t`. In `NonlinearMPC(phase)` stage cost and path know the input before, `u_prev`.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class Phase:
     def _try_functions(self) -> None:
         """Raise for functions that cannot be meant."""
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
-        for name, (sizes, rows) in _columns(self, width, 0).items():
+        for name, (sizes, rows) in _columns(self, width, 0, looped=True).items():
             given = getattr(self, name)
             asked = () if given is None else wanted(name, given, tuple(sizes))
             if "p" in asked or ("w" in asked and callable(self.signal)):
@@ -169,6 +169,7 @@ class PhaseFunctions:
     Attributes
     ----------
     dynamics, stage_cost, path : (x, u, w, p, t) → value, or None
+        Costs and limits of a loop of (x, u, w, p, t, u_prev).
     terminal_cost : (x, w, p, t) → scalar, or None
     sample_cost : (x, w, p, t, y) → scalar, or None
     boundary : (x0, x, w, t0, t, p) → value, or None
@@ -179,11 +180,11 @@ class PhaseFunctions:
     path_names, boundary_names : tuple of str
     """
 
-    def __init__(self, phase: Phase, parameters: int) -> None:
+    def __init__(self, phase: Phase, parameters: int, *, looped: bool = False) -> None:
         self.nw = signal_at(phase, np.array([phase.start_time])).shape[1]
         made: dict[str, Any] = {
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
-            for name, (sizes, rows) in _columns(phase, self.nw, parameters).items()
+            for name, (sizes, rows) in _columns(phase, self.nw, parameters, looped=looped).items()
         }
         self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost = made.values()
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
@@ -204,15 +205,16 @@ class PhaseFunctions:
         return type(at[0])(0, 1) if self.path is None else self.path(*at)
 
 
-def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
+def _columns(phase: Phase, width: int, parameters: int, *, looped: bool) -> dict[str, tuple[dict[str, int], int | None]]:
     """Columns and lengths of each function's arguments, and its value's length."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
+    moving = running | ({"u_prev": phase.inputs} if looped else {})
     at_end = {"x": phase.states, "w": width, "p": parameters, "t": 1}
     ends = {"x0": phase.states, "x": phase.states, "w": width, "t0": 1, "t": 1, "p": parameters}
     known = 0 if phase.samples is None else phase.samples[1].shape[1]
     at_samples = {"x": phase.states, "w": width, "p": parameters, "t": 1, "y": known}
     return {
-        "dynamics": (running, phase.states), "stage_cost": (running, 1), "path": (running, None),
+        "dynamics": (running, phase.states), "stage_cost": (moving, 1), "path": (moving, None),
         "terminal_cost": (at_end, 1), "boundary": (ends, None), "sample_cost": (at_samples, 1),
     }  # fmt: skip
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,18 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.shooting import ShootingProgram
 from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
-from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
+from mpc.rollout import (
+    Given,
+    admissible,
+    cost_of,
+    deviations,
+    disturbance,
+    finite,
+    for_each_state,
+    relative_violations,
+    spread_signals,
+    violation_of,
+)
 from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME = "linear law", "shifted plan", "real-time iteration"
@@ -130,6 +142,14 @@ class Planner:
     def _hard(self) -> bool:
         """Whether states have limits that must be kept."""
         return self.law.soft is None and len(self.law.state_rows[1]) + len(self.law.terminal_rows[1]) > 0
+
+    def signals(self, stated: dict[str, Any]) -> Given:
+        """Signals of a sample, checked."""
+        return spread_signals(self.law, stated)
+
+    def each(self, stated: dict[str, Any], n: int) -> list[Given]:
+        """Signals of n states, common or one entry for each."""
+        return for_each_state(self.law, stated, n)
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or where it is best."""

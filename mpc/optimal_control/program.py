@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from mpc.budgets import SHAKEN
 from mpc.checks import Array
@@ -245,6 +246,30 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
         upper=np.concatenate([program.upper, np.full(2 * m, np.inf)]),
         guess=np.concatenate([start, above, below]),
         scale=np.concatenate([program.scale, program.row_scale, program.row_scale]),
+    )  # fmt: skip
+
+
+def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearProgram:
+    """Program with violations of `rows` (m,) and their price as further unknowns, all held at 0.
+
+    The last unknown is the price of a violation, in sizes of its row.
+    """
+    n, m = len(program.lower), len(program.row_lower)
+    own = [np.flatnonzero(rows & np.isfinite(side)) for side in (program.row_upper, program.row_lower)]
+    count = sum(map(len, own))
+    sizes = program.row_scale[np.concatenate(own)]
+    weighed = piece_function(lambda e, price, data: [price * e / data, e], ca.SX, {"e": 1, "price": 1}, 1)
+    pieces, first = list(program.derivatives.pieces), n
+    for chosen, sign in zip(own, (-1.0, 1.0)):
+        places = np.vstack([first + np.arange(len(chosen)), np.full(len(chosen), n + count)])
+        targets = np.vstack([np.zeros(len(chosen), dtype=int), 1 + chosen])
+        data, first = program.row_scale[chosen][None], first + len(chosen)
+        pieces += [Piece(weighed, places, data, targets, np.array([1.0, sign]))] if len(chosen) else []
+    none = np.zeros(count + 1)
+    return replace(
+        program, derivatives=Derivatives(pieces, n + count + 1, m),
+        lower=np.append(program.lower, none), upper=np.append(program.upper, none),
+        guess=np.append(program.guess, none), scale=np.concatenate([program.scale, sizes, [1.0]]),
     )  # fmt: skip
 
 
