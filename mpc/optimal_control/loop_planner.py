@@ -19,13 +19,14 @@ from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import Found
 from mpc.optimal_control.loop_phase import LoopPhase
-from mpc.optimal_control.program import NonlinearProgram
+from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite
 from mpc.tolerances import FEASIBLE, VIOLATION_PRICE
 
+RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
 
 
@@ -87,18 +88,22 @@ class LoopPlanner:
         run = Run(program, as_settings(1e-8, self.most, self.time_limit, None))
         tried: list[Found] = []
         if before is not None:
-            tried.append(run.solved(self._unknowns(program, before.states, before.inputs, given), None, warm=True))
-        if not tried or status_of(tried[0]) is not OptimalControlStatus.SOLVED:
-            tried += self._from_starts(run, program, x, given)
+            tried.append(self._solved(run, program, (before.states, before.inputs), given, warm=True))
+        if not tried or self._status(program, tried[0]) is not Status.SOLVED:
+            for guess in self._guesses(x, given):
+                if not run.late:
+                    tried.append(self._solved(run, program, guess, given, warm=False))
         found = min(tried, key=lambda one: self._rank(program, one))
-        status = Status.SOLVED
-        if status_of(found) is not OptimalControlStatus.SOLVED:
-            if any(run.falls(one) for one in tried):
-                cure = "Bound states and inputs, or price them."
-                raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
-            found, status = self._relaxed(run, program, found)
-        late = run.late
-        return self._packed(program, found, Status.LATE if late else status, run, before)
+        status = self._status(program, found)
+        if status is Status.SOFTENED and not run.late:  # its price may be too low
+            run.program = self._priced(program, VIOLATION_PRICE * run.program.cost_scale)
+            dearer = run.solved(np.clip(found.v, run.program.lower, run.program.upper), None, warm=True)
+            if self._rank(program, dearer) < self._rank(program, found):
+                found, status = dearer, self._status(program, dearer)
+        if status is Status.REPLACED and any(run.falls(one) for one in tried):
+            cure = "Bound states and inputs, or price them."
+            raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
+        return self._packed(program, found, Status.LATE if run.late else status, run, before)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""
@@ -106,13 +111,12 @@ class LoopPlanner:
         return replace(plan, inputs=np.vstack([plan.inputs[1:], plan.inputs[-1]]),
                        states=np.vstack([plan.states[1:], last]))  # fmt: skip
 
-    def _from_starts(self, run: Run, program: NonlinearProgram, x: Array, given: Given) -> Iterator[Found]:
-        """Results from the starts, as long as there is time."""
-        for states, inputs in self._guesses(x, given):
-            if run.late:
-                return
-            run.program = program
-            yield run.solved(self._unknowns(program, states, inputs, given), None, warm=False)
+    def _solved(self, run: Run, program: NonlinearProgram, guess: tuple[Array, Array], given: Given, *,
+                warm: bool) -> Found:  # fmt: skip
+        """Result from states and inputs, with limits of states at a price."""
+        v = self._unknowns(program, *guess, given)
+        run.program = self._priced(program, rescaled(program, v).cost_scale)
+        return run.solved(v, None, warm=warm)
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
         """Guess of the phase or the state held; the model under these inputs; under inputs by chance."""
@@ -158,26 +162,19 @@ class LoopPlanner:
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
         return np.clip(v, program.lower, program.upper)
 
-    def _rank(self, program: NonlinearProgram, found: Found) -> tuple[bool, float]:
-        """Rank of a result: optima by their cost, then the others by their violation."""
-        solved = status_of(found) is OptimalControlStatus.SOLVED
-        worth = float(program.derivatives.values(found.v)[0]) if solved else found.residuals.primal
-        return not solved, worth if np.isfinite(worth) else np.inf
+    def _rank(self, program: NonlinearProgram, found: Found) -> tuple[int, float]:
+        """Rank of a result: optima by their cost, softened ones and others by their violation."""
+        status = self._status(program, found)
+        cost = float(program.derivatives.values(found.v)[0])
+        worth = cost if status is Status.SOLVED else self._violation(program, found.v) + found.residuals.primal
+        return RANKS.index(status), worth if np.isfinite(worth) else np.inf
 
-    def _relaxed(self, run: Run, program: NonlinearProgram, found: Found) -> tuple[Found, Status]:
-        """Result of the program whose limits of states have a price, and its status."""
-        if run.late:
-            return found, Status.LATE
-        run.program = self._priced(program, run.program.cost_scale)
-        loose = run.solved(np.clip(found.v, run.program.lower, run.program.upper), None, warm=False)
-        if status_of(loose) is not OptimalControlStatus.SOLVED:
-            feasible = found.residuals.primal <= FEASIBLE
-            return found, Status.INACCURATE if feasible else Status.REPLACED
-        if self._violation(program, loose.v) > FEASIBLE:
-            return loose, Status.SOFTENED
-        run.program = program
-        again = run.solved(np.clip(loose.v, program.lower, program.upper), None, warm=True)
-        return again, Status.SOLVED if status_of(again) is OptimalControlStatus.SOLVED else Status.INACCURATE
+    def _status(self, program: NonlinearProgram, found: Found) -> Status:
+        """Status of a result: an optimum only where its own conditions hold, and all limits."""
+        within = self._violation(program, found.v) <= FEASIBLE
+        if status_of(found) is OptimalControlStatus.SOLVED:
+            return Status.SOLVED if within else Status.SOFTENED
+        return Status.INACCURATE if within and found.residuals.primal <= FEASIBLE else Status.REPLACED
 
     def _priced(self, program: NonlinearProgram, cost: float) -> NonlinearProgram:
         """Program in which limits of states may be violated at a price."""

@@ -18,7 +18,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, NEGLIGIBLE
+from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,8 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     large = np.abs(v[loose])
     scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
-    size = float(np.abs(slope * scale).max(initial=0.0))
+    own = program.costs.stop or None  # violations, which vanish where limits are kept, stand behind
+    size = float(np.abs(slope * scale)[:own].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
     return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
 
@@ -269,7 +270,8 @@ def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearPr
     return replace(
         program, derivatives=Derivatives(pieces, n + count + 1, m),
         lower=np.append(program.lower, none), upper=np.append(program.upper, none),
-        guess=np.append(program.guess, none), scale=np.concatenate([program.scale, sizes, [1.0]]),
+        guess=np.append(program.guess, none),
+        scale=np.concatenate([program.scale, sizes / VIOLATION_PRICE, [1.0]]),  # with their price as dear as the others
     )  # fmt: skip
 
 
