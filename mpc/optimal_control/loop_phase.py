@@ -16,7 +16,7 @@ from mpc.optimal_control.functions import wanted
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, relaxable
+from mpc.optimal_control.program import NonlinearProgram, places_of_violations, relaxable
 from mpc.optimal_control.schemes import sampled
 from mpc.optimal_control.transcription import build
 
@@ -95,8 +95,13 @@ class LoopPhase:
 
     @property
     def violations(self) -> int:
-        """Place of the first violation among the unknowns; the last is their price."""
+        """Place of the first violation among the unknowns, behind which their prices stand."""
         return len(self._hard.lower)
+
+    @cached_property
+    def given_rows(self) -> Any:
+        """Row of every violation."""
+        return np.concatenate(places_of_violations(self._hard, self.may_give))
 
     @cached_property
     def _hard(self) -> NonlinearProgram:

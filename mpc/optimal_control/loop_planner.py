@@ -31,6 +31,29 @@ ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at whi
 
 
 @dataclass(frozen=True, eq=False)
+class _Tried:
+    """Result of a solve, its cost, and the largest violation of a limit of states in sizes of its row."""
+
+    found: Found
+    cost: float
+    violation: float
+
+    @property
+    def status(self) -> Status:
+        """Status: an optimum only where its own conditions hold, and all limits."""
+        if status_of(self.found) is OptimalControlStatus.SOLVED:
+            return Status.SOLVED if self.violation <= FEASIBLE else Status.SOFTENED
+        feasible = max(self.violation, self.found.residuals.primal) <= FEASIBLE
+        return Status.INACCURATE if feasible else Status.REPLACED
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Rank: optima by their cost, softened ones and others by their violation."""
+        worth = self.cost if self.status is Status.SOLVED else self.violation + self.found.residuals.primal
+        return RANKS.index(self.status), worth if np.isfinite(worth) else np.inf
+
+
+@dataclass(frozen=True, eq=False)
 class LoopPlanner:
     """Plans of a phase for parameters p (np,), by Ipopt from the plan before or from so many `starts`.
 
@@ -86,24 +109,21 @@ class LoopPlanner:
         """Plan from a state, begun at another or at several places."""
         program = self._sample(x, given)
         run = Run(program, as_settings(1e-8, self.most, self.time_limit, None))
-        tried: list[Found] = []
+        tried: list[_Tried] = []
         if before is not None:
-            tried.append(self._solved(run, program, (before.states, before.inputs), given, warm=True))
-        if not tried or self._status(program, tried[0]) is not Status.SOLVED:
+            v = self._unknowns(program, before.states, before.inputs, given)
+            tried.append(self._solved(run, program, v, warm=True))
+        if not tried or tried[0].status is not Status.SOLVED:
             for guess in self._guesses(x, given):
                 if not run.late:
-                    tried.append(self._solved(run, program, guess, given, warm=False))
-        found = min(tried, key=lambda one: self._rank(program, one))
-        status = self._status(program, found)
-        if status is Status.SOFTENED and not run.late:  # its price may be too low
-            run.program = self._priced(program, VIOLATION_PRICE * run.program.cost_scale)
-            dearer = run.solved(np.clip(found.v, run.program.lower, run.program.upper), None, warm=True)
-            if self._rank(program, dearer) < self._rank(program, found):
-                found, status = dearer, self._status(program, dearer)
-        if status is Status.REPLACED and any(run.falls(one) for one in tried):
+                    tried.append(self._solved(run, program, self._unknowns(program, *guess, given), warm=False))
+        best = min(tried, key=lambda one: one.rank)
+        if best.status is Status.SOFTENED and not run.late:  # its price may be too low
+            best = min(best, self._solved(run, program, best.found.v, warm=True, dear=True), key=lambda one: one.rank)
+        if best.status is Status.REPLACED and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
-        return self._packed(program, found, Status.LATE if run.late else status, run, before)
+        return self._packed(best, run, before)
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""
@@ -111,12 +131,20 @@ class LoopPlanner:
         return replace(plan, inputs=np.vstack([plan.inputs[1:], plan.inputs[-1]]),
                        states=np.vstack([plan.states[1:], last]))  # fmt: skip
 
-    def _solved(self, run: Run, program: NonlinearProgram, guess: tuple[Array, Array], given: Given, *,
-                warm: bool) -> Found:  # fmt: skip
-        """Result from states and inputs, with limits of states at a price."""
-        v = self._unknowns(program, *guess, given)
-        run.program = self._priced(program, rescaled(program, v).cost_scale)
-        return run.solved(v, None, warm=warm)
+    def _solved(self, run: Run, program: NonlinearProgram, v: Array, *, warm: bool, dear: bool = False) -> _Tried:
+        """Result from unknowns, with limits of states at a price."""
+        first, rows = self.loop.violations, self.loop.given_rows
+        sized = rescaled(program, v)
+        lower, upper, scale = sized.lower.copy(), sized.upper.copy(), sized.scale.copy()
+        own, prices = slice(first, first + len(rows)), slice(first + len(rows), None)
+        lower[prices] = upper[prices] = VIOLATION_PRICE ** (1 + dear) * sized.cost_scale / sized.row_scale[rows]
+        upper[own], scale[own] = np.inf, sized.row_scale[rows] / VIOLATION_PRICE
+        run.program = replace(sized, lower=lower, upper=upper, scale=scale)
+        found = run.solved(np.clip(v, lower, upper), None, warm=warm)
+        hard = np.concatenate([found.v[:first], np.zeros(len(v) - first)])
+        cost, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(hard))
+        over = np.maximum(g - program.row_upper, program.row_lower - g) / run.program.row_scale
+        return _Tried(found, float(cost[0]), float(over[self.loop.may_give].max(initial=0.0)))
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
         """Guess of the phase or the state held; the model under these inputs; under inputs by chance."""
@@ -162,41 +190,13 @@ class LoopPlanner:
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
         return np.clip(v, program.lower, program.upper)
 
-    def _rank(self, program: NonlinearProgram, found: Found) -> tuple[int, float]:
-        """Rank of a result: optima by their cost, softened ones and others by their violation."""
-        status = self._status(program, found)
-        cost = float(program.derivatives.values(found.v)[0])
-        worth = cost if status is Status.SOLVED else self._violation(program, found.v) + found.residuals.primal
-        return RANKS.index(status), worth if np.isfinite(worth) else np.inf
-
-    def _status(self, program: NonlinearProgram, found: Found) -> Status:
-        """Status of a result: an optimum only where its own conditions hold, and all limits."""
-        within = self._violation(program, found.v) <= FEASIBLE
-        if status_of(found) is OptimalControlStatus.SOLVED:
-            return Status.SOLVED if within else Status.SOFTENED
-        return Status.INACCURATE if within and found.residuals.primal <= FEASIBLE else Status.REPLACED
-
-    def _priced(self, program: NonlinearProgram, cost: float) -> NonlinearProgram:
-        """Program in which limits of states may be violated at a price."""
-        lower, upper, first = program.lower.copy(), program.upper.copy(), self.loop.violations
-        upper[first:-1] = np.inf
-        lower[-1] = upper[-1] = VIOLATION_PRICE * cost
-        return replace(program, lower=lower, upper=upper)
-
-    def _violation(self, program: NonlinearProgram, v: Array) -> float:
-        """Largest violation of a limit of states, in sizes of its row."""
-        held = np.concatenate([v[: self.loop.violations], np.zeros(len(v) - self.loop.violations)])
-        g = np.asarray(program.derivatives.values(held)[1], dtype=float).ravel()
-        over = np.maximum(g - program.row_upper, program.row_lower - g) / program.row_scale
-        return float(over[self.loop.may_give].max(initial=0.0))
-
-    def _packed(self, program: NonlinearProgram, found: Found, status: Status, run: Run, before: Plan | None) -> Plan:
+    def _packed(self, best: _Tried, run: Run, before: Plan | None) -> Plan:
         """Plan of a result, or what stands in for it."""
-        part, nx, name = program.parts[0], self.loop.phase.states, "Ipopt"
-        nodes, own, _, _ = part.unknowns(found.v)
-        states, inputs = nodes[:nx].T.copy(), own.T.copy()
-        if before is not None and status in (Status.REPLACED, Status.LATE) and not found.residuals.primal <= FEASIBLE:
-            states, inputs, name = before.states, before.inputs, "shifted plan"
-        cost = float(program.derivatives.values(found.v)[0]) if name == "Ipopt" else np.nan
+        part, nx, name = self.loop.program.parts[0], self.loop.phase.states, "Ipopt"
+        status = Status.LATE if run.late else best.status
+        nodes, own, _, _ = part.unknowns(best.found.v)
+        states, inputs, cost = nodes[:nx].T.copy(), own.T.copy(), best.cost
+        if before is not None and best.status is Status.REPLACED:
+            states, inputs, cost, name = before.states, before.inputs, np.nan, "shifted plan"
         took = time.perf_counter() - run.began
-        return Plan(inputs, finite(states), cost, status, found.residuals, self._violation(program, found.v), took, name)
+        return Plan(inputs, finite(states), cost, status, best.found.residuals, best.violation, took, name)

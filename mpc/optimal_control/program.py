@@ -18,7 +18,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, VIOLATION_PRICE
+from mpc.tolerances import COST_DIGITS, NEGLIGIBLE
 
 
 @dataclass(frozen=True)
@@ -251,28 +251,27 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
 
 
 def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearProgram:
-    """Program with violations of `rows` (m,) and their price as further unknowns, all held at 0.
-
-    The last unknown is the price of a violation, in sizes of its row.
-    """
+    """Program with violations of `rows` (m,) and then a price of each as further unknowns, all held at 0."""
     n, m = len(program.lower), len(program.row_lower)
-    own = [np.flatnonzero(rows & np.isfinite(side)) for side in (program.row_upper, program.row_lower)]
-    count = sum(map(len, own))
-    sizes = program.row_scale[np.concatenate(own)]
-    weighed = piece_function(lambda e, price, data: [price * e / data, e], ca.SX, {"e": 1, "price": 1}, 1)
-    pieces, first = list(program.derivatives.pieces), n
-    for chosen, sign in zip(own, (-1.0, 1.0)):
-        places = np.vstack([first + np.arange(len(chosen)), np.full(len(chosen), n + count)])
-        targets = np.vstack([np.zeros(len(chosen), dtype=int), 1 + chosen])
-        data, first = program.row_scale[chosen][None], first + len(chosen)
-        pieces += [Piece(weighed, places, data, targets, np.array([1.0, sign]))] if len(chosen) else []
-    none = np.zeros(count + 1)
+    chosen = np.concatenate(places_of_violations(program, rows))
+    count = len(chosen)
+    weighed = piece_function(lambda e, price, data: [price * e, e], ca.SX, {"e": 1, "price": 1}, 0)
+    pieces, above = list(program.derivatives.pieces), len(places_of_violations(program, rows)[0])
+    for own, sign in ((np.arange(above), -1.0), (np.arange(above, count), 1.0)):
+        targets = np.vstack([np.zeros(len(own), dtype=int), 1 + chosen[own]])
+        piece = Piece(weighed, n + np.vstack([own, count + own]), np.zeros((0, len(own))), targets, np.array([1.0, sign]))
+        pieces += [piece] if len(own) else []
+    none = np.zeros(2 * count)
     return replace(
-        program, derivatives=Derivatives(pieces, n + count + 1, m),
-        lower=np.append(program.lower, none), upper=np.append(program.upper, none),
-        guess=np.append(program.guess, none),
-        scale=np.concatenate([program.scale, sizes / VIOLATION_PRICE, [1.0]]),  # with their price as dear as the others
+        program, derivatives=Derivatives(pieces, n + 2 * count, m), lower=np.append(program.lower, none),
+        upper=np.append(program.upper, none), guess=np.append(program.guess, none),
+        scale=np.append(program.scale, none + 1),
     )  # fmt: skip
+
+
+def places_of_violations(program: NonlinearProgram, rows: NDArray[np.bool_]) -> tuple[Numbers, Numbers]:
+    """Those of `rows` (m,) with an upper bound, and those with a lower one."""
+    return np.flatnonzero(rows & np.isfinite(program.row_upper)), np.flatnonzero(rows & np.isfinite(program.row_lower))
 
 
 def shaken(program: NonlinearProgram, seed: int = 0) -> Array:
