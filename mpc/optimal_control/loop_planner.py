@@ -24,7 +24,7 @@ from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite
-from mpc.tolerances import FEASIBLE, VIOLATION_PRICE
+from mpc.tolerances import FEASIBLE, KKT, VIOLATION_PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -118,8 +118,9 @@ class LoopPlanner:
                 if not run.late:
                     tried.append(self._solved(run, program, self._unknowns(program, *guess, given), warm=False))
         best = min(tried, key=lambda one: one.rank)
-        if best.status is Status.SOFTENED and not run.late:  # its price may be too low
-            best = min(best, self._solved(run, program, best.found.v, warm=True, dear=True), key=lambda one: one.rank)
+        if best.violation > KKT and best.status in (Status.SOLVED, Status.SOFTENED) and not run.late:  # too cheap
+            dearer = self._solved(run, program, best.found.v, warm=True, dear=True)
+            best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
         if best.status is Status.REPLACED and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)

@@ -18,7 +18,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, NEGLIGIBLE
+from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearPr
     return replace(
         program, derivatives=Derivatives(pieces, n + 2 * count, m), lower=np.append(program.lower, none),
         upper=np.append(program.upper, none), guess=np.append(program.guess, none),
-        scale=np.append(program.scale, none + 1),
+        scale=np.concatenate([program.scale, program.row_scale[chosen] / VIOLATION_PRICE, np.ones(count)]),
     )  # fmt: skip
 
 
