@@ -354,14 +354,67 @@ def first_plans(first: int, count: int, starts: int) -> None:
         print(f"| {kind} | {total} | {own['as good as the best']} |")
 
 
+def loops() -> None:
+    """Print closed loops beside Ipopt begun at its shifted plan."""
+    def statement(plant: Any, x: list[float], N: int, **stated: Any) -> Statement:
+        nx, nu = len(x), len(PLANTS[plant][1])
+        usual = {"Q": np.eye(nx), "R": 0.1 * np.eye(nu)}
+        return Statement(plant, N, np.array(x), np.ones(nx), np.ones(nu), 1.0, np.zeros((N + 1, 2)), 1.0,
+                         **(usual | stated))  # fmt: skip
+
+    discs = [(1.4, 0.9, 0.45, 0.0), (0.5, 0.25, 0.25, 0.0)]
+    cases = {
+        "vehicle between two discs": (statement(unicycle, [2.5, 1.5, 3.0], 20, obstacles=discs), 50),
+        "economic reactor": (statement(tank, [0.4, -0.4], 30, economic=[-1.0, 0.5], bound=np.array([1.0, 0.3])), 50),
+        "pendulum, soft limit on the rate": (statement(pendulum, [2.0, 0.0], 25, soft=(0.8, 1.0, 2.0)), 50),
+    }  # fmt: skip
+    print("| loop | cost, of Ipopt | statuses | largest violation | median, 99 % [ms] | Ipopt\'s |\n|---|---|---|---|---|---|")
+    for name, (one, samples) in cases.items():
+        reference = Reference(one)
+        law, signals = law_of(one, 3)
+        nx, found = len(one.x), []
+        for ours in (True, False):
+            law.reset()
+            x, total, worst, times, statuses = one.x, 0.0, 0.0, [], Counter[str]()
+            states, inputs = np.tile(x, (one.N + 1, 1)), np.zeros((one.N, len(reference.limit)))
+            for k in range(samples):
+                began = time.perf_counter()
+                if ours:
+                    u = law(x, **signals)
+                    statuses[law.last_plans[0].status.name] += 1
+                else:
+                    reference.low[:nx] = reference.high[:nx] = x
+                    cost, v = reference.from_(states, inputs)
+                    statuses["ended" if np.isfinite(cost) else "failed"] += 1
+                    states = v[: nx * (one.N + 1)].reshape(-1, nx)
+                    inputs = v[states.size : states.size + inputs.size].reshape(one.N, -1)
+                    u = inputs[0]
+                    states, inputs = np.vstack([states[1:], states[-1]]), np.vstack([inputs[1:], inputs[-1]])
+                times.append(1e3 * (time.perf_counter() - began))
+                total += float(one.stage(ca.DM(x), ca.DM(u), one.w[0], one.p, 0 * u))
+                x = np.asarray(reference.step(x, u, one.w[0])).ravel()
+                if one.soft is not None:
+                    over = max(float(one.soft_value(x)), 0.0)
+                    total += one.soft[1] * over + one.soft[2] * over**2
+                worst = max(worst, *(float(value) for value in one.limits(x, u, 0)), -np.inf)
+                worst = max(worst, np.max(np.abs(x) - one.bound) if one.bound is not None else -np.inf)
+            found.append((total, dict(statuses), worst, *np.percentile(times, [50, 99])))
+        (own, said, worst, *mine), (theirs, ended, _, *others) = found
+        print(f"| {name} | {own:.6f}, {theirs:.6f} | {said} ({ended}) | {worst:.1e} | {mine[0]:.0f}, {mine[1]:.0f} | "
+              f"{others[0]:.0f}, {others[1]:.0f} |", flush=True)  # fmt: skip
+
+
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--starts", type=int, default=3)
+    parser.add_argument("--loops", action="store_true")
     asked = parser.parse_args()
-    first_plans(asked.first, asked.count, asked.starts)
+    if asked.loops:
+        return loops()
+    return first_plans(asked.first, asked.count, asked.starts)
 
 
 if __name__ == "__main__":
