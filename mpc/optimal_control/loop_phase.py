@@ -62,8 +62,8 @@ class LoopPhase:
 
     def signal(self, t: float) -> Array:
         """Signal (N + 1, nw) that the phase states from a time on."""
-        later = replace(self.phase, start_time=self.phase.start_time if not callable(self.phase.signal) else t)
-        return signal_at(later, later.start_time + self.dt * np.arange(self.horizon + 1))
+        first = t if callable(self.phase.signal) else self.phase.start_time
+        return signal_at(self.phase, first + self.dt * np.arange(self.horizon + 1))
 
     def step(self, x: Any, u: Any, w: Any, p: Any, t: Any, last: Any) -> tuple[Any, Any]:
         """Next state and cost of one sample."""

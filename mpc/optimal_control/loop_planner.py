@@ -17,14 +17,14 @@ from mpc.optimal_control.bounds import as_number
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
-from mpc.optimal_control.ipopt import Found
+from mpc.optimal_control.ipopt import WARM, Found, Settings, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite
-from mpc.tolerances import FEASIBLE, KKT, VIOLATION_PRICE
+from mpc.tolerances import FEASIBLE, KKT, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -67,7 +67,16 @@ class LoopPlanner:
     time_limit: float
 
     def __post_init__(self) -> None:
+        settings = self._settings
+        if np.isfinite(self.time_limit):  # made before a clock runs
+            for options in ({}, WARM):
+                solver_of(self.loop.program, replace(settings, options=options))
         _ = self.loop.program
+
+    @property
+    def _settings(self) -> Settings:
+        """Settings of every call of the solver."""
+        return replace(as_settings(1e-8, self.most, self.time_limit, None), each=True)
 
     @cached_property
     def model(self) -> DiscreteModel:
@@ -108,23 +117,33 @@ class LoopPlanner:
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or at several places."""
         program = self._sample(x, given)
-        run = Run(program, as_settings(1e-8, self.most, self.time_limit, None))
+        run = Run(program, self._settings)
         tried: list[_Tried] = []
         if before is not None:
             v = self._unknowns(program, before.states, before.inputs, given)
-            tried.append(self._solved(run, program, v, warm=True))
+            tried.append(self._solved(run, program, v, PRICE, warm=True))
         if not tried or tried[0].status is not Status.SOLVED:
-            for guess in self._guesses(x, given):
-                if not run.late:
-                    tried.append(self._solved(run, program, self._unknowns(program, *guess, given), warm=False))
+            guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
+            tried += self._from_starts(run, program, guesses, 0.0)
+            if all(one.status is not Status.SOLVED for one in tried):
+                tried += self._from_starts(run, program, guesses, PRICE)
         best = min(tried, key=lambda one: one.rank)
         if best.violation > KKT and best.status in (Status.SOLVED, Status.SOFTENED) and not run.late:  # too cheap
-            dearer = self._solved(run, program, best.found.v, warm=True, dear=True)
+            dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
             best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
         if best.status is Status.REPLACED and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         return self._packed(best, run, before)
+
+    def near(self, x: Array, given: Given, states: Array, inputs: Array) -> tuple[Array, Array] | None:
+        """States and inputs that the solver comes to from others, whatever they are; None of no numbers."""
+        if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
+            return None
+        program = self._sample(x, given)
+        found = self._solved(Run(program, self._settings), program, self._unknowns(program, states, inputs, given), PRICE, warm=False)
+        nodes, own, _, _ = program.parts[0].unknowns(found.found.v)
+        return nodes[: len(x)].T.copy(), own.T.copy()
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""
@@ -132,14 +151,20 @@ class LoopPlanner:
         return replace(plan, inputs=np.vstack([plan.inputs[1:], plan.inputs[-1]]),
                        states=np.vstack([plan.states[1:], last]))  # fmt: skip
 
-    def _solved(self, run: Run, program: NonlinearProgram, v: Array, *, warm: bool, dear: bool = False) -> _Tried:
-        """Result from unknowns, with limits of states at a price."""
+    def _from_starts(self, run: Run, program: NonlinearProgram, guesses: list[Array], price: float) -> Iterator[_Tried]:
+        """Results from unknowns, as long as there is time."""
+        for v in guesses:
+            if not run.late:
+                yield self._solved(run, program, v, price, warm=False)
+
+    def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
+        """Result from unknowns, with limits of states at a price in sizes of cost and rows; hard at 0."""
         first, rows = self.loop.violations, self.loop.given_rows
         sized = rescaled(program, v)
         lower, upper, scale = sized.lower.copy(), sized.upper.copy(), sized.scale.copy()
         own, prices = slice(first, first + len(rows)), slice(first + len(rows), None)
-        lower[prices] = upper[prices] = VIOLATION_PRICE ** (1 + dear) * sized.cost_scale / sized.row_scale[rows]
-        upper[own], scale[own] = np.inf, sized.row_scale[rows] / VIOLATION_PRICE
+        lower[prices] = upper[prices] = price * sized.cost_scale / sized.row_scale[rows]
+        upper[own], scale[own] = np.inf if price else 0.0, sized.row_scale[rows] / PRICE
         run.program = replace(sized, lower=lower, upper=upper, scale=scale)
         found = run.solved(np.clip(v, lower, upper), None, warm=warm)
         hard = np.concatenate([found.v[:first], np.zeros(len(v) - first)])

@@ -17,7 +17,8 @@ from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.shooting import ShootingProgram
+from mpc.optimal_control.loop_planner import LoopPlanner
+from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import (
@@ -108,13 +109,13 @@ class Planner:
     def __post_init__(self) -> None:
         _ = self.programs, self.gain  # built, and compiled, before a clock runs
         if np.isfinite(self.time_limit):
-            self._shooting.build()
+            _ = self.general
 
-    @property
-    def _shooting(self) -> ShootingProgram:
-        """Nonlinear program of a plan."""
-        rows = len(self.law.state_rows[1]) + len(self.law.terminal_rows[1])
-        return self.model.shooting(self.law, priced=rows > 0, most=self.most, seconds=self.time_limit)
+    @cached_property
+    def general(self) -> LoopPlanner:
+        """Planner of the same statement as a phase."""
+        p = quadratic_parameters(self.law, self.p)
+        return LoopPlanner(self.model.loop(self.law, self.p), p, self.most, 1, self.time_limit)
 
     @cached_property
     def programs(self) -> Sequential:
@@ -258,19 +259,16 @@ class Planner:
 
     def _from_starts(self, sample: _Sample, first: _Path) -> Iterator[tuple[_Path, Step]]:
         """Paths that Ipopt comes to from the starts, with the quadratic program there; one where a plan leads to it."""
-        soft, program = self.law.soft, self._shooting
         for path in self._starting_paths(sample, first):
             if sample.clock.up:
                 return
-            shot = program.solve(
-                self.law, sample.x, path.states, self._aside(path).inputs, sample.w, self.p, sample.given,
-                cost=sample.size,
-                prices=(sample.dear, sample.dear) if soft is None else soft,
-            )  # fmt: skip
+            more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
+            shot = self.general.near(*more)
             sample.clock.program_ended()
             if shot is None:
                 continue
-            at, last = self._contracted(sample, replace(path, states=shot[0], inputs=shot[1], name=INTERIOR))
+            at, last = self._contracted(sample, replace(path, states=shot[0][:, : self.law.nx].copy(), inputs=shot[1][:, : self.law.nu].copy(),
+                                                           name=INTERIOR))
             if last is not None:
                 yield at, last
             if path is first and first.name == SHIFTED and _status(last) is Status.SOLVED:

@@ -108,7 +108,7 @@ class Run:
 
     def _left(self, warm: bool) -> Settings:
         """Settings of the next call."""
-        passed = time.perf_counter() - self.began
+        passed = 0.0 if self.settings.each else time.perf_counter() - self.began
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
