@@ -14,7 +14,7 @@ from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.loop_phase import LoopPhase
-from mpc.optimal_control.quadratic_phase import quadratic_parameters, quadratic_phase
+from mpc.optimal_control.quadratic_phase import priced, quadratic_parameters, quadratic_phase
 from mpc.sensitivities.changes import PlanModel
 from mpc.tolerances import INTERIOR_POINT, TARGET_COST
 from mpc.tracking import sizes_of
@@ -82,7 +82,10 @@ class DiscreteModel:
         """Statement of a plan as a phase, for all p, built on demand."""
         key = len(law.terminal_rows[1])
         if key not in self._loops:
-            self._loops[key] = LoopPhase(quadratic_phase(law, self.step), law.horizon, quadratic_parameters(law, p), law.rate_limit)
+            soft = np.zeros(priced(law))
+            limit = None if law.rate_limit is None else np.append(law.rate_limit, soft + np.inf)
+            p, sizes = quadratic_parameters(law, p, (1.0, 1.0)), np.append(law.state_extent, soft + 1.0)
+            self._loops[key] = LoopPhase(quadratic_phase(law, self.step), law.horizon, p, limit, sizes)
         return self._loops[key]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -33,6 +33,7 @@ class LoopPhase:
     horizon: int
     p: Array
     rate_limit: Array | None
+    sizes: Array | None = None  # (nx,): of states, where they are known
 
     @cached_property
     def functions(self) -> PhaseFunctions:
@@ -118,7 +119,11 @@ class LoopPhase:
         free[part.defects] = np.tile((np.arange(nz) >= nx) & (np.arange(nz) < nx + self.functions.nw), self.horizon)
         free[part.path.start : part.path.start + len(part.functions.path_names)] = ~self._of("u")  # of the first state
         row_lower[free], row_upper[free] = -INF, INF
-        return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper)
+        scale = program.scale.copy()
+        if self.sizes is not None:
+            own = numbers < nx
+            scale[part.first + np.flatnonzero(own)] = self.sizes[numbers[own]]
+        return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
     def _of(self, name: str) -> Flags:
         """Whether each path row depends on the inputs "u" or on the states "x"."""

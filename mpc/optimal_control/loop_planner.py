@@ -17,14 +17,14 @@ from mpc.optimal_control.bounds import as_number
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
-from mpc.optimal_control.ipopt import WARM, Found, Settings, solver_of
+from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite
-from mpc.tolerances import FEASIBLE, KKT, VIOLATION_PRICE as PRICE
+from mpc.tolerances import FEASIBLE, INTERIOR_POINT, KKT, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -136,13 +136,14 @@ class LoopPlanner:
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
         return self._packed(best, run, before)
 
-    def near(self, x: Array, given: Given, states: Array, inputs: Array) -> tuple[Array, Array] | None:
+    def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to from others, whatever they are; None of no numbers."""
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
-        program = self._sample(x, given)
-        found = self._solved(Run(program, self._settings), program, self._unknowns(program, states, inputs, given), PRICE, warm=False)
-        nodes, own, _, _ = program.parts[0].unknowns(found.found.v)
+        program = replace(self._sample(x, given), cost_scale=cost)
+        settings = replace(self._settings, tolerance=INTERIOR_POINT)
+        found = once(program, self._unknowns(program, states, inputs, given), None, settings)
+        nodes, own, _, _ = program.parts[0].unknowns(found.v)
         return nodes[: len(x)].T.copy(), own.T.copy()
 
     def shifted(self, plan: Plan, given: Given) -> Plan:

@@ -114,7 +114,7 @@ class Planner:
     @cached_property
     def general(self) -> LoopPlanner:
         """Planner of the same statement as a phase."""
-        p = quadratic_parameters(self.law, self.p)
+        p = quadratic_parameters(self.law, self.p, self.law.soft or (1.0, 1.0))
         return LoopPlanner(self.model.loop(self.law, self.p), p, self.most, 1, self.time_limit)
 
     @cached_property
@@ -151,6 +151,9 @@ class Planner:
     def each(self, stated: dict[str, Any], n: int) -> list[Given]:
         """Signals of n states, common or one entry for each."""
         return for_each_state(self.law, stated, n)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "general"}
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or where it is best."""
@@ -259,11 +262,13 @@ class Planner:
 
     def _from_starts(self, sample: _Sample, first: _Path) -> Iterator[tuple[_Path, Step]]:
         """Paths that Ipopt comes to from the starts, with the quadratic program there; one where a plan leads to it."""
+        dear = quadratic_parameters(self.law, self.p, (sample.dear, sample.dear))
         for path in self._starting_paths(sample, first):
             if sample.clock.up:
                 return
             more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
-            shot = self.general.near(*more)
+            general = self.general if self.law.soft is not None else replace(self.general, p=dear)
+            shot = general.near(*more, sample.size)
             sample.clock.program_ended()
             if shot is None:
                 continue

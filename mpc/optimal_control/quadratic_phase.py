@@ -17,24 +17,24 @@ from mpc.rollout import Given, disturbance
 def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
     """Phase of a problem with the dynamics `step`, for `quadratic_parameters` and `quadratic_columns`.
 
-    Soft limits of a step share one violation: it is an input, and from the next step on a state.
+    Limits of states share one violation a step, which has a price: it is an input, and at the next step a state.
     """
-    nx, nu, nw, N, soft = law.nx, law.nu, law.nw, law.horizon, int(law.soft is not None)
+    nx, nu, nw, N, soft = law.nx, law.nu, law.nw, law.horizon, priced(law)
     rows, ends, np_ = len(law.state_rows[1]), len(law.terminal_rows[1]), step.numel_in(3)
-    cuts = np.cumsum([0, np_, nx * nx, rows, ends * nx, ends]).tolist()
+    cuts = np.cumsum([0, np_, nx * nx, rows, ends * nx, ends, 2]).tolist()
     box = box_of(*law.input_rows)
 
     def given(p: Any) -> tuple[Any, ...]:
-        """p, P, units of rows of states, rows and bounds of the end."""
+        """p, P, units of rows of states, rows and bounds of the end, prices."""
         return tuple(ca.vertsplit(p, cuts))
 
     def dynamics(x: Any, u: Any, w: Any, p: Any) -> Any:
         return ca.vertcat(step(x[:nx], u[:nu], w[:nw], p[:np_]), *[u[nu:]] * soft)
 
-    def stage_cost(x: Any, u: Any, w: Any) -> Any:
+    def stage_cost(x: Any, u: Any, w: Any, p: Any) -> Any:
         error, effort = x[:nx] - w[nw : nw + nx], u[:nu] - w[nw + nx :]
         cost = ca.bilin(law.Q, error) + ca.bilin(law.R, effort) + 2 * ca.dot(error, ca.DM(law.cross) @ effort)
-        return cost if law.soft is None else cost + law.soft[0] * u[nu] + law.soft[1] * u[nu] ** 2
+        return cost + ca.dot(given(p)[5], ca.vertcat(u[nu], u[nu] ** 2)) if soft else cost
 
     def terminal_cost(x: Any, w: Any, p: Any) -> Any:
         return ca.bilin(ca.reshape(given(p)[1], nx, nx), x[:nx] - w[nw : nw + nx])
@@ -46,7 +46,7 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
         return ca.vertcat(*[of_states] * (rows > 0), *[of_inputs] * (box is None))
 
     def boundary(x: Any, p: Any) -> Any:
-        _, _, _, H, h = given(p)
+        _, _, _, H, h, _ = given(p)
         return ca.reshape(H, ends, nx) @ x[:nx] - h - (x[nx] if soft else 0)
 
     low, high = (np.full(nu, -np.inf), np.full(nu, np.inf)) if box is None else box
@@ -59,16 +59,22 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
     )  # fmt: skip
 
 
-def quadratic_parameters(law: MPCProblem, p: Array) -> Array:
-    """Parameters of `quadratic_phase` for those of the model p (np,)."""
+def priced(law: MPCProblem) -> int:
+    """1 where there are limits of states, whose violation a stage carries; else 0."""
+    return int(len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0)
+
+
+def quadratic_parameters(law: MPCProblem, p: Array, prices: tuple[float, float]) -> Array:
+    """Parameters of `quadratic_phase` for those of the model p (np,) and prices of a violation."""
     (H, h), unit = law.terminal_rows, law.price_units["terminal"]
-    return np.concatenate([p, law.P.ravel(), law.price_units["state"], (H / unit[:, None]).ravel(order="F"), h / unit])
+    H = (H / unit[:, None]).ravel(order="F")
+    return np.concatenate([p, law.P.ravel(), law.price_units["state"], H, h / unit, prices])
 
 
 def quadratic_columns(law: MPCProblem, x: Array, states: Array, inputs: Array,
                       given: Given) -> tuple[Array, Given, Array, Array]:  # fmt: skip
     """State, signals, states and inputs of `quadratic_phase` for those of a plan."""
-    N, soft = law.horizon, int(law.soft is not None)
+    N, soft = law.horizon, priced(law)
     w, x_ref, u_ref = disturbance(law, given), np.zeros((N + 1, law.nx)), np.zeros((N, law.nu))
     x_ref = given["x_ref"].reshape(x_ref.shape) if "x_ref" in given else x_ref
     u_ref = given["u_ref"].reshape(u_ref.shape) if "u_ref" in given else u_ref
