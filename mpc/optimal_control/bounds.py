@@ -59,13 +59,17 @@ def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False
 
 def as_prices(value: Any, size: int) -> Array:
     """Linear and quadratic prices (2, size) of violations; infinite where None."""
-    found = np.stack(as_bounds("path_prices", (None, None) if value is None else value, size, crossing=True))
-    found = np.where(np.isinf(found).any(axis=0), INF, found)
     if value is not None and not size:
         raise InputError("path_prices", brief(repr(value)), "a function `path`, whose violations they are of")
-    if (found < 0).any() or (found.sum(axis=0) == 0).any():
-        raise InputError("path_prices", brief(repr(value)), "(linear, quadratic), numbers ≥ 0, not both of them 0")
-    return found
+    expected = f"(linear, quadratic), each a number ≥ 0 or {size} of them, both None where hard, not both 0"
+    try:
+        given = np.stack(as_bounds("path_prices", value, size, crossing=True))
+    except InputError as error:
+        raise InputError("path_prices", error.got, expected) from None
+    hard = np.isinf(given)
+    if (given[~hard] < 0).any() or (given == 0).all(axis=0).any() or (hard[0] != hard[1]).any():
+        raise InputError("path_prices", brief(repr(value)), expected)
+    return np.where(hard, INF, given)
 
 
 def as_end(name: str, value: Any, within: tuple[Array, Array]) -> tuple[Array, Array]:

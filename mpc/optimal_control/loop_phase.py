@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -34,6 +34,9 @@ class LoopPhase:
     p: Array
     rate_limit: Array | None
     sizes: Array | None = None  # (nx,): of states, where they are known
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @cached_property
     def functions(self) -> PhaseFunctions:
@@ -106,23 +109,21 @@ class LoopPhase:
 
     @cached_property
     def _hard(self) -> NonlinearProgram:
-        """Program without violations."""
+        """Program without violations; bounds of states are rows, and those that nothing can change are free."""
         parameters = np.append(self.p, self.phase.start_time)
         program = build(OptimalControlProblem(self._discrete, p_bounds=(parameters, parameters)))
-        part, lower, upper = program.parts[0], program.lower.copy(), program.upper.copy()
+        part, nx, nw = program.parts[0], self.phase.states, self.functions.nw
         numbers, _ = part.coordinates
-        states = part.first + np.flatnonzero(numbers < part.layout.nx)
+        states, known = part.first + np.flatnonzero(numbers < part.layout.nx), part.first + np.flatnonzero(numbers < nx)
+        lower, upper, scale = program.lower.copy(), program.upper.copy(), program.scale.copy()
         lower[states], upper[states] = -INF, INF
-        row_lower, row_upper = program.row_lower.copy(), program.row_upper.copy()
-        free = np.zeros(len(row_lower), dtype=bool)
-        nx, nz = self.phase.states, part.layout.nx
-        free[part.defects] = np.tile((np.arange(nz) >= nx) & (np.arange(nz) < nx + self.functions.nw), self.horizon)
-        free[part.path.start : part.path.start + len(part.functions.path_names)] = ~self._of("u")  # of the first state
-        row_lower[free], row_upper[free] = -INF, INF
-        scale = program.scale.copy()
         if self.sizes is not None:
-            own = numbers < nx
-            scale[part.first + np.flatnonzero(own)] = self.sizes[numbers[own]]
+            scale[known] = self.sizes[numbers[known - part.first]]
+        free = np.zeros(len(program.row_lower), dtype=bool)
+        of_signal = np.arange(part.layout.nx)
+        free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)
+        free[part.path.start : part.path.start + len(part.functions.path_names)] = ~self._of("u")  # of the first state
+        row_lower, row_upper = np.where(free, -INF, program.row_lower), np.where(free, INF, program.row_upper)
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
     def _of(self, name: str) -> Flags:
@@ -153,56 +154,66 @@ class LoopPhase:
     @cached_property
     def _discrete(self) -> Phase:
         """Discrete phase of states (x, w, input before) and parameters (p, t)."""
-        phase, f = self.phase, self.functions
-        nx, nu, nw, N = phase.states, phase.inputs, f.nw, self.horizon
-        limited, ending, limit = self.limited.tolist(), self.ending.tolist(), self.rate_limit
-
-        def at(z: Any, u: Any, p: Any, t: Any) -> tuple[Any, ...]:
-            """Columns (x, u, w, p, t, u_prev) of the phase."""
-            return z[:nx], u, z[nx : nx + nw], p[:-1], p[-1] + self.dt * t, z[nx + nw :] if self.carries else 0 * u
-
-        def dynamics(x: Any, u: Any, p: Any, t: Any) -> Any:
-            return ca.vertcat(self.step(*at(x, u, p, t))[0], ca.DM.zeros(nw), *[u] * self.carries)
-
-        def path(x: Any, u: Any, p: Any, t: Any) -> Any:
-            change = [] if limit is None else [u - x[nx + nw :]]
-            return ca.vertcat(f.path_at(*at(x, u, p, t)), x[limited], *change)
-
-        def terminal_cost(x: Any, p: Any, t: Any) -> Any:
-            return f.terminal_cost(x[:nx], x[nx : nx + nw], p[:-1], p[-1] + self.dt * t)
-
-        def boundary(x0: Any, x: Any, t0: Any, t: Any, p: Any) -> Any:
-            clock = p[-1] + self.dt * t0, p[-1] + self.dt * t
-            stated = [] if f.boundary is None else [f.boundary(x0[:nx], x[:nx], x[nx : nx + nw], *clock, p[:-1])]
-            return ca.vertcat(*stated, x[ending])
-
-        names = [[f"rate of {name}" for name in phase.input_names], ["w"] * nw, list(phase.input_names) * self.carries]
-        rates = (np.zeros(0), np.zeros(0)) if limit is None else (-limit, limit)
-        path_bounds = tuple(np.concatenate([a, b[self.limited], c])
-                            for a, b, c in zip(f.path_bounds, phase.x_bounds, rates))  # fmt: skip
-        ends = tuple(np.concatenate([a, b[self.ending]]) for a, b in zip(f.boundary_bounds, phase.end))
-        prices = np.pad(f.path_prices * self.dt, ((0, 0), (0, len(path_bounds[0]) - len(f.path_names))),
-                        constant_values=INF)  # fmt: skip
+        phase, nw, N, last = self.phase, self.functions.nw, self.horizon, [1] * self.carries
         times = np.linspace(0, 1, N + 1)
         x, u = first_guess(phase)(times)
-        more = [self.signal(phase.start_time), u][: 1 + self.carries]
-        sizes = zip(phase.x_bounds, (-INF, INF), phase.u_bounds)
+        sides = zip(phase.x_bounds, (-INF, INF), phase.u_bounds)
+        before = [f"{name} before" for _ in last for name in phase.input_names]
         return Phase(
-            dynamics, nx + nw + nu * self.carries, nu, duration=N, discrete=True, guess=(times, np.hstack([x, *more]), u),
-            stage_cost=None if phase.stage_cost is None else lambda x, u, p, t: self.step(*at(x, u, p, t))[1],
-            terminal_cost=None if phase.terminal_cost is None else terminal_cost,
-            path=path if len(path_bounds[0]) else None,
-            path_bounds=path_bounds if len(path_bounds[0]) else (-INF, 0.0),
-            path_prices=tuple(prices) if np.isfinite(prices).any() else None,
-            path_names=[*f.path_names, *(phase.state_names[i] for i in limited), *(names[0] if limit is not None else [])],
-            boundary=boundary if len(ends[0]) else None,
-            boundary_bounds=ends if len(ends[0]) else (0.0, 0.0),
-            boundary_names=[*f.boundary_names, *(f"end of {phase.state_names[i]}" for i in ending)],
-            x_bounds=tuple(np.concatenate([of_x, np.full(nw, of_w), *[of_u] * self.carries]) for of_x, of_w, of_u in sizes),
+            self._dynamics, phase.states + nw + len(before), phase.inputs, duration=N, discrete=True,
+            guess=(times, np.hstack([x, self.signal(phase.start_time), *[u for _ in last]]), u),
+            x_bounds=tuple(np.concatenate([a, np.full(nw, b), *[c for _ in last]]) for a, b, c in sides),
             u_bounds=phase.u_bounds, input_names=phase.input_names,
-            state_names=[*phase.state_names, *(f"w{i + 1}" for i in range(nw)),
-                         *(f"{name} before" for name in names[2])],
+            state_names=[*phase.state_names, *(f"w{i + 1}" for i in range(nw)), *before],
+            stage_cost=None if phase.stage_cost is None else lambda x, u, p, t: self.step(*self._at(x, u, p, t))[1],
+            terminal_cost=None if phase.terminal_cost is None else self._terminal_cost,
+            **self._along_the_way(), **self._at_the_end(),
         )  # fmt: skip
+
+    def _at(self, x: Any, u: Any, p: Any, t: Any) -> tuple[Any, ...]:
+        """Columns (x, u, w, p, t, u_prev) of the phase."""
+        nx, end = self.phase.states, self.phase.states + self.functions.nw
+        return x[:nx], u, x[nx:end], p[:-1], p[-1] + self.dt * t, x[end:] if self.carries else 0 * u
+
+    def _dynamics(self, x: Any, u: Any, p: Any, t: Any) -> Any:
+        """Next state; the signal's rows are left free."""
+        return ca.vertcat(self.step(*self._at(x, u, p, t))[0], ca.DM.zeros(self.functions.nw), *[u] * self.carries)
+
+    def _terminal_cost(self, x: Any, p: Any, t: Any) -> Any:
+        """Cost of the last state."""
+        x, _, *columns = self._at(x, 0, p, t)
+        return self.functions.terminal_cost(x, *columns[:3])
+
+    def _along_the_way(self) -> dict[str, Any]:
+        """Path limits: those of the phase, bounds of states, and changes of inputs."""
+        phase, f, limit, own = self.phase, self.functions, self.rate_limit, self.limited.tolist()
+        rates = [] if limit is None else [limit]
+
+        def path(x: Any, u: Any, p: Any, t: Any) -> Any:
+            at = self._at(x, u, p, t)
+            return ca.vertcat(f.path_at(*at), x[own], *(u - at[-1] for _ in rates))
+
+        sides = zip(f.path_bounds, phase.x_bounds, (-1.0, 1.0))
+        bounds = [np.concatenate([a, b[self.limited], *(sign * limit for limit in rates)]) for a, b, sign in sides]
+        hard = np.full((2, len(bounds[0]) - len(f.path_names)), INF)
+        prices = np.hstack([f.path_prices * self.dt, hard])
+        names = [*f.path_names, *(phase.state_names[i] for i in own),
+                 *(f"rate of {name}" for _ in rates for name in phase.input_names)]  # fmt: skip
+        stated = {"path": path, "path_bounds": tuple(bounds), "path_names": names, "path_prices": tuple(prices)}
+        return stated if names else {}
+
+    def _at_the_end(self) -> dict[str, Any]:
+        """Conditions of the phase at its end, and bounds of the last state."""
+        f, own = self.functions, self.ending.tolist()
+
+        def boundary(x0: Any, x: Any, t0: Any, t: Any, p: Any) -> Any:
+            (first, *_), (last, _, w, known, end, _) = self._at(x0, 0, p, t0), self._at(x, 0, p, t)
+            stated = [] if f.boundary is None else [f.boundary(first, last, w, p[-1] + self.dt * t0, end, known)]
+            return ca.vertcat(*stated, x[own])
+
+        bounds = tuple(np.concatenate([a, b[self.ending]]) for a, b in zip(f.boundary_bounds, self.phase.end))
+        names = [*f.boundary_names, *(f"end of {self.phase.state_names[i]}" for i in own)]
+        return {"boundary": boundary, "boundary_bounds": bounds, "boundary_names": names} if names else {}
 
 
 def as_loop_phase(phase: Phase, horizon: int | None, p: Array, rate_limit: Array | None) -> LoopPhase:

@@ -43,7 +43,7 @@ class _Tried:
         """Status: an optimum only where its own conditions hold, and all limits."""
         if status_of(self.found) is OptimalControlStatus.SOLVED:
             return Status.SOLVED if self.violation <= FEASIBLE else Status.SOFTENED
-        feasible = max(self.violation, self.found.residuals.primal) <= FEASIBLE
+        feasible = max(self.violation, self.found.residuals.primal) <= FEASIBLE and np.isfinite(self.cost)
         return Status.INACCURATE if feasible else Status.REPLACED
 
     @property
@@ -131,10 +131,10 @@ class LoopPlanner:
         if best.violation > KKT and best.status in (Status.SOLVED, Status.SOFTENED) and not run.late:  # too cheap
             dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
             best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
-        if best.status is Status.REPLACED and any(run.falls(one.found) for one in tried):
+        if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
-        return self._packed(best, run, before)
+        return self._packed(best, run, x, given, before)
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to from others, whatever they are; None of no numbers."""
@@ -186,10 +186,14 @@ class LoopPlanner:
             if number > 1:
                 pieces = rng.uniform(low, high, (1 + N // 5, phase.inputs))
                 aside = np.repeat(pieces, 5, axis=0)[:N]
-            states = np.tile(x, (N + 1, 1))
-            for k in range(N):
-                states[k + 1] = self._next(states[k], aside[k], given, k)
-            yield states, aside
+            yield self._led_to(x, aside, given), aside
+
+    def _led_to(self, x: Array, inputs: Array, given: Given) -> Array:
+        """States (N + 1, nx) that inputs lead to, finite."""
+        states = np.tile(x, (len(inputs) + 1, 1))
+        for k, u in enumerate(inputs):
+            states[k + 1] = self._next(states[k], u, given, k)
+        return states
 
     def _next(self, x: Array, u: Array, given: Given, k: int) -> Array:
         """Next state after step k of a sample, finite."""
@@ -217,13 +221,15 @@ class LoopPlanner:
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
         return np.clip(v, program.lower, program.upper)
 
-    def _packed(self, best: _Tried, run: Run, before: Plan | None) -> Plan:
+    def _packed(self, best: _Tried, run: Run, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan of a result, or what stands in for it."""
         part, nx, name = self.loop.program.parts[0], self.loop.phase.states, "Ipopt"
         status = Status.LATE if run.late else best.status
         nodes, own, _, _ = part.unknowns(best.found.v)
         states, inputs, cost = nodes[:nx].T.copy(), own.T.copy(), best.cost
-        if before is not None and best.status is Status.REPLACED:
-            states, inputs, cost, name = before.states, before.inputs, np.nan, "shifted plan"
+        if best.status is Status.REPLACED:
+            cost, name = np.nan, "guess" if before is None else "shifted plan"
+            inputs = first_guess(self.loop.phase)(np.linspace(0, 1, len(own.T) + 1))[1][:-1] if before is None else before.inputs
+            states = self._led_to(x, inputs, given)
         took = time.perf_counter() - run.began
         return Plan(inputs, finite(states), cost, status, best.found.residuals, best.violation, took, name)

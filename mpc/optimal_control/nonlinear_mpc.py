@@ -23,6 +23,7 @@ from mpc.optimal_control.loop_phase import LoopPhase, as_loop_phase
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.planner import Planner
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.rollout import disturbance, spread_signals
@@ -123,6 +124,9 @@ class NonlinearMPC:
         if isinstance(self.step, Phase):
             self._set_phase(self.step)
             return
+        if isinstance(self.step, OptimalControlProblem):
+            cure = "Give its phase, and its parameters as p=…."
+            raise InputError("step", "an OptimalControlProblem", "a Phase, or the next state as a function", cure)
         for name in ("states", "inputs", "horizon"):
             set_(self, name, as_count(name, getattr(self, name)))
         if self.iterations is not None:
@@ -151,8 +155,9 @@ class NonlinearMPC:
     def linear(self) -> LinearMPC:
         """Linear MPC of the linearisation at rest."""
         if self._loop is not None:
-            cure = "State quadratic costs and polytopes: NonlinearMPC(step, nx, nu, Q=…, R=…, horizon=…)."
-            raise InputError("step", "a Phase", "a step with quadratic costs: this needs its linear MPC", cure)
+            cure = "State them: NonlinearMPC(step, nx, nu, Q=…, R=…, horizon=…)."
+            expected = "quadratic costs and polytopes, for C code, derivatives, steady states and offset-free control"
+            raise InputError("step", "a Phase", expected, cure)
         x, u, w = np.zeros(self.states), np.zeros(self.inputs), np.zeros(self.disturbances)
         f, A, B = self.model.linearised_at(x, u, w, self.p)
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
@@ -232,6 +237,8 @@ class NonlinearMPC:
     def __getstate__(self) -> dict[str, Any]:
         """State with the model as CasADi stores it."""
         kept = {name: value for name, value in self.__dict__.items() if name != "steady_solver"}
+        if self._loop is not None:
+            return {name: value for name, value in kept.items() if name != "planner"}
         return kept | {"step": self.model.step}
 
     def solve(
