@@ -4,8 +4,8 @@
     python benchmarks/nmpc_statements.py --loops                                  # closed loops
 
 A statement has one of six plants in random units, a horizon of 8 to 30 samples, and by chance: obstacles, a box or a
-ball as terminal set, end conditions, an economic cost, parameters that change over the horizon, references, soft limits,
-limits and prices of changes of the inputs; some cannot be met. The reference is multiple shooting written here, from
+ball as terminal set, end conditions, an economic cost, parameters that change over the horizon, references, soft
+limits, limits and prices of changes of the inputs; some cannot be met. The reference is multiple shooting written here, from
 the state held, and from ten other places: roll-outs of inputs by chance and straight ways.
 Required: never dearer than the reference from the same start, nor than the best of all eleven, by more than 1e-6; never
 SOLVED where no start is feasible, nor where a limit is passed by more than 1e-6 of its size.
@@ -25,11 +25,11 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import casadi as ca  # noqa: E402
-import numpy as np  # noqa: E402
+import casadi as ca
+import numpy as np
 
-from mpc import Status  # noqa: E402
-from mpc.optimal_control import NonlinearMPC, Phase  # noqa: E402
+from mpc import Status
+from mpc.optimal_control import NonlinearMPC, Phase
 
 
 def rk4(rate: Any, x: Any, h: float, parts: int = 2) -> Any:
@@ -55,9 +55,11 @@ def point(x: Any, u: Any, w: Any) -> Any:
 
 def tank(x: Any, u: Any, w: Any) -> Any:
     """Reactor of second order about a working point: concentration and temperature; w is a heat load."""
+
     def rate(z: Any) -> Any:
         burnt = 0.6 * (1 + 0.5 * z[0]) ** 2 * ca.exp(0.8 * z[1])
         return ca.vertcat(0.6 - burnt - 0.5 * z[0], burnt - 0.6 - z[1] + 0.8 * u[0] + 0.2 * w)
+
     return rk4(rate, x, 0.3)
 
 
@@ -356,6 +358,7 @@ def first_plans(first: int, count: int, starts: int) -> None:
 
 def loops() -> None:
     """Print closed loops beside Ipopt begun at its shifted plan."""
+
     def statement(plant: Any, x: list[float], N: int, **stated: Any) -> Statement:
         nx, nu = len(x), len(PLANTS[plant][1])
         usual = {"Q": np.eye(nx), "R": 0.1 * np.eye(nu)}
@@ -368,7 +371,8 @@ def loops() -> None:
         "economic reactor": (statement(tank, [0.4, -0.4], 30, economic=[-1.0, 0.5], bound=np.array([1.0, 0.3])), 50),
         "pendulum, soft limit on the rate": (statement(pendulum, [2.0, 0.0], 25, soft=(0.8, 1.0, 2.0)), 50),
     }  # fmt: skip
-    print("| loop | cost, of Ipopt | statuses | largest violation | median, 99 % [ms] | Ipopt\'s |\n|---|---|---|---|---|---|")
+    print("| loop | cost, of Ipopt | statuses | largest violation | median, 99 % [ms] | Ipopt's |")
+    print("|---|---|---|---|---|---|")
     for name, (one, samples) in cases.items():
         reference = Reference(one)
         law, signals = law_of(one, 3)
@@ -377,7 +381,7 @@ def loops() -> None:
             law.reset()
             x, total, worst, times, statuses = one.x, 0.0, 0.0, [], Counter[str]()
             states, inputs = np.tile(x, (one.N + 1, 1)), np.zeros((one.N, len(reference.limit)))
-            for k in range(samples):
+            for _ in range(samples):
                 began = time.perf_counter()
                 if ours:
                     u = law(x, **signals)

@@ -67,7 +67,7 @@ class LoopPhase:
     def signal(self, t: float) -> Array:
         """Signal (N + 1, nw) that the phase states from a time on."""
         first = t if callable(self.phase.signal) else self.phase.start_time
-        return signal_at(self.phase, first + self.dt * np.arange(self.horizon + 1))
+        return signal_at(self.phase, np.asarray(first + self.dt * np.arange(self.horizon + 1)))
 
     def step(self, x: Any, u: Any, w: Any, p: Any, t: Any, last: Any) -> tuple[Any, Any]:
         """Next state and cost of one sample."""
@@ -89,8 +89,8 @@ class LoopPhase:
     @cached_property
     def ending(self) -> Any:
         """States that have bounds of their own at the end."""
-        return np.flatnonzero(np.isfinite(self.phase.end).any(axis=0) & np.not_equal(self.phase.end, self.phase.x_bounds)
-                              .any(axis=0))  # fmt: skip
+        end, usual = np.array(self.phase.end), np.array(self.phase.x_bounds)
+        return np.flatnonzero((np.isfinite(end) & (end != usual)).any(axis=0))
 
     @cached_property
     def program(self) -> NonlinearProgram:

@@ -22,7 +22,7 @@ from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
-from mpc.plan import Plan, Residuals, Status
+from mpc.plan import Plan, Status
 from mpc.rollout import Given, finite
 from mpc.tolerances import FEASIBLE, INTERIOR_POINT, KKT, VIOLATION_PRICE as PRICE
 
@@ -204,13 +204,12 @@ class LoopPlanner:
         """Program of one sample."""
         program, nx, nw = self.loop.program, self.loop.phase.states, self.loop.functions.nw
         part, lower, upper = program.parts[0], program.lower.copy(), program.upper.copy()
-        nodes = part.first + part.layout.column * np.arange(self.loop.horizon + 1)[:, None]
-        last = given["u_prev"] if self.loop.carries else []
-        known = {part.first: np.concatenate([x, given["w"][0], last]), program.parameters.start: [*self.p, *given["t"]]}
+        signal = part.first + nx + part.layout.column * np.arange(self.loop.horizon + 1)[:, None] + np.arange(nw)
+        first = np.concatenate([x, given["w"][0], given["u_prev"][: part.layout.nx - nx - nw]])
         for bounds in (lower, upper):
-            bounds[nodes + nx + np.arange(nw)] = given["w"]
-            for first, value in known.items():
-                bounds[first : first + len(value)] = value
+            bounds[signal] = given["w"]
+            bounds[part.first : part.first + len(first)] = first
+            bounds[program.parameters] = np.concatenate([self.p, given["t"]])
         return replace(program, lower=lower, upper=upper, guess=np.clip(program.guess, lower, upper))
 
     def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
@@ -229,7 +228,11 @@ class LoopPlanner:
         states, inputs, cost = nodes[:nx].T.copy(), own.T.copy(), best.cost
         if best.status is Status.REPLACED:
             cost, name = np.nan, "guess" if before is None else "shifted plan"
-            inputs = first_guess(self.loop.phase)(np.linspace(0, 1, len(own.T) + 1))[1][:-1] if before is None else before.inputs
+            inputs = (
+                first_guess(self.loop.phase)(np.linspace(0, 1, len(own.T) + 1))[1][:-1]
+                if before is None
+                else before.inputs
+            )
             states = self._led_to(x, inputs, given)
         took = time.perf_counter() - run.began
         return Plan(inputs, finite(states), cost, status, best.found.residuals, best.violation, took, name)

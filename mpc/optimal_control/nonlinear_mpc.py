@@ -259,7 +259,7 @@ class NonlinearMPC:
         self._check_start(start)
         given = {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w, "t": t}
         planner = self.planner
-        return planner.plan(x, planner.signals({name: value for name, value in given.items() if value is not None}), start)
+        return planner.plan(x, planner.signals(given), start)
 
     def sensitivity(
         self, x: ArrayLike, *, start: Plan | None = None, dQ: ArrayLike | None = None, dR: ArrayLike | None = None,
@@ -291,7 +291,8 @@ class NonlinearMPC:
         x = as_array("x", x, (self.states,))
         self._check_start(start)
         given = spread_signals(self.linear, dict(signals))
-        to_the_end = replace(self.planner, iterations=None, time_limit=np.inf)
+        planner: Any = self.planner
+        to_the_end = replace(planner, iterations=None, time_limit=np.inf)
         plan = to_the_end.plan(x, given, start)
         at_rest = self.model.at_rest(self.p)
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,

@@ -59,8 +59,8 @@ class Phase:
         Values that are kept within `path_bounds`, at all points of the mesh: ≤ 0 by default.
     path_bounds : (lower, upper)
     path_prices : (linear, quadratic), optional
-        Makes path limits soft: a violation e costs linear · e + quadratic · e², integrated over time, or summed over all
-        points if `discrete`. Each a number ≥ 0 or one for every value, None where a limit is hard; not both zero.
+        Makes path limits soft: a violation e costs linear · e + quadratic · e², integrated over time, or summed over
+        all points if `discrete`. Each is a number ≥ 0 or one for every value, None where a limit is hard; not both 0.
     boundary : function of x0, x, w, t0, t, p, optional
         Of both ends of the phase; values that are kept within `boundary_bounds`: = 0 by default.
     boundary_bounds : (lower, upper)
@@ -205,7 +205,9 @@ class PhaseFunctions:
         return type(at[0])(0, 1) if self.path is None else self.path(*at)
 
 
-def _columns(phase: Phase, width: int, parameters: int, *, looped: bool) -> dict[str, tuple[dict[str, int], int | None]]:
+def _columns(
+    phase: Phase, width: int, parameters: int, *, looped: bool
+) -> dict[str, tuple[dict[str, int], int | None]]:
     """Columns and lengths of each function's arguments, and its value's length."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
     moving = running | ({"u_prev": phase.inputs} if looped else {})

@@ -272,8 +272,8 @@ class Planner:
             sample.clock.program_ended()
             if shot is None:
                 continue
-            at, last = self._contracted(sample, replace(path, states=shot[0][:, : self.law.nx].copy(), inputs=shot[1][:, : self.law.nu].copy(),
-                                                           name=INTERIOR))
+            states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
+            at, last = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
             if last is not None:
                 yield at, last
             if path is first and first.name == SHIFTED and _status(last) is Status.SOLVED:

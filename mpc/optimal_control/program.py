@@ -170,8 +170,8 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     large = np.abs(v[loose])
     scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
-    own = program.costs.stop or None  # violations, which vanish where limits are kept, stand behind
-    size = float(np.abs(slope * scale)[:own].max(initial=0.0))
+    places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
+    size = float(np.abs(slope * scale)[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
     return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
 
@@ -252,20 +252,19 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
 
 def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearProgram:
     """Program with violations of `rows` (m,) and then a price of each as further unknowns, all held at 0."""
-    n, m = len(program.lower), len(program.row_lower)
-    chosen = np.concatenate(places_of_violations(program, rows))
-    count = len(chosen)
+    n, m, sides = len(program.lower), len(program.row_lower), places_of_violations(program, rows)
     weighed = piece_function(lambda e, price, data: [price * e, e], ca.SX, {"e": 1, "price": 1}, 0)
-    pieces, above = list(program.derivatives.pieces), len(places_of_violations(program, rows)[0])
-    for own, sign in ((np.arange(above), -1.0), (np.arange(above, count), 1.0)):
-        targets = np.vstack([np.zeros(len(own), dtype=int), 1 + chosen[own]])
-        piece = Piece(weighed, n + np.vstack([own, count + own]), np.zeros((0, len(own))), targets, np.array([1.0, sign]))
-        pieces += [piece] if len(own) else []
-    none = np.zeros(2 * count)
+    pieces, count = list(program.derivatives.pieces), sum(map(len, sides))
+    for chosen, first, sign in zip(sides, (n, n + len(sides[0])), (-1.0, 1.0)):
+        own, no_data = first + np.arange(len(chosen)), np.zeros((0, len(chosen)))
+        targets = np.vstack([np.zeros(len(chosen), dtype=int), 1 + chosen])
+        piece = Piece(weighed, np.vstack([own, count + own]), no_data, targets, np.array([1.0, sign]))
+        pieces += [piece] if len(chosen) else []
+    none, sizes = np.zeros(2 * count), program.row_scale[np.concatenate(sides)] / VIOLATION_PRICE
     return replace(
         program, derivatives=Derivatives(pieces, n + 2 * count, m), lower=np.append(program.lower, none),
         upper=np.append(program.upper, none), guess=np.append(program.guess, none),
-        scale=np.concatenate([program.scale, program.row_scale[chosen] / VIOLATION_PRICE, np.ones(count)]),
+        scale=np.concatenate([program.scale, sizes, np.ones(count)]),
     )  # fmt: skip
 
 

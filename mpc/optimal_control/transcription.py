@@ -213,8 +213,9 @@ class _Assembly:
         data = np.vstack([part.mesh[:-1], np.diff(part.mesh), signals])
         self._piece(values, places, rows, part.interval, factors=factors, data=data)
         if part.functions.path is not None:
-            every = np.arange(len(part.functions.path_names))
-            self._soften(part, part.path, every, _shares(part).ravel(), target, weight)
+            every, shares = np.arange(len(part.functions.path_names)), _shares(part)
+            kept = shares[:, layout.points[0] == 0 :] if shares.shape[1] > 1 else shares
+            self._soften(part, part.path, every, kept.ravel(), target, weight)
 
     def _path_at_an_end(self, k: int, part: PhasePart, target: int, weight: float) -> None:
         """Append path limits at the end that the intervals leave out."""
@@ -228,7 +229,7 @@ class _Assembly:
             node = part.last - layout.node
             inputs = node - layout.nu + np.arange(layout.nu)
         else:
-            fraction, share = 0.0, part.mesh[1] * part.scheme.matrix[-1, 0] * (layout.points[0] == 0)
+            fraction, share = 0.0, _shares(part)[0, 0] if layout.points[0] == 0 else 0.0
             node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
             if not layout.node_inputs:
@@ -334,14 +335,13 @@ class _Assembly:
 
 def _shares(part: PhasePart) -> Array:
     """Parts (N, points) of a phase that the points with path limits stand for in an integral."""
-    lengths, points = np.diff(part.mesh)[:, None], part.layout.points
-    if points == (0.0,):
+    lengths, scheme = np.diff(part.mesh)[:, None], part.scheme
+    if part.phase.discrete or not isinstance(scheme, Collocation):
         return lengths
-    shares = lengths * part.scheme.matrix[-1]
-    if points[0] == 0:  # a node belongs to both its intervals
+    shares = np.asarray(lengths * scheme.matrix[-1])
+    if scheme.points[0] == 0:  # a node belongs to both its intervals
         shares[:-1, -1] += shares[1:, 0]
-        return np.asarray(shares[:, 1:])
-    return np.asarray(shares)
+    return shares
 
 
 def _numbers(rows: slice) -> Numbers:
