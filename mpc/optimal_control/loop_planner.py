@@ -125,7 +125,7 @@ class LoopPlanner:
         if not tried or tried[0].status is not Status.SOLVED:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
             tried += self._from_starts(run, program, guesses, 0.0)
-            if all(one.status is not Status.SOLVED for one in tried):
+            if not run.late and all(one.status is not Status.SOLVED for one in tried):
                 tried += self._from_starts(run, program, guesses, PRICE)
         best = min(tried, key=lambda one: one.rank)
         if best.violation > KKT and best.status in (Status.SOLVED, Status.SOFTENED) and not run.late:  # too cheap
@@ -155,8 +155,9 @@ class LoopPlanner:
     def _from_starts(self, run: Run, program: NonlinearProgram, guesses: list[Array], price: float) -> Iterator[_Tried]:
         """Results from unknowns, as long as there is time."""
         for v in guesses:
-            if not run.late:
-                yield self._solved(run, program, v, price, warm=False)
+            yield self._solved(run, program, v, price, warm=False)
+            if run.late:
+                return
 
     def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
         """Result from unknowns, with limits of states at a price in sizes of cost and rows; hard at 0."""
