@@ -23,7 +23,7 @@ from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.plan import Plan, Status
-from mpc.rollout import Given, finite
+from mpc.rollout import Given, finite, no_faster
 from mpc.tolerances import FEASIBLE, INTERIOR_POINT, KKT, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
@@ -119,16 +119,17 @@ class LoopPlanner:
         program = self._sample(x, given)
         run = Run(program, self._settings)
         tried: list[_Tried] = []
+        softened = before is not None and before.status is Status.SOFTENED  # from all starts, a sample ago
         if before is not None:
             v = self._unknowns(program, before.states, before.inputs, given)
             tried.append(self._solved(run, program, v, PRICE, warm=True))
-        if not tried or tried[0].status is not Status.SOLVED:
+        if not tried or tried[0].status not in RANKS[: 1 + softened]:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
             tried += self._from_starts(run, program, guesses, 0.0)
             if not run.late and all(one.status is not Status.SOLVED for one in tried):
                 tried += self._from_starts(run, program, guesses, PRICE)
         best = min(tried, key=lambda one: one.rank)
-        if best.violation > KKT and best.status in (Status.SOLVED, Status.SOFTENED) and not run.late:  # too cheap
+        if best.violation > KKT and best.status in RANKS[:2] and not run.late:  # the price may be too low
             dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
             best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
         if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
@@ -229,10 +230,10 @@ class LoopPlanner:
         states, inputs, cost = nodes[:nx].T.copy(), own.T.copy(), best.cost
         if best.status is Status.REPLACED:
             cost, name = np.nan, "guess" if before is None else "shifted plan"
+            guess = first_guess(self.loop.phase)(np.linspace(0, 1, len(inputs) + 1))[1][:-1]
+            inputs, limit = guess if before is None else before.inputs, self.loop.rate_limit
             inputs = (
-                first_guess(self.loop.phase)(np.linspace(0, 1, len(own.T) + 1))[1][:-1]
-                if before is None
-                else before.inputs
+                inputs if limit is None else no_faster(inputs, given["u_prev"], limit, inputs[:, 0] != inputs[:, 0])
             )
             states = self._led_to(x, inputs, given)
         took = time.perf_counter() - run.began

@@ -42,9 +42,12 @@ class NonlinearMPC:
     `LinearMPC`. What is not solved is followed (`FOLLOWED`, a real-time iteration), or replaced by the best of what was
     reached, the plan of the sample before and the law of the linearisation (`LATE`, `REPLACED`), always in U.
 
+    A `Phase` in place of the step states any costs, limits, conditions at the end and signals instead; then only
+    `horizon` (of continuous time), `p`, `rate_limit`, `uses` and what is said of the solver stand beside it.
+
     Parameters
     ----------
-    step : function or casadi.Function
+    step : function, casadi.Function or Phase
         The next state; its arguments are named after what they get: x, u, w, p.
     states, inputs : int
         nx and nu.
@@ -73,7 +76,8 @@ class NonlinearMPC:
     Raises
     ------
     InputError
-        Besides those of `LinearMPC`: if the model does not rest at x = 0, u = 0, w = 0.
+        Besides those of `LinearMPC`: if the model does not rest at x = 0, u = 0, w = 0; of a phase, if something stands
+        beside it, its cost falls without end, or `t` or `u_prev` that it depends on is not given with the state.
     NotStabilisableError
         No P is given, and the linearisation at rest has no regulator.
 
@@ -82,7 +86,7 @@ class NonlinearMPC:
     model : DiscreteModel
         The model along plans, with its derivatives.
     linear : LinearMPC
-        Linear MPC of the linearisation at rest.
+        Linear MPC of the linearisation at rest; of no phase.
     last_plans : tuple of Plan
         Of the last call.
 
@@ -141,7 +145,7 @@ class NonlinearMPC:
         """Take sizes, horizon and model from a phase, which states everything but rates."""
         own = ("states", "inputs", "Q", "R", "S", "P", "X", "U", "terminal_set", "soft", "iterations", "disturbances")
         for name in own:
-            if getattr(self, name) not in (None, 0):
+            if getattr(self, name) is not type(self).__dataclass_fields__[name].default:
                 raise InputError(name, "an argument beside a phase", "none", "State it in the phase.")
         horizon = None if self.horizon is None else as_count("horizon", self.horizon)
         rate_limit = None if self.rate_limit is None else as_rate_limit(self.rate_limit, phase.inputs)

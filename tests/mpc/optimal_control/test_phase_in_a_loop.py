@@ -148,6 +148,19 @@ def test_a_state_outside_its_bounds_returns_into_them():
     assert plan.states[1:].max() <= 1 + 1e-6
 
 
+def test_a_loop_that_begins_beyond_its_limits_is_softened_until_it_is_back():
+    law, x = NonlinearMPC(push(x_bounds=(-1, 1)), rate_limit=0.5), np.array([1.2, 0.0])
+    u, statuses = np.zeros(1), []
+    for _ in range(12):
+        u = law(x, u_prev=u)
+        statuses.append(law.last_plans[0].status)
+        x = np.asarray(step(x, u)).ravel()
+    assert statuses[0] is Status.SOFTENED
+    assert statuses[-1] is Status.SOLVED
+    assert set(statuses) == {Status.SOFTENED, Status.SOLVED}
+    assert x[0] < 1.0
+
+
 def test_copies_answer_alike_and_remember_for_themselves():
     law = NonlinearMPC(push())
     first = law([1.0, 0.0])
@@ -187,7 +200,7 @@ def test_limits_that_cannot_be_meant_are_told(stated, argument):
 @pytest.mark.parametrize(
     ("stated", "argument"),
     [
-        ({"Q": [1, 1]}, "Q"),
+        ({"Q": np.eye(2)}, "Q"),
         ({"iterations": 1}, "iterations"),
         ({"horizon": 3}, "horizon"),
         ({"rate_limit": -1}, "rate_limit"),
