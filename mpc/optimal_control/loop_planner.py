@@ -176,7 +176,7 @@ class LoopPlanner:
         return _Tried(found, float(cost[0]), float(over[self.loop.may_give].max(initial=0.0)))
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
-        """Guess of the phase or the state held; the model under these inputs; under inputs by chance."""
+        """Guess of the phase, else the state held; straight way to its end; where inputs by chance lead to."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
         part = self.loop.program.parts[0]
@@ -184,11 +184,13 @@ class LoopPlanner:
         low, high = np.maximum(phase.u_bounds[0], -size), np.minimum(phase.u_bounds[1], size)
         aside = np.clip(inputs[:-1] + rng.uniform(-ASIDE, ASIDE, (N, phase.inputs)) * size, *phase.u_bounds)
         yield states if phase.guess is not None else np.tile(x, (N + 1, 1)), aside
-        for number in range(1, self.starts):
-            if number > 1:
-                pieces = rng.uniform(low, high, (1 + N // 5, phase.inputs))
-                aside = np.repeat(pieces, 5, axis=0)[:N]
-            yield self._led_to(x, aside, given), aside
+        way = np.linspace(0, 1, N + 1)[:, None]
+        if self.starts > 1:
+            yield (1 - way) * x + way * states[-1], aside
+        for _ in range(2, self.starts):
+            pieces = rng.uniform(low, high, (1 + N // 5, phase.inputs))
+            inputs = np.repeat(pieces, 5, axis=0)[:N]
+            yield self._led_to(x, inputs, given), inputs
 
     def _led_to(self, x: Array, inputs: Array, given: Given) -> Array:
         """States (N + 1, nx) that inputs lead to, finite."""
