@@ -65,7 +65,7 @@ class LoopPhase:
         return self.asks("t") or self.asks("t0") or callable(self.phase.signal)
 
     def signal(self, t: float) -> Array:
-        """Signal (N + 1, nw) that the phase states from a time on."""
+        """Stated signal (N + 1, nw) from a time on."""
         first = t if callable(self.phase.signal) else self.phase.start_time
         return signal_at(self.phase, np.asarray(first + self.dt * np.arange(self.horizon + 1)))
 
@@ -99,7 +99,7 @@ class LoopPhase:
 
     @property
     def violations(self) -> int:
-        """Place of the first violation among the unknowns, behind which their prices stand."""
+        """Place of the first violation; their prices stand behind them."""
         return len(self._hard.lower)
 
     @cached_property
@@ -109,7 +109,7 @@ class LoopPhase:
 
     @cached_property
     def _hard(self) -> NonlinearProgram:
-        """Program without violations; bounds of states are rows, and those that nothing can change are free."""
+        """Program without violations, whose bounds of states are rows."""
         parameters = np.append(self.p, self.phase.start_time)
         program = build(OptimalControlProblem(self._discrete, p_bounds=(parameters, parameters)))
         part, nx, nw = program.parts[0], self.phase.states, self.functions.nw
@@ -127,7 +127,7 @@ class LoopPhase:
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
     def _of(self, name: str) -> Flags:
-        """Whether each path row depends on the inputs "u" or on the states "x"."""
+        """Whether each path row depends on "u" or "x"."""
         path, count = self._discrete_functions.path, len(self._discrete_functions.path_names)
         found = np.zeros(count, dtype=bool)
         if path is not None:
@@ -137,7 +137,7 @@ class LoopPhase:
 
     @cached_property
     def may_give(self) -> Flags:
-        """Rows that may be relaxed: those of states, not those of inputs alone."""
+        """Rows that may be relaxed: not those of inputs alone."""
         program = self._hard
         found = np.zeros(len(program.row_lower), dtype=bool)
         for rows in program.rows:
@@ -185,7 +185,7 @@ class LoopPhase:
         return self.functions.terminal_cost(x, *columns[:3])
 
     def _along_the_way(self) -> dict[str, Any]:
-        """Path limits: those of the phase, bounds of states, and changes of inputs."""
+        """Path limits, bounds of states, and changes of inputs."""
         phase, f, limit, own = self.phase, self.functions, self.rate_limit, self.limited.tolist()
         rates = [] if limit is None else [limit]
 
@@ -203,7 +203,7 @@ class LoopPhase:
         return stated if names else {}
 
     def _at_the_end(self) -> dict[str, Any]:
-        """Conditions of the phase at its end, and bounds of the last state."""
+        """Conditions at the end and bounds of the last state."""
         f, own = self.functions, self.ending.tolist()
 
         def boundary(x0: Any, x: Any, t0: Any, t: Any, p: Any) -> Any:

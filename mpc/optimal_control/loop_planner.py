@@ -32,11 +32,11 @@ ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at whi
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """Result of a solve, its cost, and the largest violation of a limit of states in sizes of its row."""
+    """Result of a solve, its cost and largest violation."""
 
     found: Found
     cost: float
-    violation: float
+    violation: float  # of a limit of states, in sizes of its row
 
     @property
     def status(self) -> Status:
@@ -55,9 +55,10 @@ class _Tried:
 
 @dataclass(frozen=True, eq=False)
 class LoopPlanner:
-    """Plans of a phase for parameters p (np,), by Ipopt from the plan before or from so many `starts`.
+    """Plans of a phase for parameters p (np,), by Ipopt.
 
-    Where hard limits of states cannot be kept, their violations get a price, and the plan is SOFTENED.
+    They begin at the plan before, or at so many `starts`. Where hard limits of states cannot be kept, their violations
+    get a price, and the plan is SOFTENED.
     """
 
     loop: LoopPhase
@@ -87,10 +88,12 @@ class LoopPlanner:
         return DiscreteModel(step, loop.horizon)
 
     def signals(self, stated: dict[str, Any]) -> Given:
-        """Signals of a sample: w (N + 1, nw), t and u_prev, checked."""
-        loop, rows, nw, nu = self.loop, self.loop.horizon + 1, self.loop.functions.nw, self.loop.phase.inputs
-        known = {"w": nw > 0, "u_prev": loop.carries, "t": loop.timed}
+        """Checked signals of a sample."""
+        loop, N, nw, nu = self.loop, self.loop.horizon, self.loop.functions.nw, self.loop.phase.inputs
+        known = {"w": nw > 0, "u_prev": loop.carries, "t": loop.timed, "time": loop.timed}
         given = {name: value for name, value in stated.items() if value is not None}
+        if "time" in given and loop.timed:  # the number of the sample
+            given["t"] = loop.phase.start_time + loop.dt * as_number("time", given["time"], "a number", lambda _: True)
         strange = next((name for name in given if not known.get(name)), None)
         if strange is not None:
             names = ", ".join(name for name, there in known.items() if there)
@@ -100,9 +103,10 @@ class LoopPlanner:
             raise InputError(missing, "nothing", ASKED[missing], f"The phase depends on it: pass {missing}=….")
         t = as_number("t", given.get("t", loop.phase.start_time), "a finite number", lambda _: True)
         w = as_floats("w", given.get("w", loop.signal(t)))
+        w = np.tile(w, (N + 1, 1)) if w.ndim <= 1 else np.vstack([w, w[-1:]]) if len(w) == N else w
         return {
             "t": np.array([t]), "u_prev": as_array("u_prev", given.get("u_prev", np.zeros(nu)), (nu,)),
-            "w": as_array("w", np.tile(w, (rows, 1)) if w.ndim <= 1 else w, (rows, nw)),
+            "w": as_array("w", w, (N + 1, nw)),
         }  # fmt: skip
 
     def each(self, stated: dict[str, Any], n: int) -> list[Given]:
@@ -138,7 +142,10 @@ class LoopPlanner:
         return self._packed(best, run, x, given, before)
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
-        """States and inputs that the solver comes to from others, whatever they are; None of no numbers."""
+        """States and inputs that the solver comes to, or None.
+
+        Whatever they are, they begin at others, unless these are no numbers.
+        """
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
@@ -161,7 +168,10 @@ class LoopPlanner:
                 return
 
     def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
-        """Result from unknowns, with limits of states at a price in sizes of cost and rows; hard at 0."""
+        """Result from unknowns, with limits of states at a price.
+
+        The price is in sizes of cost and rows; at 0 they are hard.
+        """
         first, rows = self.loop.violations, self.loop.given_rows
         sized = rescaled(program, v)
         lower, upper, scale = sized.lower.copy(), sized.upper.copy(), sized.scale.copy()
@@ -176,7 +186,10 @@ class LoopPlanner:
         return _Tried(found, float(cost[0]), float(over[self.loop.may_give].max(initial=0.0)))
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
-        """Guess of the phase, else the state held; straight way to its end; where inputs by chance lead to."""
+        """States and inputs of the starts.
+
+        The phase's guess, else the state held; the straight way to its end; where inputs by chance lead to.
+        """
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
         part = self.loop.program.parts[0]

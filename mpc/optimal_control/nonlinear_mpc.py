@@ -147,6 +147,8 @@ class NonlinearMPC:
         for name in own:
             if getattr(self, name) is not type(self).__dataclass_fields__[name].default:
                 raise InputError(name, "an argument beside a phase", "none", "State it in the phase.")
+        if tuple(self.uses) not in ((), ("preview",)):
+            raise InputError("uses", repr(self.uses), '("preview",), which hands w over, or nothing')
         horizon = None if self.horizon is None else as_count("horizon", self.horizon)
         rate_limit = None if self.rate_limit is None else as_rate_limit(self.rate_limit, phase.inputs)
         set_, loop = object.__setattr__, as_loop_phase(phase, horizon, self.p, rate_limit)
@@ -206,7 +208,8 @@ class NonlinearMPC:
     def needs(self) -> frozenset[str]:
         """Signals a closed loop hands over; see `LinearMPC.needs`."""
         if self._loop is not None:
-            return frozenset(self.uses) | ({"last_input"} if self._loop.carries else set())
+            own = {"last_input": self._loop.carries, "time": self._loop.timed}
+            return frozenset(self.uses) | {name for name, asked in own.items() if asked}
         return self.linear.needs
 
     @property
@@ -252,7 +255,7 @@ class NonlinearMPC:
     ) -> Plan:  # fmt: skip
         """Plan from the state x (nx,); the signals are those of `LinearMPC.solve`.
 
-        With a phase they are `u_prev`, `t` and `w`, (N + 1, nw) or (nw,), where it depends on them.
+        With a phase they are `u_prev`, `t` and `w`, (N + 1, nw), (N, nw) or (nw,), where it depends on them.
 
         Parameters
         ----------

@@ -25,7 +25,7 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
     box = box_of(*law.input_rows)
 
     def given(p: Any) -> tuple[Any, ...]:
-        """p, P, units of rows of states, rows and bounds of the end, prices."""
+        """p, P, units of state rows, end rows and bounds, prices."""
         return tuple(ca.vertsplit(p, cuts))
 
     def dynamics(x: Any, u: Any, w: Any, p: Any) -> Any:
@@ -60,12 +60,12 @@ def quadratic_phase(law: MPCProblem, step: ca.Function) -> Phase:
 
 
 def priced(law: MPCProblem) -> int:
-    """1 where there are limits of states, whose violation a stage carries; else 0."""
+    """Violations that a stage carries: 1 with limits of states."""
     return int(len(law.state_rows[1]) + len(law.terminal_rows[1]) > 0)
 
 
 def quadratic_parameters(law: MPCProblem, p: Array, prices: tuple[float, float]) -> Array:
-    """Parameters of `quadratic_phase` for those of the model p (np,) and prices of a violation."""
+    """Parameters of `quadratic_phase` for parameters p and prices."""
     (H, h), unit = law.terminal_rows, law.price_units["terminal"]
     H = (H / unit[:, None]).ravel(order="F")
     return np.concatenate([p, law.P.ravel(), law.price_units["state"], H, h / unit, prices])

@@ -122,6 +122,8 @@ def test_signals_parameters_and_references_change_from_sample_to_sample():
     law = NonlinearMPC(phase, p=[2.0])
     ahead = np.sin(3.0 + np.arange(11.0))[:, None]
     assert law.solve([0, 0], t=3.0).cost == pytest.approx(law.solve([0, 0], t=0.0, w=ahead).cost, rel=1e-9)
+    assert law.needs == {"time"}
+    assert law([0, 0], time=3) == pytest.approx(law.solve([0, 0], t=3.0).inputs[0], abs=1e-6)
     other = law.with_parameters([5.0])
     fresh = NonlinearMPC(phase, p=[5.0])
     assert other.solve([0, 0], t=1.0).cost == pytest.approx(fresh.solve([0, 0], t=1.0).cost, rel=1e-7)
@@ -205,6 +207,7 @@ def test_limits_that_cannot_be_meant_are_told(stated, argument):
         ({"horizon": 3}, "horizon"),
         ({"rate_limit": -1}, "rate_limit"),
         ({"starts": 0}, "starts"),
+        ({"uses": ("reference",)}, "uses"),
         ({"step": push(stage_cost=lambda x, u, p: p * cost(x, u))}, "stage_cost"),
         ({"step": Phase(lambda u: u, 1, 1, duration=(1, 2)), "horizon": 5}, "duration"),
         ({"step": Phase(lambda u: u, 1, 1, stage_cost=cost)}, "horizon"),
@@ -226,7 +229,7 @@ def test_loops_that_cannot_be_meant_are_told(stated, argument):
         ({"stage_cost": lambda x, u, u_prev: cost(x, u - u_prev)}, {}, "u_prev"),
         ({}, {"t": 0.0}, "t"),
         ({}, {"x_ref": [0, 0]}, "x_ref"),
-        ({"stage_cost": lambda x, u, w: cost(x - w, u), "signal": np.zeros((11, 2))}, {"w": np.zeros((10, 2))}, "w"),
+        ({"stage_cost": lambda x, u, w: cost(x - w, u), "signal": np.zeros((11, 2))}, {"w": np.zeros((9, 2))}, "w"),
         ({"stage_cost": lambda x, u: x[0], "u_bounds": None}, {}, "stage_cost"),
     ],
 )
