@@ -179,7 +179,7 @@ class LoopPlanner:
         lower[prices] = upper[prices] = price * sized.cost_scale / sized.row_scale[rows]
         upper[own], scale[own] = np.inf if price else 0.0, sized.row_scale[rows] / PRICE
         run.program = replace(sized, lower=lower, upper=upper, scale=scale)
-        found = run.solved(np.clip(v, lower, upper), None, warm=warm)
+        found = run.solved(np.clip(v, lower, upper), None, warm=warm, sized=True)
         hard = np.concatenate([found.v[:first], np.zeros(len(v) - first)])
         cost, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(hard))
         over = np.maximum(g - program.row_upper, program.row_lower - g) / run.program.row_scale
