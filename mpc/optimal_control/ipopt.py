@@ -35,12 +35,12 @@ class Settings:
     iterations: int  # at most
     seconds: float  # at most; infinite where there is no limit
     options: dict[str, Any]  # for Ipopt
-    each: bool = False  # whether the time is that of each call, whose solver is kept
+    each: bool = False  # whether the time is that of each call, whose solver is kept, and goes on from its last iterate
 
     @property
     def may_stop(self) -> bool:
         """Whether iterates are looked at, to keep the best if the solver is stopped."""
-        return self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds))
+        return not self.each and (self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds)))
 
 
 @dataclass(frozen=True)

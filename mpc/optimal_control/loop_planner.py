@@ -179,11 +179,15 @@ class LoopPlanner:
         lower[prices] = upper[prices] = price * sized.cost_scale / sized.row_scale[rows]
         upper[own], scale[own] = np.inf if price else 0.0, sized.row_scale[rows] / PRICE
         run.program = replace(sized, lower=lower, upper=upper, scale=scale)
-        found = run.solved(np.clip(v, lower, upper), None, warm=warm, sized=True)
-        hard = np.concatenate([found.v[:first], np.zeros(len(v) - first)])
+        found = run.solved(np.clip(v, lower, upper), None, warm=warm, as_sized=True)
+        return _Tried(found, *self._worth(run.program, found.v))
+
+    def _worth(self, program: NonlinearProgram, v: Array) -> tuple[float, float]:
+        """Cost of unknowns, and the largest violation of a limit of states in sizes of its row."""
+        hard = np.concatenate([v[: self.loop.violations], np.zeros(len(v) - self.loop.violations)])
         cost, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(hard))
-        over = np.maximum(g - program.row_upper, program.row_lower - g) / run.program.row_scale
-        return _Tried(found, float(cost[0]), float(over[self.loop.may_give].max(initial=0.0)))
+        over = np.maximum(g - program.row_upper, program.row_lower - g) / program.row_scale
+        return float(cost[0]), float(over[self.loop.may_give].max(initial=0.0))
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
         """States and inputs of the starts.
@@ -238,18 +242,28 @@ class LoopPlanner:
         return np.clip(v, program.lower, program.upper)
 
     def _packed(self, best: _Tried, run: Run, x: Array, given: Given, before: Plan | None) -> Plan:
-        """Plan of a result, or what stands in for it."""
+        """Plan of a result, or the best that was reached instead."""
         part, nx, name = self.loop.program.parts[0], self.loop.phase.states, "Ipopt"
-        status = Status.LATE if run.late else best.status
+        status, cost, violation = Status.LATE if run.late else best.status, best.cost, best.violation
         nodes, own, _, _ = part.unknowns(best.found.v)
-        states, inputs, cost = nodes[:nx].T.copy(), own.T.copy(), best.cost
+        states, inputs = nodes[:nx].T.copy(), own.T.copy()
         if best.status is Status.REPLACED:
-            cost, name = np.nan, "guess" if before is None else "shifted plan"
             guess = first_guess(self.loop.phase)(np.linspace(0, 1, len(inputs) + 1))[1][:-1]
-            inputs, limit = guess if before is None else before.inputs, self.loop.rate_limit
-            inputs = (
-                inputs if limit is None else no_faster(inputs, given["u_prev"], limit, inputs[:, 0] != inputs[:, 0])
-            )
-            states = self._led_to(x, inputs, given)
+            other = ("guess", guess) if before is None else ("shifted plan", before.inputs)
+            found = [self._simulated(run.program, x, one, given) for one in (other[1], inputs)]
+            chosen = int(np.argmin([part[0] for part in found]))
+            _, cost, violation, states, inputs = found[chosen]
+            name = name if chosen else other[0]
+            status = Status.INACCURATE if chosen and status is Status.REPLACED else status
         took = time.perf_counter() - run.began
-        return Plan(inputs, finite(states), cost, status, best.found.residuals, best.violation, took, name)
+        return Plan(inputs, finite(states), cost, status, best.found.residuals, violation, took, name)
+
+    def _simulated(self, program: NonlinearProgram, x: Array, inputs: Array,
+                   given: Given) -> tuple[float, float, float, Array, Array]:  # fmt: skip
+        """Total, cost and violation of inputs, with the states that they lead to, and themselves."""
+        if self.loop.rate_limit is not None:
+            inputs = no_faster(inputs, given["u_prev"], self.loop.rate_limit, np.zeros(len(inputs), dtype=bool))
+        states = self._led_to(x, inputs, given)
+        cost, violation = self._worth(program, self._unknowns(program, states, inputs, given))
+        total = cost + PRICE * program.cost_scale * violation
+        return total if np.isfinite(total) else np.inf, cost, violation, states, inputs

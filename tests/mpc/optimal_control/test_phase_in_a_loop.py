@@ -175,6 +175,19 @@ def test_a_time_limit_is_said():
     assert NonlinearMPC(push(), time_limit=1e-4).solve([1.0, 0.0]).status is Status.LATE
 
 
+def test_a_solver_that_is_stopped_goes_on_at_the_next_sample():
+    law, x = NonlinearMPC(push(), most_iterations=3, starts=1), np.array([1.0, 0.5])
+    statuses = []
+    for _ in range(60):
+        u = law(x)
+        plan = law.last_plans[0]
+        statuses.append(plan.status)
+        assert (np.abs(u) <= 1).all()
+        x = np.asarray(step(x, u)).ravel()
+    assert statuses[0] is not Status.SOLVED
+    assert np.linalg.norm(x) < 0.5 * np.linalg.norm([1.0, 0.5])
+
+
 def test_where_nothing_is_finite_the_guess_stands_in():
     plan = NonlinearMPC(push(stage_cost=lambda x, u: ca.log(x[0] - 3) + u**2, start=[4, 0])).solve([1.0, 0.0])
     assert plan.status is Status.REPLACED
