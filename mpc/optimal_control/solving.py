@@ -112,7 +112,8 @@ class Run:
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
-    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool, *, as_sized: bool = False) -> Found:
+    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool, *,
+               as_sized: bool = False) -> Found:  # fmt: skip
         """Solve, again where the first sizes were off."""
         if warm and not as_sized:
             self.program = rescaled(self.program, guess)
