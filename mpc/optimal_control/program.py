@@ -269,7 +269,7 @@ def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearPr
 
 
 def places_of_violations(program: NonlinearProgram, rows: NDArray[np.bool_]) -> tuple[Numbers, Numbers]:
-    """Those of `rows` (m,) with an upper bound, and those with a lower one."""
+    """Places of rows (m,) with an upper bound, and with a lower one."""
     return np.flatnonzero(rows & np.isfinite(program.row_upper)), np.flatnonzero(rows & np.isfinite(program.row_lower))
 
 
