@@ -15,7 +15,7 @@ from ccdtools.checks import as_array, as_floats, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, scaled_rows
 from ccdtools.statistics import mean_interval, paired_difference
-from ccdtools.tolerances import FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
+from ccdtools.tolerances import DIVERGENCE, DIVERGENCE_LIMIT, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
 from invariant_sets import Polytope
 
 
@@ -104,6 +104,15 @@ class Excursions(Immutable):
     def further_than(self, others: Mapping[str, Excursions]) -> tuple[str, ...]:
         """Names of the controllers that leave X less, on runs that neither lost."""
         return tuple(name for name, other in others.items() if further_outside(self, other))
+
+
+def divergence_limit(X: Polytope) -> Array:
+    """Largest |x| (nx,) of runs that are not lost.
+
+    It is a thousand times that within X.
+    """
+    largest = np.max(np.abs(X.bounding_box()), axis=0)
+    return np.where((largest > 0) & np.isfinite(largest), DIVERGENCE * largest, DIVERGENCE_LIMIT)
 
 
 def depth_outside(x: ArrayLike, X: Polytope) -> Array:

@@ -84,7 +84,8 @@ def simulate(
     design : (np,) array_like
         Required when the plant has design parameters; for a `LearnedPolicy`, its own.
     limit : (nx,) array_like, optional
-        Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. 1e6 by default.
+        Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. By default 1e6,
+        times the largest start of a state where that is more than one.
     reference : Reference, or (nx,) or (T, nx) array_like, optional
         State reference for controllers that track one; `Reference(x, u)` where an input belongs to it.
     output : Measurement, or (ny, nx) array_like, Plant, or callable, optional
@@ -106,11 +107,11 @@ def simulate(
     p = _design(plant, design)
     _check_own_design(controller, p, plant.design)
     steps = as_count("steps", steps)
-    bound = _bound(limit, plant.nx)
     try:
         measurement = as_output(plant, output)
         given = _drawn(plant, x0, disturbance, steps, rng)
         x, w = matched_runs(plant, x0, given, steps)
+        bound = _bound(limit, x)
         sensor = None if measurement is None else measurement.sensor(plant, p, len(x), steps, rng)
         driver = Driver(
             controller, len(x), plant.nu, disturbances=_record(given, w), recorded=disturbance is not None,
@@ -159,6 +160,8 @@ def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]
         got = f"one that stops with {reason[:120]} for states of shape {x.shape}"
         raise InputError("controller", got, f"inputs {shape}", BATCHED) from error
     try:
+        if np.iscomplexobj(given):
+            raise TypeError
         u: Array = np.asarray(given, dtype=float)
     except (TypeError, ValueError, RuntimeError):
         raise InputError("controller", f"{shown(given)} as its inputs", f"an array {shape}") from None
@@ -202,9 +205,13 @@ def _check_own_design(controller: Any, p: Array, space: DesignSpace | None) -> N
         )  # fmt: skip
 
 
-def _bound(limit: ArrayLike | None, nx: int) -> Array:
-    """Divergence limit (nx,)."""
-    bound = as_floats("limit", DIVERGENCE_LIMIT if limit is None else limit)
+def _bound(limit: ArrayLike | None, x: Array) -> Array:
+    """Divergence limit (nx,) for runs from x (n, nx)."""
+    nx = x.shape[1]
+    if limit is None:
+        with np.errstate(over="ignore"):
+            return np.asarray(DIVERGENCE_LIMIT * np.abs(x).max(axis=0, initial=1.0))
+    bound = as_floats("limit", limit)
     if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
         raise InputError("limit", f"{bound.tolist()} of shape {bound.shape}", f"({nx},) positive numbers")
     return np.broadcast_to(bound, (nx,))

@@ -234,7 +234,7 @@ class ParametricSet:
         if not isinstance(answer, tuple) or len(answer) not in (2, 3):
             raise InputError("matrices", f"a value of type {type(answer).__name__}", "a tuple (A, B) or (A, B, E)")
         E = answer[2] if len(answer) == 3 and self.W is not None else None
-        W = None if self.W is None else _set_at(self.W, p)
+        W = None if self.W is None else as_set_or_numbers(_set_at(self.W, p), "W")
         system = checked_system(answer[0], answer[1], _set_at(self.X, p), _set_at(self.U, p), E, W)
         return largest_invariant_set(Task(*system, self._limits()), guess)
 

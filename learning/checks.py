@@ -72,13 +72,13 @@ def spread(samples: Array, constant: float = 1.0) -> Array:
     return np.where(deviation > ROUNDING * np.abs(samples).max(axis=0), deviation, constant)
 
 
-def as_samples(inputs: Any, targets: Any) -> tuple[Array, Array]:
-    """Return finite inputs (n, d) and targets (n, m), at least 20 samples."""
+def as_samples(inputs: Any, targets: Any, *, least: int = 20) -> tuple[Array, Array]:
+    """Return finite inputs (n, d) and targets (n, m), of enough samples."""
     x = as_floats("inputs", inputs)
     y = as_floats("targets", targets)
     y = y[:, None] if y.ndim == 1 else y
-    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < 20:
-        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", "(n, d), (n, m), n ≥ 20")
+    if x.ndim != 2 or y.ndim != 2 or len(x) != len(y) or len(x) < least or not (x.shape[1] and y.shape[1]):
+        raise InputError("inputs, targets", f"shapes {x.shape} and {y.shape}", f"(n, d), (n, m), n ≥ {least}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("inputs, targets", "values that are not finite", "finite samples")
     return x, y

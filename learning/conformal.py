@@ -75,7 +75,7 @@ class Conformal:
         s = as_floats("scores", scores)
         level = check_number(level, "level", 0.0, 1.0)
         if s.ndim != 1 or np.isnan(s).any():
-            raise InputError("scores", f"shape {s.shape}", "(n,) numbers")
+            raise InputError("scores", f"shape {s.shape}" if s.ndim != 1 else "NaN", "(n,) numbers")
         count = len(s) if independent is None else min(as_count("independent", independent, least=0), len(s))
         if count < samples_needed(level):
             got = f"{count} independent samples to calibrate a level of {level:g}"
@@ -101,7 +101,7 @@ def _factor(scores: Array, level: float, share: float) -> float:
         return np.inf
     independent = share * len(scores)
     part = np.ceil(round((independent + 1) * level, 9)) / independent
-    rank = int(np.ceil(round(part * len(scores), 9)))
+    rank = max(1, int(np.ceil(round(part * len(scores), 9))))
     return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
 
 

@@ -207,7 +207,7 @@ def fit_quantiles(
     ------
     InputError
         On mismatched, too few (under 20) or non-finite samples, or where too few calibrate the outer levels: at least
-        level / (1 − level) of each side, so 45 samples for 0.1 and 0.9 with a fifth of them.
+        level / (1 − level) of each side, so some 45 for 0.1 and 0.9 with a fifth of them.
     """
     config = check_instance(QuantileConfig() if config is None else config, "config", QuantileConfig)
     rng = as_generator("rng", rng)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccdtools_ground.door import shown
 from learning.checks import as_samples
 from learning.exceptions import InputError
 from learning.quantile import QuantileConfig, fit_quantiles, pinball
@@ -62,7 +63,11 @@ class QuantileRegressor:
             As `fit_quantiles`, and as `QuantileConfig`.
         """
         params = self.get_params()
-        rng = np.random.default_rng(params.pop("random_state"))
+        state = params.pop("random_state")
+        try:
+            rng = np.random.default_rng(state)
+        except (TypeError, ValueError):
+            raise InputError("random_state", shown(state), "a whole number or a numpy.random.Generator") from None
         self.network_ = fit_quantiles(X, y, rng=rng, config=QuantileConfig(**params))
         self.n_features_in_ = len(self.network_.input_offset)
         self._vector = np.ndim(y) == 1
@@ -77,9 +82,11 @@ class QuantileRegressor:
 
     def score(self, X: ArrayLike, y: ArrayLike) -> float:
         """Mean pinball loss, negative: more is better."""
-        quantiles = self.predict(X)
-        x, targets = as_samples(X, y)
-        return -float(np.mean(pinball(targets, quantiles.reshape(len(x), len(self.levels), -1), self.levels)))
+        x, targets = as_samples(X, y, least=1)
+        quantiles = self.predict(x).reshape(len(x), len(self.network_.levels), -1)
+        if targets.shape[1] != quantiles.shape[2]:
+            raise InputError("y", f"{targets.shape[1]} targets", f"{quantiles.shape[2]}, as in the fit")
+        return -float(np.mean(pinball(targets, quantiles, self.network_.levels)))
 
     def __sklearn_tags__(self) -> Any:
         """What scikit-learn asks of its estimators."""

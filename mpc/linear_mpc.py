@@ -179,7 +179,7 @@ class LinearMPC(MPCProblem):
             rows = as_array("X", x, (None, self.nx))
             return self._first_inputs(rows, for_each_state(self, signals, len(rows)))
         given = spread_signals(self, dict(signals))
-        return self._first_inputs(as_array("x", x, (self.nx,))[None], [given])[0]
+        return np.asarray(self._first_inputs(as_array("x", x, (self.nx,))[None], [given])[0])
 
     def _first_inputs(self, states: Array, given: list[Given]) -> Array:
         """First inputs (n, nu) from states (n, nx)."""

@@ -125,7 +125,7 @@ class CondensedSolver:
             free = np.linalg.norm(v @ self._H + q, axis=1) <= KKT * np.linalg.norm(q, axis=1)
             free &= (z @ qp.G[:, :moves].T <= qp.w + theta @ qp.S.T).all(axis=1)
             u = z @ qp.Lz[: qp.nu, :moves].T + theta @ qp.Lt[: qp.nu].T + qp.l[: qp.nu]
-        for i in np.flatnonzero(~free):
+        for i in np.flatnonzero(~free).tolist():
             u[i] = self.plan(states[i], given[i], time.perf_counter()).inputs[0]
         return np.asarray(u)
 

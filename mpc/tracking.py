@@ -248,7 +248,10 @@ class Target(ReadOnly):
 
 
 class SteadyStates:
-    """Steady states of x⁺ = Ax + Bu + push within the sets of a problem, of outputs Cx and by its weights."""
+    """Steady states within the sets of a problem.
+
+    They are those of x⁺ = Ax + Bu + push, chosen by outputs Cx and the problem's weights.
+    """
 
     def __init__(self, problem: MPCProblem, A: Array, B: Array, C: Array):
         self.problem = problem

@@ -159,7 +159,7 @@ def expert_dataset(
     expert : {"lqr", "mpc", "explicit"} or function of (problem, design)
         Saturated LQR, projected on the inputs that keep the next state in X_fea(p) where that set is known; online
         MPC; the explicit MPC of every design, as in Chen et al.; or a law of one's own, such as
-        `ccdtools.vehicles.skyhook`: the function returns a controller of states for a design.
+        `ccdtools.vehicles.skyhook`: the function returns a controller for a design, asked at single states (nx,).
     gamma : float
         Discount of the values: the training convention.
     horizon : int

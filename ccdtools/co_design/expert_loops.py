@@ -9,12 +9,14 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
+from ccdtools.checks import as_floats, shown
 from ccdtools.co_design.budgets import VALUE_TAIL, VISITS
 from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.design_controllers import linear_mpc
 from ccdtools.co_design.differentiable_model import Stepper
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.progress import counted
 from invariant_sets import AdmissibleInputs, Polytope
 
@@ -108,10 +110,26 @@ def expert_law(
         """Inputs (n, nu) of every run's controller."""
         u = np.full((len(x), problem.model.nu), np.nan)
         for i in np.flatnonzero(np.isfinite(x).all(axis=1)):
-            u[i] = controllers[i](x[i])
+            u[i] = _asked(controllers[i], x[i], problem.model.nu)
         return u
 
     return planned
+
+
+def _asked(controller: Law, x: Array, nu: int) -> Array:
+    """Input (nu,) of a controller at a state (nx,)."""
+    try:
+        given = controller(x)
+    except CCDError:
+        raise
+    except (TypeError, ValueError, IndexError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        got = f"a controller that stops with {reason[:120]} for a state of shape {x.shape}"
+        raise InputError("expert", got, f"one that returns ({nu},)") from error
+    u = as_floats("expert", given)
+    if u.size != nu or not np.isfinite(u).all():
+        raise InputError("expert", f"a controller that returns {shown(given)}", f"({nu},) finite numbers")
+    return u.reshape(nu)
 
 
 def set_filter(problem: CoDesignProblem, starts: Starts) -> Callable[[Array, Array], Array]:

@@ -31,9 +31,9 @@ from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.tolerances import FEASIBLE
+from ccdtools.tolerances import DIVERGENCE
 from invariant_sets import Polytope
 
-DIVERGENCE = 1e3  # A run is lost when a state exceeds this many half-widths of X.
 NARROWEST = 1e-5  # A box of designs is too narrow below this part of its bounds: float32 resolves 1e-7.
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,12 +126,14 @@ def compared(
     worst = [np.where(cell.lost, -np.inf, cell.returns) for cell in cells]
     left = [_left(cell) for cell in cells]
     runs = max((len(cell.returns) for cell in (*cells, *other.values())), default=1)
-    refused_runs = [runs * _refused(some) for some in (records, base)]
+    lost, begun = _lost(runs * _refused(records), own.values())
+    base_lost, _ = _lost(runs * _refused(base), other.values())
+    grouped = f"{len(records)} seeds of {runs} runs"
     return Compared(
         names, len(cells), runs,
         value=_mean(kept, fresh, [cell.series for cell in cells if not cell.lost.any()]),
         middle=interquartile_mean(_table(worst)) if cells else NOTHING,
-        evidence=_evidence(names, baseline, pairs, fresh, refused_runs, len(records)),
+        evidence=_evidence(names, baseline, pairs, fresh, (lost, base_lost), (begun, grouped)),
         better=_mean([_won(*pair) for pair in pairs], fresh, []),
         fraction=_average([one[0] for one in left]),
         peak=_average([one[1] for one in left]),
@@ -144,16 +146,12 @@ def compared(
 
 
 def _evidence(
-    names: Names, baseline: str, pairs: list[tuple[Cell, Cell]], fresh: bool, refused: Sequence[int], seeds: int
-) -> Evidence:
-    """Evidence of the pairs of cells with common seeds, and of the runs refused by both."""
-    own_lost, base_lost = (
-        count + sum(int(cells[i].lost.sum()) for cells in pairs) for i, count in enumerate(refused)
-    )  # fmt: skip
-    runs = max((len(own.returns) for own, _ in pairs), default=1)
+    names: Names, baseline: str, pairs: list[tuple[Cell, Cell]], fresh: bool, lost: tuple[int, int],
+    begun: tuple[int, str],
+) -> Evidence:  # fmt: skip
+    """Evidence of the pairs of cells with common seeds, and of the runs that each lost."""
     distribution = ", ".join(name for name in names[2:] if name) or "the scenario"
     candidate = ", ".join(name for name in names[:2] if name)
-    grouped = f"{seeds} seeds of {runs} runs"
     kept = [~(own.lost | base.lost) for own, base in pairs]
     both = [[np.where(keep, cell.returns, np.nan) for keep, cell in zip(kept, cells)] for cells in zip(*pairs)]
     gain, values, size = NOTHING, (float("nan"), float("nan")), 0.0
@@ -163,8 +161,7 @@ def _evidence(
         values = (_mean(both[0], fresh, []).mean, _mean(both[1], fresh, []).mean)
         size = abs(values[1] + pairs[0][1].design_cost)
     return Evidence(
-        candidate, baseline, distribution, Asked.TOLERANCE, gain, values, size, seeds * runs, grouped,
-        (own_lost, base_lost),
+        candidate, baseline, distribution, Asked.TOLERANCE, gain, values, size, *begun, lost,
         violation=_violation(pairs),
     )  # fmt: skip
 
@@ -226,6 +223,12 @@ def _metrics(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Mean metrics over the seeds; NaN where one of them has none."""
     names = dict.fromkeys(name for one in found for name in one)
     return {name: float(np.mean([one.get(name, np.nan) for one in found])) for name in names}
+
+
+def _lost(refused: int, cells: Collection[Cell]) -> tuple[int, int]:
+    """Numbers of lost runs and of runs, refused ones included."""
+    lost = sum(int(cell.lost.sum()) for cell in cells)
+    return refused + lost, refused + sum(len(cell.returns) for cell in cells)
 
 
 def _refused(records: Sequence[Record]) -> int:

@@ -25,7 +25,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import Driver, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
-from ccdtools.limits import Excursions, limits_in_words
+from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
@@ -212,7 +212,7 @@ def compare(
     X : Polytope, bounds (lower, upper), or the X(p) of a problem
         State limits, whose violations are counted.
     limit : (nx,) array_like, optional
-        Divergence limit on |x|, see `simulate`.
+        Divergence limit on |x|, see `simulate`; a thousand times the largest |x| within X by default.
     few : mapping of name to int, optional
         Controllers that see only the first so many runs; MPC 100 by default.
     output_limits : OutputLimits, optional
@@ -246,6 +246,7 @@ def compare(
             raise InputError("design", "nothing", "the design whose limits X(p) count")
         X = X.at(design)
     X = as_set(X, "X", scenario.plant.nx)
+    limit = divergence_limit(X) if limit is None else limit
     if output_limits is not None:
         as_instance("output_limits", output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
     few = {"MPC": 100} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")

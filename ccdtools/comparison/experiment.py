@@ -28,7 +28,7 @@ from ccdtools.controllers.signals import as_controller, needs_of
 from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.jobs import as_jobs, as_they_end
-from ccdtools.limits import Excursions, limits_in_words
+from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, as_simulable
@@ -110,17 +110,19 @@ class Plan:
         )[1]  # fmt: skip
         rewards = run.rewards(self.objective)
         single = len(rewards) == 1
+        by_chance = scenario.disturbance.any() or np.any(getattr(scenario.output, "noise", None))
         return Cell(
             *names, returns=rewards.sum(axis=1), lost=run.diverged, fraction=outside.fraction, peak=outside.peak,
             exceeded=outside.exceeded, single=single, times=times,
-            series=rewards[0] if single and scenario.disturbance.any() else np.zeros(0),
+            series=rewards[0] if single and by_chance else np.zeros(0),
             design_cost=float(self.objective.cost_of_design(run.design, scenario.steps)),
             metrics={} if self.metrics is None else metrics_of(self.metrics, run),
         )  # fmt: skip
 
     def simulated(self, scenario: Scenario, controller: Any, p: Array) -> Trajectory:
         """Runs of a scenario at a design (np,) or none."""
-        return scenario.run(controller, design=p if len(p) else None, limit=self.limit)
+        limit = divergence_limit(self.limits_at(scenario, p)) if self.limit is None else self.limit
+        return scenario.run(controller, design=p if len(p) else None, limit=limit)
 
     def limits_at(self, scenario: Scenario, p: Array) -> Any:
         """Set X at a design."""
@@ -206,7 +208,7 @@ def experiment(
     baseline : str, optional
         The controller that the others are paired to, at the same design: "LQR" by default, or the first.
     limit : (nx,) array_like, optional
-        Divergence limit on |x|, see `simulate`.
+        Divergence limit on |x|, see `simulate`; a thousand times the largest |x| within X by default.
     output_limits : OutputLimits, optional
     metrics : function, optional
         `Trajectory` → mapping of names, with units, to numbers.

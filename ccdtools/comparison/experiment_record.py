@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -103,7 +104,7 @@ def write_record(file: Path, record: Record) -> None:
     about = {name: value for name, value in vars(record).items() if name != "cells"}
     about["cells"] = [{name: getattr(cell, name) for name in WORDS} for cell in record.cells]
     arrays = {f"{i}.{name}": getattr(cell, name) for i, cell in enumerate(record.cells) for name in ARRAYS}
-    partial = file.with_suffix(f".{os.getpid()}.partial")
+    partial = file.with_suffix(f".{uuid4().hex}.partial")
     with partial.open("wb") as stream:
         np.savez(stream, about=np.array(json.dumps(about)), **arrays)
     os.replace(partial, file)

@@ -111,21 +111,23 @@ class Filter(Immutable):
         """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
 
-    def predict(self, belief: Belief, u: Array) -> Belief:
+    def predict(self, belief: Belief, u: ArrayLike) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
-        mean, F = self._transition(belief.mean, u)
+        mean, F = self._transition(belief.mean, rows_of("u", u, belief, self.nu))
         return Belief(mean, propagated_covariance(belief.covariance, F, self.W))
 
-    def innovation(self, belief: Belief, y: Array, u: Array) -> tuple[Array, Array]:
+    def innovation(self, belief: Belief, y: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
         """Innovation of y (n, ny) after u (n, nu), and its first-order covariance (ny, ny) or (n, ny, ny)."""
-        expected, H = self._expected(belief, u)
-        return y - expected, propagated_covariance(belief.covariance, H, self.V)
+        expected, H = self._expected(belief, rows_of("u", u, belief, self.nu))
+        return rows_of("y", y, belief, self.ny) - expected, propagated_covariance(belief.covariance, H, self.V)
 
-    def update(self, belief: Belief, y: Array, u: Array) -> Belief:
+    def update(self, belief: Belief, y: ArrayLike, u: ArrayLike) -> Belief:
         """Belief after outputs (n, ny) measured after inputs (n, nu)."""
-        expected, H = self._expected(belief, u)
+        expected, H = self._expected(belief, rows_of("u", u, belief, self.nu))
         K, P = self._corrected(belief.covariance, H)
-        return Belief(belief.mean + ((y - expected)[:, None, :] @ transposed(K))[:, 0], P)
+        return Belief(
+            belief.mean + ((rows_of("y", y, belief, self.ny) - expected)[:, None, :] @ transposed(K))[:, 0], P
+        )
 
     def _corrected(self, P: Array, H: Array) -> tuple[Array, Array]:
         """Gain of a measurement, and the covariance after it."""
@@ -159,6 +161,14 @@ class Filter(Immutable):
             np.stack(means, axis=1), np.stack(covariances, axis=-3), np.stack(innovations, axis=1),
             np.stack(expected, axis=-3),
         )  # fmt: skip
+
+
+def rows_of(argument: str, value: ArrayLike, belief: Belief, size: int) -> Array:
+    """Signal (n, size) of a belief's runs; NaN is kept."""
+    rows = as_floats(argument, value)
+    if rows.shape != (len(belief.mean), size):
+        raise InputError(argument, f"shape {rows.shape}", f"({len(belief.mean)}, {size}), a row for each run")
+    return rows
 
 
 def _runs(argument: str, value: ArrayLike, size: int) -> Array:

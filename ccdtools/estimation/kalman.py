@@ -17,6 +17,7 @@ from ccdtools.estimation.belief import (
     as_start,
     gain_of,
     propagated_covariance,
+    rows_of,
     updated_covariance,
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
@@ -173,10 +174,10 @@ class KalmanFilter(Filter):
         """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), self.predicted if self.steady else self.P0)
 
-    def predict(self, belief: Belief, u: Array) -> Belief:
+    def predict(self, belief: Belief, u: ArrayLike) -> Belief:
         """Belief one sample later, after inputs (n, nu)."""
         if self.steady:
-            return Belief(self._transition(belief.mean, u)[0], self.predicted)
+            return Belief(self._transition(belief.mean, rows_of("u", u, belief, self.nu))[0], self.predicted)
         return super().predict(belief, u)
 
     def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_positive, shown
+from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 
@@ -154,7 +154,7 @@ def from_gymnasium(
 
     def seen() -> Array:
         """State at which the environment stands."""
-        return np.atleast_1d(np.array(read(inner), dtype=float))
+        return np.atleast_1d(as_floats("read", read(inner)))
 
     def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
@@ -165,13 +165,13 @@ def from_gymnasium(
         return seen()
 
     env.reset(seed=0)
-    x, u = seen(), np.asarray(env.action_space.sample(), dtype=float)
+    x, u = as_vector("read", seen()), np.asarray(env.action_space.sample(), dtype=float)
     p = (design.lower + design.upper) / 2
     first, again = (advance(x.copy(), u, np.zeros(0), p) for _ in range(2))
-    if not np.array_equal(first, again):
+    if not np.array_equal(first, again, equal_nan=True):
         got = f"{shown(first)} and {shown(again)} after one step from one state"
         raise InputError("env, write", got, "the same state: a deterministic step, and a write that takes effect")
     write(inner, x.copy())
-    if x.ndim != 1 or not np.array_equal(x, seen()):
+    if not np.array_equal(x, seen()):
         raise InputError("write", f"a state {shown(seen())} where {shown(x)} was written", "the same state, (nx,)")
     return BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design)

@@ -194,6 +194,33 @@ def numpy_operations() -> Operations:
 
 
 @cache
+def texts_of_operations() -> dict[int, str]:
+    """CasADi operations on numbers, as Python text that Numba compiles."""
+    infix = {
+        ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/", ca.OP_POW: "**", ca.OP_CONSTPOW: "**",
+    }  # fmt: skip
+    truths = {
+        ca.OP_LT: "{} < {}", ca.OP_LE: "{} <= {}", ca.OP_EQ: "{} == {}", ca.OP_NE: "{} != {}", ca.OP_NOT: "{} == 0",
+        ca.OP_AND: "({} != 0) & ({} != 0)", ca.OP_OR: "({} != 0) | ({} != 0)",
+    }  # fmt: skip
+    table = {op: f"{{}} {sign} {{}}" for op, sign in infix.items()}
+    table |= {op: f"1.0 if {test} else 0.0" for op, test in truths.items()}
+    table |= {op: f"np.{name}({{}})" for op, name in _UNARY.items()}
+    table |= {op: f"np.{name}({{}}, {{}})" for op, name in _BINARY.items()}
+    return table | {
+        ca.OP_NEG: "-{}", ca.OP_TWICE: "{0} + {0}", ca.OP_SQ: "{0} * {0}", ca.OP_INV: "1.0 / {}", ca.OP_ASSIGN: "{}",
+        ca.OP_LIFT: "{}", ca.OP_REMAINDER: "{0} - {1} * np.rint({0} / {1})",
+        ca.OP_IF_ELSE_ZERO: "{1} if {0} != 0 else 0.0",
+    }  # fmt: skip
+
+
+def can_be_compiled(function: ca.Function) -> bool:
+    """Whether every operation of a function has a text."""
+    moved = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
+    return all(op in moved or op in texts_of_operations() for op, *_ in Vectorised(function).instructions)
+
+
+@cache
 def torch_operations(dtype: Any) -> Operations:
     """CasADi operations on torch tensors of one type and numbers."""
     import torch

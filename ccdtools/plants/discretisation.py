@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_instance, as_positive
+from ccdtools.checks import as_choice, as_flag, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
 from ccdtools.plants.budgets import MOST_PARTS
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
@@ -35,6 +35,7 @@ def discretise(
     U: Any = None,
     W: Any = None,
     sampling_guard: str = "warn",
+    compiled: bool = False,
 ) -> LinearModel | SampledModel:
     """Discrete model of a plant, inputs and disturbances held over a sample.
 
@@ -62,6 +63,9 @@ def discretise(
         at every design as they are there; of a function of p the widest bounds over the box of designs.
     sampling_guard : {"warn", "ignore"}
         Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
+    compiled : bool
+        Of a nonlinear plant: whether steps of many runs are compiled, which takes some seconds once and makes them many
+        times as fast.
 
     Returns
     -------
@@ -83,6 +87,7 @@ def discretise(
     as_instance("plant", plant, Plant, "a Plant")
     as_choice("sampling_guard", sampling_guard, ("warn", "ignore"))
     as_choice("method", method, ("auto", *METHODS))
+    as_flag("compiled", compiled)
     accuracy = as_positive("accuracy", accuracy)
     dt = as_positive("dt", plant.dt if dt is None else dt, unit="s")
     if not plant.continuous and not math.isclose(dt, plant.dt):
@@ -101,6 +106,7 @@ def discretise(
         model = SampledModel(plant, dt, chosen, plant.substeps)
     else:
         model = _accurate(plant, dt, METHODS if method == "auto" else (method,), accuracy, region, jump)
+    model = replace(model, compiled=compiled)
     if jump is not None:
         model = replace(model, jump=_jump_text(plant, jump))
         warnings.warn(f"{model.jump}. {SMOOTHER}", JumpWarning, stacklevel=2)

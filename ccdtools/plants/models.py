@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.budgets import COMPILED_FROM
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.sampled_model import SampledModel
@@ -54,6 +56,13 @@ def as_model(argument: str, value: Any) -> Model:
     if not isinstance(value, LinearModel | SampledModel):
         raise InputError(argument, shown(value), "a LinearModel or a SampledModel", "Pass discretise(plant).")
     return value
+
+
+def for_long_work(model: Model, samples: int) -> Model:
+    """Model, compiled if that pays for so many samples."""
+    if isinstance(model, SampledModel) and samples >= COMPILED_FROM:
+        return replace(model, compiled=True)
+    return model
 
 
 def as_regulated_model(argument: str, value: Any) -> Model:

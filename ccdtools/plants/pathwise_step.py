@@ -15,7 +15,6 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
-from ccdtools.plants.budgets import FEW_ROWS
 from ccdtools.plants.casadi_arrays import check_sizes
 from ccdtools.plants.runge_kutta import ExplicitStep
 
@@ -47,7 +46,7 @@ class _Taken(torch.autograd.Function):
         x, *held = _arrays(*tensors)
         ctx.step = step
         ctx.save_for_backward(*tensors)  # torch then refuses slopes at what has been overwritten since
-        few = len(x) <= FEW_ROWS
+        few = len(x) <= step.few_rows
         ctx.states = [] if few else step.path(x, tuple(held))
         return tensors[0].new_tensor(step.rows(x, tuple(held)) if few else ctx.states[-1].T)
 

@@ -25,6 +25,8 @@ class ExplicitStep:
         Parts of a sample.
     """
 
+    few_rows = FEW_ROWS  # Up to so many CasADi's own machine is taken.
+
     def __init__(self, substep: ca.Function, substeps: int) -> None:
         self.substep = substep
         self.substeps = substeps
@@ -68,12 +70,12 @@ class ExplicitStep:
     @cached_property
     def _slopes_of_sample(self) -> Callable[..., Array]:
         """Slopes of the whole sample, for few runs."""
-        return _on_rows(_slopes_of(self.function))
+        return _on_rows(slopes_of(self.function))
 
     @cached_property
     def _slopes_of_part(self) -> Vectorised:
         """Slopes of a part of the sample, for many runs."""
-        return Vectorised(_slopes_of(self.substep))
+        return Vectorised(slopes_of(self.substep))
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
@@ -96,7 +98,7 @@ class ExplicitStep:
 
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
         """x⁺ (n, nx) of x (n, nx) and u, w, p, (n, ·) or common (·,)."""
-        if len(x) <= FEW_ROWS:
+        if len(x) <= self.few_rows:
             return self._native(x, *held)
         parts = [slice(i, i + RUNS_AT_ONCE) for i in range(0, len(x), RUNS_AT_ONCE)]
         return np.vstack([self.path(x[i], tuple(a if a.ndim == 1 else a[i] for a in held))[-1].T for i in parts])
@@ -133,7 +135,7 @@ class ExplicitStep:
         return np.split(total.T, ends, axis=1)
 
 
-def _slopes_of(step: ca.Function) -> ca.Function:
+def slopes_of(step: ca.Function) -> ca.Function:
     """(x, u, w, p, m) → slopes of m'x⁺ by x, u, w and p, stacked."""
     arguments: list[Any] = [ca.SX.sym(name, *step.size_in(i)) for i, name in enumerate("xuwp")]
     multiplier = ca.SX.sym("m", *step.size_out(0))

@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_array, as_choice, as_count, as_instance, as_positive, as_vector
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import can_be_compiled
 from ccdtools.plants.collocation import ImplicitStep
+from ccdtools.plants.compiled_step import CompiledStep
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
 from ccdtools.plants.linear_model import DiscreteModel
@@ -45,6 +47,8 @@ class SampledModel(Immutable, DiscreteModel):
         Extent of each state, for the tolerances of CasADi's solver of collocation equations.
     errors : bool
         Whether the disturbance is (w, r), of which r (nx,) is added to the next state.
+    compiled : bool
+        Whether explicit steps of many runs are compiled by Numba: some seconds once, then many times as fast.
     jump : str
         Where the right-hand side of the plant jumps, which derivatives leave out; empty where no jump was found.
     """
@@ -56,6 +60,7 @@ class SampledModel(Immutable, DiscreteModel):
     error: IntegrationError | None = None
     scale: Array | None = field(default=None, repr=False)
     errors: bool = False
+    compiled: bool = False
     jump: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
@@ -127,10 +132,11 @@ class SampledModel(Immutable, DiscreteModel):
     def _own_step(self) -> ExplicitStep | ImplicitStep:
         """The step without errors."""
         f = self.plant.right_hand_side
+        kind = CompiledStep if self.compiled and can_be_compiled(f) else ExplicitStep
         if not self.plant.continuous:
-            return ExplicitStep(f, 1)
+            return kind(f, 1)
         if self.method == "rk4":
-            return ExplicitStep.of(f, self.dt, self.substeps)
+            return kind.of(f, self.dt, self.substeps)
         return ImplicitStep(f, self.dt, self.substeps, self.scale)
 
     def within(self, design: DesignSpace) -> SampledModel:

@@ -19,7 +19,10 @@ from ccdtools.plants.tolerances import RESOLVED_SHARE
 
 
 def fastest_mode(A: Callable[[Array], Any], design: DesignSpace, dt: float) -> tuple[float, Array]:
-    """Damped frequency [Hz] and design (np,) of the fastest oscillation of ẋ = A(p) x over the box; 0 of none."""
+    """Frequency of the fastest oscillation, and its design.
+
+    Damped [Hz], of ẋ = A(p) x over the box of designs; 0 where nothing oscillates.
+    """
 
     def frequency(v: Array) -> float:
         """Fastest damped frequency [Hz] at a unit-box point."""

@@ -143,11 +143,11 @@ class Evaluation:
     @cached_property
     def served(self) -> ServedDistributions:
         """Distributions that the deployed will serve, by draws of their own."""
-        return ServedDistributions(self.problem, self.study.real.x0, self._fresh("judged"), self.config.online.judged)
+        runs = self.config.online.judged
+        return ServedDistributions(self.problem, self.study.real.x0, self._fresh("judged", runs), runs)
 
-    def _fresh(self, purpose: str) -> dict[str, Array]:
+    def _fresh(self, purpose: str, runs: int) -> dict[str, Array]:
         """Draws (n, T, nw) of every held-out disturbance, of their own for each purpose."""
-        runs = self.config.held_out_runs
         steps = min(self.config.held_out_steps, self.deployment_steps)
         fresh = self.study.real.fresh
         return {name: one.sample(runs, steps, self.rng(f"{purpose}: {name}")) for name, one in fresh.items()}
@@ -196,8 +196,9 @@ class Evaluation:
     def held_out(self) -> dict[str, Scenario]:
         """Fresh runs of the real plant, by disturbance name."""
         real = self.study.real
-        x0 = np.tile(real.x0, (self.config.held_out_runs, 1))
-        return {name: Scenario(real.plant, x0, w) for name, w in self._fresh("held out").items()}
+        runs = self.config.held_out_runs
+        x0 = np.tile(real.x0, (runs, 1))
+        return {name: Scenario(real.plant, x0, w) for name, w in self._fresh("held out", runs).items()}
 
     @cached_property
     def _tuned(self) -> Callable[[tuple[float, ...]], dict[str, Controller]]:

@@ -262,7 +262,7 @@ class Study(Immutable):
         W = extent_of(self.disturbance)
         model = discretise(
             self.plant, X=self.X, U=self.U, W=W if np.any(W) else None, accuracy=self.accuracy,
-            method=self.method, sampling_guard=self.sampling_guard,
+            method=self.method, sampling_guard=self.sampling_guard, compiled=True,
         )  # fmt: skip
         return as_regulated_model("plant", model)
 

@@ -65,8 +65,8 @@ class Trust:
 def attribute_errors(twin: DigitalTwin, scale: Array) -> ErrorAttribution:
     """Parts of a twin's errors unknown at another design."""
     split = ErrorSplit(twin.model, scale)
-    newest = twin.logs[-1].p
-    logs, left = ([replace(log, p=newest) for log in part] for part in (twin.carried(), twin.innovations()))
+    logs = twin.carried()
+    left = [replace(log, p=logs[-1].p) for log in twin.innovations()]
     whole = sum(_energy(log.e_next, scale) for log in logs)
     if whole == 0:
         return ErrorAttribution(0.0, 0.0, True)

@@ -9,21 +9,23 @@ from scipy.linalg import qr
 from scipy.stats import rankdata
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, as_share, shown
+from ccdtools.checks import as_instance, as_share, finite, shown
 from ccdtools.exceptions import InputError
+from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.budgets import BLOCKS
-from ccdtools.twin.residuals import Residuals, block_parts, stacked
+from ccdtools.twin.residuals import Residuals, block_parts, check_errors, of_linearisation, stacked
 from ccdtools.twin.tolerances import HELD_OUT
 from invariant_sets import Polytope
 from learning.conformal import Conformal, samples_needed
 
 
 def disturbance_set(
-    logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS
-) -> Polytope:
+    logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS,
+    model: Model | None = None,
+) -> Polytope:  # fmt: skip
     """Set W of one-step errors at a level.
 
-    It holds e⁺ = x⁺ − f(x, u, 0, p) (nx,), all states at once, and is what `LinearMPC(W=…)` takes.
+    It holds e⁺ = x⁺ − f(x, u, 0, p) (nx,), all states at once; of a linear model it is what `LinearMPC(W=…)` takes.
 
     A box of what the error of each state adds to that which those before it explain by regression, in the order that
     explains most, between quantiles that hold the level together. Its size is conformal: the last part of every block
@@ -41,6 +43,9 @@ def disturbance_set(
         Part of every block that calibrates.
     blocks : int
         Blocks that a single long run is cut into.
+    model : LinearModel or SampledModel, optional
+        That of the logs. The set is then one of x⁺ − Ax − Bu, which `LinearMPC(W=…)` and sets need: what the
+        linearisation of a nonlinear model at rest leaves out is part of the errors.
 
     Returns
     -------
@@ -61,9 +66,14 @@ def disturbance_set(
         raise InputError("logs", shown(logs), "Residuals, from residuals(model, log), or several")
     for i, log in enumerate(given):
         as_instance(f"logs[{i}]", log, Residuals, "Residuals")
+        finite(f"logs[{i}].e_next", log.e_next)
         if not np.array_equal(log.p, given[0].p):
             got = f"design {log.p} beside {given[0].p}"
             raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")
+        if model is not None:
+            check_errors(f"logs[{i}]", as_model("model", model), log)
+    if model is not None:
+        given = [of_linearisation(model, log) for log in given]
     level = as_share("level", level)
     held_out = as_share("held_out", held_out)
     parts = [
@@ -80,7 +90,10 @@ def disturbance_set(
     outside = np.quantile(np.minimum(place, 1 - place).min(axis=1), 1 - level)  # of each axis, on each of its sides
     low, high = np.quantile(scores, (outside, 1 - outside), axis=0)
     middle, half = (low + high) / 2, (high - low) / 2
-    factor = Conformal.fit(_sizes(unseen_scores - middle, half), level).factors[0]
+    away = np.abs(unseen_scores - middle)
+    rounding = np.finfo(float).eps * away.max(initial=np.finfo(float).tiny)
+    half = np.where((away > rounding).any(axis=0), np.maximum(half, rounding), half)  # what is left is not flat
+    factor = Conformal.fit((away / np.maximum(half, rounding)).max(axis=1), level).factors[0]
     return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(back)
 
 
@@ -99,9 +112,3 @@ def _regressed(errors: Array) -> Array:
     back = np.zeros((nx, nx))
     back[order] = columns
     return np.asarray(unit[:, None] * back)
-
-
-def _sizes(offsets: Array, half: Array) -> Array:
-    """Least factors (n,) of a box that hold offsets (n, nx)."""
-    least = np.finfo(float).eps * np.abs(offsets).max(initial=np.finfo(float).tiny)
-    return np.asarray((np.abs(offsets) / np.maximum(half, least)).max(axis=1))

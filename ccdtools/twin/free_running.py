@@ -190,6 +190,8 @@ def _fitting(steps: Sequence[int], spans: Sequence[Span], folds: Sequence[Sequen
     """Increasing horizons that some span is long enough for, and that enough windows calibrate."""
     given = list(steps) if isinstance(steps, list | tuple | range | np.ndarray) else [steps]
     wanted = sorted({as_count("steps", step) for step in given})
+    if not wanted:
+        raise InputError("steps", shown(steps), "at least one number of steps")
     longest = max((end - first for _, first, end in spans), default=0)
     if wanted[0] > longest:
         raise InputError("steps", shown(tuple(wanted)), f"at most {longest}, the longest stretch that the log offers")

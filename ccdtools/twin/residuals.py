@@ -82,7 +82,8 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
     Raises
     ------
     InputError
-        If every run diverged, or the log is not of such a plant, or of a design outside the model's box.
+        If every run diverged, others have gaps, or the log is not of such a plant, or of a design outside the
+        model's box.
     """
     as_model("model", model)
     as_instance("log", log, Trajectory, "a Trajectory, from deploy or simulate")
@@ -96,11 +97,18 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
     kept = ~log.diverged
     if not kept.any():
         raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
-    x = log.states[kept]
-    u = log.inputs[kept]
+    x = finite("log.states", log.states[kept])
+    u = finite("log.inputs", log.inputs[kept])
     e_next = x[:, 1:] - model.undisturbed(log.design)(x[:, :-1], u)
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
+
+
+def of_linearisation(model: Model, errors: Residuals) -> Residuals:
+    """Errors of the model's linearisation at rest, x⁺ − Ax − Bu."""
+    A, B, _ = model.matrices(errors.p)
+    after = model.undisturbed(errors.p)(errors.x, errors.u) + errors.e_next
+    return replace(errors, e_next=after - errors.x @ A.T - errors.u @ B.T)
 
 
 def check_errors(argument: str, model: Model, log: Residuals) -> None:

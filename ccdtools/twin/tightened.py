@@ -34,7 +34,7 @@ class RobustMPC:
     controller : LinearMPC
         From every state that has a plan it keeps X and U as long as errors stay in W.
     W : Polytope
-        Errors of one step (nx,), see `disturbance_set`.
+        Errors x⁺ − Ax − Bu of one step (nx,), see `disturbance_set`.
     level : float
         Share of the errors within W.
     nominal_set, robust_set : SetResult
@@ -87,7 +87,7 @@ def robust_mpc(
     design : (np,) array_like
         That of the logs.
     logs : Trajectory or Residuals, or a sequence of them
-        From `deploy`, or `twin.carried()` for a design that was not deployed.
+        From `deploy`, or `twin.carried()` of logs at several designs, the newest of which is meant.
     rng : numpy.random.Generator
         Draws the scenarios of the price.
     level : float
@@ -115,7 +115,7 @@ def robust_mpc(
     p = problem.design.check_one(design)
     given: Sequence[Any] = logs if isinstance(logs, list | tuple) else [logs]
     errors = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
-    W = disturbance_set(errors, level=level)
+    W = disturbance_set(errors, level=level, model=problem.model)
     if not np.array_equal(errors[0].p, p):
         raise InputError(
             "logs", f"logs at {errors[0].p}", f"at {p}", "`DigitalTwin.carried()` carries them to the newest."

@@ -108,7 +108,7 @@ class DigitalTwin(Immutable):
         if config is not None:
             as_instance("config", config, QuantileConfig, "a QuantileConfig or None")
         twin = self.remembering(log)
-        logs = twin.carried()
+        logs = _carried(twin)
         parts = [part for one in logs for part in block_parts(one, held_out, blocks, last=False)]
         tested = block_parts(logs[-1], held_out, blocks, last=True)
         _check_split(parts, tested, logs[-1], held_out, blocks)
@@ -137,17 +137,22 @@ class DigitalTwin(Immutable):
         return Transport.at(self.model, self.logs[-1].p, self.scale)
 
     def carried(self) -> tuple[Residuals, ...]:
-        """Logs with their errors carried to the newest log's design."""
-        if not self.logs or self.scale is None:
-            raise InputError("twin", "one without a log", "one after `update`")
-        newest = self.logs[-1].p
-        return tuple(carried(self.model, log, newest, self.scale) for log in self.logs)
+        """Logs at the newest log's design, their errors carried there."""
+        return tuple(replace(log, p=self.logs[-1].p) for log in _carried(self))
 
     def innovations(self) -> tuple[Residuals, ...]:
         """Logs, as `carried`, with e⁺ less its predicted median."""
         if self.discrepancy is None:
             raise InputError("twin", "one without a discrepancy", "one after `update`")
-        return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in self.carried())
+        return tuple(replace(log, e_next=log.e_next - self.discrepancy.median(log)) for log in _carried(self))
+
+
+def _carried(twin: DigitalTwin) -> tuple[Residuals, ...]:
+    """Logs with errors carried to the newest log's design."""
+    if not twin.logs or twin.scale is None:
+        raise InputError("twin", "one without a log", "one after `update`")
+    newest = twin.logs[-1].p
+    return tuple(carried(twin.model, log, newest, twin.scale) for log in twin.logs)
 
 
 def _check_split(

@@ -11,7 +11,10 @@ from ccdtools.plants.library.elements import Parameters, bump_stop, dry_friction
 
 
 def asymmetric_damper(damping: ca.SX, rate: ca.SX, asymmetry: float, knee: float) -> ca.SX:
-    """Force c (v + a (√(v² + v₀²) − v₀)): slopes (1 + a) c in rebound, v > 0, and (1 − a) c in bump."""
+    """Force of a damper that is stiffer in rebound than in bump.
+
+    It is c (v + a (√(v² + v₀²) − v₀)), with slopes (1 + a) c at rates v > 0 and (1 − a) c below.
+    """
     return damping * (rate + asymmetry * (ca.sqrt(rate**2 + knee**2) - knee))
 
 
@@ -83,7 +86,7 @@ class Corner:
         strut = self.strut
         force = hardening_spring(self.spring, travel, strut.hardening)
         force += asymmetric_damper(self.damper, rate, strut.asymmetry, strut.knee)
-        force += bump_stop(travel, strut.stop, strut.clearance, 0.1 * strut.clearance)
+        force += bump_stop(travel, strut.stop, strut.clearance)
         return force + dry_friction(strut.friction, rate, strut.sliding) if self.real else force
 
     def active(self, u: ca.SX) -> ca.SX:

@@ -65,8 +65,10 @@ def skyhook(problem: CoDesignProblem, design: Array) -> SemiActive:
 
 
 def _tuned(problem: CoDesignProblem, design: Array, parts: Array, first: Array) -> SemiActive:
-    """Best damper found whose F is a sum of parts (n, 4), by Nelder–Mead from a simplex (n + 1, n) of their shares."""
+    """Best damper found whose F is a weighted sum of parts.
 
+    parts : (n, 4); first : (n + 1, n), the simplex of weights that Nelder–Mead begins with.
+    """
     x0, w = problem.scenarios.sample(TUNING_RUNS, problem.steps, np.random.default_rng(0))
     scenario = Scenario(problem.model, x0, w)
 
@@ -82,7 +84,9 @@ ForceWeights = Callable[[Array], tuple[Array, Array, Array]]
 
 
 def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDesignProblem, Array], SemiActive]:
-    """Law: LQR of an actuator in the place of the problem's damper, clipped to what a damper can do.
+    """Law: LQR of an actuator, clipped to what the damper can do.
+
+    The actuator stands in the place of the problem's damper.
 
     Parameters
     ----------

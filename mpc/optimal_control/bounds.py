@@ -29,7 +29,7 @@ def as_share(name: str, value: Any) -> float:
     return as_number(name, value, "a number between 0 and 1", lambda number: 0 < number < 1)
 
 
-def as_bounds(name: str, value: Any, size: int | None) -> tuple[Array, Array]:
+def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False) -> tuple[Array, Array]:
     """Bounds (lower, upper), each (size,), infinite where None; without a size they tell it."""
     if value is None:
         return np.full(size or 0, -INF), np.full(size or 0, INF)
@@ -48,13 +48,28 @@ def as_bounds(name: str, value: Any, size: int | None) -> tuple[Array, Array]:
             raise InputError(f"{name}, {side}", brief(repr(given)), f"a number, or {size} of them")
         sides.append(array)
     low, high = sides
-    wrong = np.flatnonzero((low > high) | (low == INF) | (high == -INF))
+    wrong = np.flatnonzero(((low > high) | (low == INF) | (high == -INF)) & (not crossing))
     if len(wrong):
         i = int(wrong[0])
         raise InputError(
             name, f"[{low[i]:g}, {high[i]:g}] for entry {i + 1}", "lower ≤ upper, with a number between them"
         )
     return low, high
+
+
+def as_prices(value: Any, size: int) -> Array:
+    """Linear and quadratic prices (2, size) of violations; infinite where None."""
+    if value is not None and not size:
+        raise InputError("path_prices", brief(repr(value)), "a function `path`, whose violations they are of")
+    expected = f"(linear, quadratic), each a number ≥ 0 or {size} of them, both None where hard, not both 0"
+    try:
+        given = np.stack(as_bounds("path_prices", value, size, crossing=True))
+    except InputError as error:
+        raise InputError("path_prices", error.got, expected) from None
+    hard = np.isinf(given)
+    if (given[~hard] < 0).any() or (given == 0).all(axis=0).any() or (hard[0] != hard[1]).any():
+        raise InputError("path_prices", brief(repr(value)), expected)
+    return np.where(hard, INF, given)
 
 
 def as_end(name: str, value: Any, within: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -53,8 +53,9 @@ def _unknown(program: NonlinearProgram, index: int) -> tuple[str, int, int, floa
             names = (*part.phase.state_names, *part.phase.input_names)
             return names[number], k, number, float(fractions[index - part.first])
     own = index - program.parameters.start
-    named = program.problem.p_names[own] if 0 <= own < program.problem.parameters else "the cost of a scenario"
-    return named, -1, -1, np.nan
+    if 0 <= own < program.problem.parameters:
+        return program.problem.p_names[own], -1, -1, np.nan
+    return "the cost of a scenario" if index < program.costs.stop else "a violation that has a price", -1, -1, np.nan
 
 
 def violated(program: NonlinearProgram, v: Array, violations: Array, feasible: float) -> tuple[str, ...]:

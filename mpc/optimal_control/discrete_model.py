@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from mpc.checks import Array
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
-from mpc.optimal_control.shooting import ShootingProgram
+from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.quadratic_phase import priced, quadratic_parameters, quadratic_phase
 from mpc.sensitivities.changes import PlanModel
 from mpc.tolerances import INTERIOR_POINT, TARGET_COST
 from mpc.tracking import sizes_of
@@ -75,14 +76,20 @@ class DiscreteModel:
         self._along = Buffered(step.map("along", "serial", horizon, [3], []))
         self._one = Buffered(step)
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
-        self._shooting: dict[tuple[bool, int, float, int], ShootingProgram] = {}
+        self._loops: dict[int, LoopPhase] = {}
 
-    def shooting(self, law: LinearMPC, *, priced: bool, most: int, seconds: float) -> ShootingProgram:
-        """Nonlinear program of a plan for all p, built on demand."""
-        key = priced, most, seconds, len(law.terminal_rows[1])
-        if key not in self._shooting:
-            self._shooting[key] = ShootingProgram(law, self.step, priced=priced, most=most, seconds=seconds)
-        return self._shooting[key]
+    def loop(self, law: LinearMPC, p: Array) -> LoopPhase:
+        """Statement of a plan as a phase, for all p, built on demand."""
+        key = len(law.terminal_rows[1])
+        if key not in self._loops:
+            soft = np.zeros(priced(law))
+            limit = None if law.rate_limit is None else np.append(law.rate_limit, soft + np.inf)
+            p, sizes = quadratic_parameters(law, p, (1.0, 1.0)), np.append(law.state_extent, soft + 1.0)
+            self._loops[key] = LoopPhase(quadratic_phase(law, self.step), law.horizon, p, limit, sizes)
+        return self._loops[key]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_loops": {}}
 
     def linearised(self, states: Array, inputs: Array, w: Array, p: Array) -> tuple[Array, Array, Array]:
         """Next states (N, nx), A (N, nx, nx) and B (N, nx, nu) along a plan."""

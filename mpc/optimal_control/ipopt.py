@@ -35,11 +35,12 @@ class Settings:
     iterations: int  # at most
     seconds: float  # at most; infinite where there is no limit
     options: dict[str, Any]  # for Ipopt
+    each: bool = False  # whether the time is that of each call, whose solver is kept, and goes on from its last iterate
 
     @property
     def may_stop(self) -> bool:
         """Whether iterates are looked at, to keep the best if the solver is stopped."""
-        return self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds))
+        return not self.each and (self.iterations < USUAL_ITERATIONS or bool(np.isfinite(self.seconds)))
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
 def _once(program: SizedProgram, given: dict[str, Any], settings: Settings) -> Found:
     """Call of the solver, alone."""
     size, of_cost = program.scale, program.cost_scale
-    solver, watch = _solver(program, settings)
+    solver, watch = solver_of(program, settings)
     if watch is not None:
         watch.begin(given)
     result = solver(**given)
@@ -97,7 +98,7 @@ def _once(program: SizedProgram, given: dict[str, Any], settings: Settings) -> F
     return Found(v, back, residuals, violations, int(stats["iter_count"]), said)
 
 
-def _solver(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
+def solver_of(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate | None]:
     """Ipopt on scaled unknowns and rows, made once per options."""
     limits: dict[str, Any] = {"tol": settings.tolerance, "max_iter": settings.iterations}
     if np.isfinite(settings.seconds):
@@ -120,7 +121,7 @@ def _solver(program: SizedProgram, settings: Settings) -> tuple[Any, BestIterate
             raise
         reason = str(error).strip().splitlines()[-1]
         raise InputError("options", brief(repr(settings.options)), "options that Ipopt knows", reason) from error
-    if not np.isfinite(settings.seconds):  # what is left of a time limit is never the same twice
+    if settings.each or not np.isfinite(settings.seconds):  # what is left of a time limit is never the same twice
         made[key] = solver, watch
     return solver, watch
 

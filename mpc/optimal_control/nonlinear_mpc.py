@@ -13,16 +13,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from invariant_sets import Polytope, maximal_positively_invariant_set
-from mpc.checks import Array, as_array, as_count, as_floats, as_seconds
+from mpc.checks import Array, as_array, as_count, as_floats, as_rate_limit, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
 from mpc.optimal_control.discrete_model import DiscreteModel, steady_solver
 from mpc.optimal_control.functions import Statement, compiled
+from mpc.optimal_control.loop_phase import LoopPhase, as_loop_phase
+from mpc.optimal_control.loop_planner import LoopPlanner
+from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.planner import Planner
+from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import disturbance, for_each_state, spread_signals
+from mpc.rollout import disturbance, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
@@ -38,9 +42,12 @@ class NonlinearMPC:
     `LinearMPC`. What is not solved is followed (`FOLLOWED`, a real-time iteration), or replaced by the best of what was
     reached, the plan of the sample before and the law of the linearisation (`LATE`, `REPLACED`), always in U.
 
+    A `Phase` in place of the step states any costs, limits, conditions at the end and signals instead; then only
+    `horizon` (of continuous time), `p`, `rate_limit`, `uses` and what is said of the solver stand beside it.
+
     Parameters
     ----------
-    step : function or casadi.Function
+    step : function, casadi.Function or Phase
         The next state; its arguments are named after what they get: x, u, w, p.
     states, inputs : int
         nx and nu.
@@ -69,7 +76,8 @@ class NonlinearMPC:
     Raises
     ------
     InputError
-        Besides those of `LinearMPC`: if the model does not rest at x = 0, u = 0, w = 0.
+        Besides those of `LinearMPC`: if the model does not rest at x = 0, u = 0, w = 0; of a phase, if something stands
+        beside it, its cost falls without end, or `t` or `u_prev` that it depends on is not given with the state.
     NotStabilisableError
         No P is given, and the linearisation at rest has no regulator.
 
@@ -78,7 +86,7 @@ class NonlinearMPC:
     model : DiscreteModel
         The model along plans, with its derivatives.
     linear : LinearMPC
-        Linear MPC of the linearisation at rest.
+        Linear MPC of the linearisation at rest; of no phase.
     last_plans : tuple of Plan
         Of the last call.
 
@@ -88,12 +96,12 @@ class NonlinearMPC:
     SIAM Journal on Control and Optimization 43, 2005.
     """
 
-    step: Statement
-    states: int
-    inputs: int
-    Q: Any = field(kw_only=True)
-    R: Any = field(kw_only=True)
-    horizon: int = field(kw_only=True)
+    step: Statement | Phase
+    states: Any = None
+    inputs: Any = None
+    Q: Any = field(default=None, kw_only=True)
+    R: Any = field(default=None, kw_only=True)
+    horizon: Any = field(default=None, kw_only=True)
     S: Any = field(default=None, kw_only=True)
     P: Any = field(default=None, kw_only=True)
     X: Any = field(default=None, kw_only=True)
@@ -110,23 +118,52 @@ class NonlinearMPC:
     uses: tuple[str, ...] = field(default=(), kw_only=True)
     model: DiscreteModel = field(init=False)
     _last: list[Plan] = field(init=False, default_factory=list)
+    _loop: LoopPhase | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        for name in ("states", "inputs", "horizon", "most_iterations", "starts"):
+        set_(self, "p", as_array("p", self.p, (None,)))
+        for name in ("most_iterations", "starts"):
+            set_(self, name, as_count(name, getattr(self, name)))
+        if isinstance(self.step, Phase):
+            self._set_phase(self.step)
+            return
+        if isinstance(self.step, OptimalControlProblem):
+            cure = "Give its phase, and its parameters as p=…."
+            raise InputError("step", "an OptimalControlProblem", "a Phase, or the next state as a function", cure)
+        for name in ("states", "inputs", "horizon"):
             set_(self, name, as_count(name, getattr(self, name)))
         if self.iterations is not None:
             set_(self, "iterations", as_count("iterations", self.iterations))
         nw = 0 if self.disturbances == 0 else as_count("disturbances", self.disturbances)
         set_(self, "disturbances", nw)
-        set_(self, "p", as_array("p", self.p, (None,)))
         sizes = {"x": self.states, "u": self.inputs, "w": nw, "p": len(self.p)}
         set_(self, "model", DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
         _ = self.planner
 
+    def _set_phase(self, phase: Phase) -> None:
+        """Take sizes, horizon and model from a phase, which states everything but rates."""
+        own = ("states", "inputs", "Q", "R", "S", "P", "X", "U", "terminal_set", "soft", "iterations", "disturbances")
+        for name in own:
+            if getattr(self, name) is not type(self).__dataclass_fields__[name].default:
+                raise InputError(name, "an argument beside a phase", "none", "State it in the phase.")
+        if tuple(self.uses) not in ((), ("preview",)):
+            raise InputError("uses", repr(self.uses), '("preview",), which hands w over, or nothing')
+        horizon = None if self.horizon is None else as_count("horizon", self.horizon)
+        rate_limit = None if self.rate_limit is None else as_rate_limit(self.rate_limit, phase.inputs)
+        set_, loop = object.__setattr__, as_loop_phase(phase, horizon, self.p, rate_limit)
+        values = {"states": phase.states, "inputs": phase.inputs, "horizon": loop.horizon, "_loop": loop}
+        for name, value in (values | {"disturbances": loop.functions.nw}).items():
+            set_(self, name, value)
+        set_(self, "model", self.planner.model)
+
     @cached_property
     def linear(self) -> LinearMPC:
         """Linear MPC of the linearisation at rest."""
+        if self._loop is not None:
+            cure = "State them: NonlinearMPC(step, nx, nu, Q=…, R=…, horizon=…)."
+            expected = "quadratic costs and polytopes, for C code, derivatives, steady states and offset-free control"
+            raise InputError("step", "a Phase", expected, cure)
         x, u, w = np.zeros(self.states), np.zeros(self.inputs), np.zeros(self.disturbances)
         f, A, B = self.model.linearised_at(x, u, w, self.p)
         for what, value in (("a next state", f), ("derivatives by x", A), ("derivatives by u", B)):
@@ -156,9 +193,11 @@ class NonlinearMPC:
         return isinstance(self.terminal_set, str) and self.terminal_set == "invariant"
 
     @cached_property
-    def planner(self) -> Planner:
+    def planner(self) -> Planner | LoopPlanner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
+        if self._loop is not None:
+            return LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
         return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit)
 
     def __repr__(self) -> str:
@@ -168,6 +207,9 @@ class NonlinearMPC:
     @property
     def needs(self) -> frozenset[str]:
         """Signals a closed loop hands over; see `LinearMPC.needs`."""
+        if self._loop is not None:
+            own = {"last_input": self._loop.carries, "time": self._loop.timed}
+            return frozenset(self.uses) | {name for name, asked in own.items() if asked}
         return self.linear.needs
 
     @property
@@ -202,13 +244,18 @@ class NonlinearMPC:
     def __getstate__(self) -> dict[str, Any]:
         """State with the model as CasADi stores it."""
         kept = {name: value for name, value in self.__dict__.items() if name != "steady_solver"}
+        if self._loop is not None:
+            return {name: value for name, value in kept.items() if name != "planner"}
         return kept | {"step": self.model.step}
 
     def solve(
         self, x: ArrayLike, *, start: Plan | None = None, u_prev: ArrayLike | None = None,
         x_ref: ArrayLike | None = None, u_ref: ArrayLike | None = None, w: ArrayLike | None = None,
+        t: float | None = None,
     ) -> Plan:  # fmt: skip
         """Plan from the state x (nx,); the signals are those of `LinearMPC.solve`.
+
+        With a phase they are `u_prev`, `t` and `w`, (N + 1, nw), (N, nw) or (nw,), where it depends on them.
 
         Parameters
         ----------
@@ -217,8 +264,9 @@ class NonlinearMPC:
         """
         x = as_array("x", x, (self.states,))
         self._check_start(start)
-        given = spread_signals(self.linear, {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w})
-        return self.planner.plan(x, given, start)
+        given = {"u_prev": u_prev, "x_ref": x_ref, "u_ref": u_ref, "w": w, "t": t}
+        planner = self.planner
+        return planner.plan(x, planner.signals(given), start)
 
     def sensitivity(
         self, x: ArrayLike, *, start: Plan | None = None, dQ: ArrayLike | None = None, dR: ArrayLike | None = None,
@@ -250,7 +298,8 @@ class NonlinearMPC:
         x = as_array("x", x, (self.states,))
         self._check_start(start)
         given = spread_signals(self.linear, dict(signals))
-        to_the_end = replace(self.planner, iterations=None, time_limit=np.inf)
+        planner: Any = self.planner
+        to_the_end = replace(planner, iterations=None, time_limit=np.inf)
         plan = to_the_end.plan(x, given, start)
         at_rest = self.model.at_rest(self.p)
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
@@ -278,9 +327,9 @@ class NonlinearMPC:
         """First input: (nx,) -> (nu,) or (n, nx) -> (n, nu), row by row."""
         value = as_floats("x", x)
         rows = as_array("x", np.atleast_2d(value), (None, self.states))
-        each = for_each_state(self.linear, dict(signals), len(rows))
-        follow = self._last if len(self._last) == len(rows) else [None] * len(rows)
         planner = self.planner
+        each = planner.each(dict(signals), len(rows))
+        follow = self._last if len(self._last) == len(rows) else [None] * len(rows)
         plans = [
             planner.plan(row, given, None if plan is None else planner.shifted(plan, given))
             for row, given, plan in zip(rows, each, follow)

@@ -54,7 +54,8 @@ def functions_not_finite(program: NonlinearProgram, v: Array) -> Iterator[str]:
         w = signal_along(phase, at[:, None]).T
         along = {"x": np.hstack(states), "u": np.hstack(inputs), "w": w, "t": (start + length * at)[None], "p": p}
         clock = np.array([[start]]), np.array([[start + length]])
-        ends = {"x0": x[:, :1], "x": x[:, -1:], "t0": clock[0], "t": clock[1], "p": p}
+        at_end = signal_along(phase, np.ones((1, 1))).T
+        ends = {"x0": x[:, :1], "x": x[:, -1:], "w": at_end, "t0": clock[0], "t": clock[1], "p": p}
         yield from _first(f.dynamics, [f"dynamics of {name}" for name in phase.state_names], along, of)
         yield from _first(f.stage_cost, ["stage_cost"], along, of)
         yield from _first(f.path, f.path_names, along, of)

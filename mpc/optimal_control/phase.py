@@ -22,6 +22,7 @@ from mpc.optimal_control.bounds import (
     as_guess,
     as_names,
     as_number,
+    as_prices,
     as_samples,
 )
 from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, wanted
@@ -34,7 +35,7 @@ class Phase:
     """One stretch of time with its own dynamics, costs and limits.
 
     Every function is stated in CasADi and named arguments: any of the state `x`, the input `u`, the given signal `w`,
-    the parameters `p` and the time `t`.
+    the parameters `p` and the time `t`. In `NonlinearMPC(phase)` stage cost and path know the input before, `u_prev`.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ class Phase:
         nx and nu.
     stage_cost : function, optional
         Scalar; integrated over time, or summed if `discrete`.
-    terminal_cost : function of x, p, t, optional
+    terminal_cost : function of x, w, p, t, optional
         Scalar, at the end.
     start, end : (nx,) array, or bounds (lower, upper) as a tuple; optional
         Of the states there; None or NaN where an entry is free.
@@ -57,7 +58,10 @@ class Phase:
     path : function, optional
         Values that are kept within `path_bounds`, at all points of the mesh: ≤ 0 by default.
     path_bounds : (lower, upper)
-    boundary : function of x0, x, t0, t, p, optional
+    path_prices : (linear, quadratic), optional
+        Makes path limits soft: a violation e costs linear · e + quadratic · e², integrated over time, or summed over
+        all points if `discrete`. Each is a number ≥ 0 or one for every value, None where a limit is hard; not both 0.
+    boundary : function of x0, x, w, t0, t, p, optional
         Of both ends of the phase; values that are kept within `boundary_bounds`: = 0 by default.
     boundary_bounds : (lower, upper)
     signal : function of t, or (n, nw) array, optional
@@ -97,6 +101,7 @@ class Phase:
     u_bounds: Bounds = (-INF, INF)
     path: Statement | None = None
     path_bounds: Bounds = (-INF, 0.0)
+    path_prices: Any = None
     boundary: Statement | None = None
     boundary_bounds: Bounds = (0.0, 0.0)
     signal: Callable[[Array], ArrayLike] | ArrayLike | None = None
@@ -141,14 +146,16 @@ class Phase:
     def _try_functions(self) -> None:
         """Raise for functions that cannot be meant."""
         width = 0 if self.signal is None or callable(self.signal) else int(np.shape(self.signal)[1])
-        for name, (sizes, rows) in _columns(self, width, 0).items():
+        for name, (sizes, rows) in _columns(self, width, 0, looped=True).items():
             given = getattr(self, name)
             asked = () if given is None else wanted(name, given, tuple(sizes))
             if "p" in asked or ("w" in asked and callable(self.signal)):
                 continue
             function = None if given is None else compiled(name, given, sizes, rows)
             if name in LIMITED:
-                _with_limits(self, name, function)
+                _, names = _with_limits(self, name, function)
+            if name == "path":
+                as_prices(self.path_prices, len(names))
 
     @property
     def free_duration(self) -> bool:
@@ -162,23 +169,27 @@ class PhaseFunctions:
     Attributes
     ----------
     dynamics, stage_cost, path : (x, u, w, p, t) → value, or None
-    terminal_cost : (x, p, t) → scalar, or None
+        Costs and limits of a loop of (x, u, w, p, t, u_prev).
+    terminal_cost : (x, w, p, t) → scalar, or None
     sample_cost : (x, w, p, t, y) → scalar, or None
-    boundary : (x0, x, t0, t, p) → value, or None
+    boundary : (x0, x, w, t0, t, p) → value, or None
     path_bounds, boundary_bounds : (lower, upper)
         Arrays, one entry a value.
+    path_prices : (2, values) array
+        Linear and quadratic prices of violations; infinite where a limit is hard.
     path_names, boundary_names : tuple of str
     """
 
-    def __init__(self, phase: Phase, parameters: int) -> None:
+    def __init__(self, phase: Phase, parameters: int, *, looped: bool = False) -> None:
         self.nw = signal_at(phase, np.array([phase.start_time])).shape[1]
         made: dict[str, Any] = {
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
-            for name, (sizes, rows) in _columns(phase, self.nw, parameters).items()
+            for name, (sizes, rows) in _columns(phase, self.nw, parameters, looped=looped).items()
         }
         self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost = made.values()
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
+        self.path_prices = as_prices(phase.path_prices, len(self.path_names))
 
     @cached_property
     def path_slopes(self) -> ca.Function:
@@ -194,15 +205,18 @@ class PhaseFunctions:
         return type(at[0])(0, 1) if self.path is None else self.path(*at)
 
 
-def _columns(phase: Phase, width: int, parameters: int) -> dict[str, tuple[dict[str, int], int | None]]:
+def _columns(
+    phase: Phase, width: int, parameters: int, *, looped: bool
+) -> dict[str, tuple[dict[str, int], int | None]]:
     """Columns and lengths of each function's arguments, and its value's length."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
-    at_end = {"x": phase.states, "p": parameters, "t": 1}
-    ends = {"x0": phase.states, "x": phase.states, "t0": 1, "t": 1, "p": parameters}
+    moving = running | ({"u_prev": phase.inputs} if looped else {})
+    at_end = {"x": phase.states, "w": width, "p": parameters, "t": 1}
+    ends = {"x0": phase.states, "x": phase.states, "w": width, "t0": 1, "t": 1, "p": parameters}
     known = 0 if phase.samples is None else phase.samples[1].shape[1]
     at_samples = {"x": phase.states, "w": width, "p": parameters, "t": 1, "y": known}
     return {
-        "dynamics": (running, phase.states), "stage_cost": (running, 1), "path": (running, None),
+        "dynamics": (running, phase.states), "stage_cost": (moving, 1), "path": (moving, None),
         "terminal_cost": (at_end, 1), "boundary": (ends, None), "sample_cost": (at_samples, 1),
     }  # fmt: skip
 
@@ -218,6 +232,12 @@ def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple
                 raise InputError(own, got, f"a function `{name}`, whose values they are of")
         return (np.zeros(0), np.zeros(0)), ()
     size = function.numel_out(0)
+    tied = {row for i, of in enumerate(function.name_in()) if of not in ("w", "t", "t0")
+            for row in function.jac_sparsity(0, i).row()}  # fmt: skip
+    idle = next((i for i in range(size) if i not in tied), None)
+    if idle is not None:
+        got = f"value {idle + 1}, which depends on no state, input or parameter"
+        raise InputError(name, got, "limits of what can be chosen")
     bounds = as_bounds(f"{name}_bounds", getattr(phase, f"{name}_bounds"), size)
     return bounds, as_names(f"{name}_names", getattr(phase, f"{name}_names"), f"{name} ", size)
 

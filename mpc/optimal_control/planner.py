@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,10 +17,22 @@ from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.shooting import ShootingProgram
+from mpc.optimal_control.loop_planner import LoopPlanner
+from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
 from mpc.plan import Plan, Residuals, Status
-from mpc.rollout import Given, admissible, cost_of, deviations, disturbance, finite, relative_violations, violation_of
+from mpc.rollout import (
+    Given,
+    admissible,
+    cost_of,
+    deviations,
+    disturbance,
+    finite,
+    for_each_state,
+    relative_violations,
+    spread_signals,
+    violation_of,
+)
 from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
 
 LINEAR_LAW, SHIFTED, REAL_TIME = "linear law", "shifted plan", "real-time iteration"
@@ -96,13 +109,13 @@ class Planner:
     def __post_init__(self) -> None:
         _ = self.programs, self.gain  # built, and compiled, before a clock runs
         if np.isfinite(self.time_limit):
-            self._shooting.build()
+            _ = self.general
 
-    @property
-    def _shooting(self) -> ShootingProgram:
-        """Nonlinear program of a plan."""
-        rows = len(self.law.state_rows[1]) + len(self.law.terminal_rows[1])
-        return self.model.shooting(self.law, priced=rows > 0, most=self.most, seconds=self.time_limit)
+    @cached_property
+    def general(self) -> LoopPlanner:
+        """Planner of the same statement as a phase."""
+        p = quadratic_parameters(self.law, self.p, self.law.soft or (1.0, 1.0))
+        return LoopPlanner(self.model.loop(self.law, self.p), p, self.most, 1, self.time_limit)
 
     @cached_property
     def programs(self) -> Sequential:
@@ -130,6 +143,17 @@ class Planner:
     def _hard(self) -> bool:
         """Whether states have limits that must be kept."""
         return self.law.soft is None and len(self.law.state_rows[1]) + len(self.law.terminal_rows[1]) > 0
+
+    def signals(self, stated: dict[str, Any]) -> Given:
+        """Signals of a sample, checked."""
+        return spread_signals(self.law, stated)
+
+    def each(self, stated: dict[str, Any], n: int) -> list[Given]:
+        """Signals of n states, common or one entry for each."""
+        return for_each_state(self.law, stated, n)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "general"}
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or where it is best."""
@@ -238,19 +262,18 @@ class Planner:
 
     def _from_starts(self, sample: _Sample, first: _Path) -> Iterator[tuple[_Path, Step]]:
         """Paths that Ipopt comes to from the starts, with the quadratic program there; one where a plan leads to it."""
-        soft, program = self.law.soft, self._shooting
+        dear = quadratic_parameters(self.law, self.p, (sample.dear, sample.dear))
         for path in self._starting_paths(sample, first):
             if sample.clock.up:
                 return
-            shot = program.solve(
-                self.law, sample.x, path.states, self._aside(path).inputs, sample.w, self.p, sample.given,
-                cost=sample.size,
-                prices=(sample.dear, sample.dear) if soft is None else soft,
-            )  # fmt: skip
+            more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
+            general = self.general if self.law.soft is not None else replace(self.general, p=dear)
+            shot = general.near(*more, sample.size)
             sample.clock.program_ended()
             if shot is None:
                 continue
-            at, last = self._contracted(sample, replace(path, states=shot[0], inputs=shot[1], name=INTERIOR))
+            states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
+            at, last = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
             if last is not None:
                 yield at, last
             if path is first and first.name == SHIFTED and _status(last) is Status.SOLVED:

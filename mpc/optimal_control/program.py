@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from mpc.budgets import SHAKEN
 from mpc.checks import Array
@@ -17,7 +18,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, NEGLIGIBLE
+from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,8 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     large = np.abs(v[loose])
     scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
-    size = float(np.abs(slope * scale).max(initial=0.0))
+    places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
+    size = float(np.abs(slope * scale)[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
     return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
 
@@ -246,6 +248,29 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
         guess=np.concatenate([start, above, below]),
         scale=np.concatenate([program.scale, program.row_scale, program.row_scale]),
     )  # fmt: skip
+
+
+def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearProgram:
+    """Program with violations of `rows` (m,) and then a price of each as further unknowns, all held at 0."""
+    n, m, sides = len(program.lower), len(program.row_lower), places_of_violations(program, rows)
+    weighed = piece_function(lambda e, price, data: [price * e, e], ca.SX, {"e": 1, "price": 1}, 0)
+    pieces, count = list(program.derivatives.pieces), sum(map(len, sides))
+    for chosen, first, sign in zip(sides, (n, n + len(sides[0])), (-1.0, 1.0)):
+        own, no_data = first + np.arange(len(chosen)), np.zeros((0, len(chosen)))
+        targets = np.vstack([np.zeros(len(chosen), dtype=int), 1 + chosen])
+        piece = Piece(weighed, np.vstack([own, count + own]), no_data, targets, np.array([1.0, sign]))
+        pieces += [piece] if len(chosen) else []
+    none, sizes = np.zeros(2 * count), program.row_scale[np.concatenate(sides)] / VIOLATION_PRICE
+    return replace(
+        program, derivatives=Derivatives(pieces, n + 2 * count, m), lower=np.append(program.lower, none),
+        upper=np.append(program.upper, none), guess=np.append(program.guess, none),
+        scale=np.concatenate([program.scale, sizes, np.ones(count)]),
+    )  # fmt: skip
+
+
+def places_of_violations(program: NonlinearProgram, rows: NDArray[np.bool_]) -> tuple[Numbers, Numbers]:
+    """Places of rows (m,) with an upper bound, and with a lower one."""
+    return np.flatnonzero(rows & np.isfinite(program.row_upper)), np.flatnonzero(rows & np.isfinite(program.row_lower))
 
 
 def shaken(program: NonlinearProgram, seed: int = 0) -> Array:

@@ -70,12 +70,12 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
         program = build(program)
     if not isinstance(program, NonlinearProgram):
         raise InputError("program", type(program).__name__, "what `build` returns, an OptimalControlProblem or a Phase")
-    settings = _settings(tolerance, max_iterations, time_limit, options)
+    settings = as_settings(tolerance, max_iterations, time_limit, options)
     if start is not None and not isinstance(start, Solution):
         raise InputError("start", type(start).__name__, "a Solution")
     if p is not None:
         program = _held(program, p)
-    run = _Run(program, settings)
+    run = Run(program, settings)
     guess, multipliers = (program.guess, None) if start is None else _from_solution(program, start)
     found = run.solved(np.clip(guess, program.lower, program.upper), multipliers, warm=start is not None)
     if found.ended and not found.iterations and start is None:
@@ -83,7 +83,7 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     return run.judged(found)
 
 
-def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
+def as_settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
     """Settings of a call, checked."""
     if options is not None and not (isinstance(options, dict) and all(isinstance(name, str) for name in options)):
         raise InputError("options", brief(repr(options)), "a dict of options of Ipopt")
@@ -91,7 +91,7 @@ def _settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Se
     return Settings(as_share("tolerance", tolerance), most, limit, dict(options or {}))
 
 
-class _Run:
+class Run:
     """Solver calls of one solve, within one time limit."""
 
     def __init__(self, program: NonlinearProgram, settings: Settings) -> None:
@@ -101,21 +101,27 @@ class _Run:
         self.began = time.perf_counter()
         self.iterations = 0
 
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return time.perf_counter() - self.began > self.settings.seconds
+
     def _left(self, warm: bool) -> Settings:
         """Settings of the next call."""
-        passed = time.perf_counter() - self.began
+        passed = 0.0 if self.settings.each else time.perf_counter() - self.began
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
                        options=(WARM if warm else {}) | self.settings.options)  # fmt: skip
 
-    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool) -> Found:
+    def solved(self, guess: Array, multipliers: dict[str, Array] | None, warm: bool, *,
+               as_sized: bool = False) -> Found:  # fmt: skip
         """Solve, again where the first sizes were off."""
-        if warm:
+        if warm and not as_sized:
             self.program = rescaled(self.program, guess)
         kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(3):
             found = once(self.program, guess, multipliers, self._left(warm))
             self.iterations += found.iterations
-            if kept is not None and _status(found) is not OptimalControlStatus.SOLVED:
+            if kept is not None and status_of(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
                 break
             if not found.ended:
@@ -124,7 +130,7 @@ class _Run:
             ratio = np.concatenate([sized.scale / self.program.scale, [sized.cost_scale / self.program.cost_scale]])
             if np.abs(np.log(ratio)).max(initial=0.0) < np.log(WELL_SIZED):
                 break
-            if _status(found) is OptimalControlStatus.SOLVED:
+            if status_of(found) is OptimalControlStatus.SOLVED:
                 kept = self.program, found
             self.program, guess, multipliers, warm = sized, found.v, found.multipliers, True
         return found
@@ -143,8 +149,8 @@ class _Run:
 
     def judged(self, found: Found) -> Solution:
         """Solution from the solver's answer, its status confirmed."""
-        status = _status(found)
-        if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self._falls(found):
+        status = status_of(found)
+        if status not in (OptimalControlStatus.SOLVED, OptimalControlStatus.UNDEFINED) and self.falls(found):
             status = OptimalControlStatus.UNBOUNDED
         conflicts: tuple[str, ...] = ()
         if status is OptimalControlStatus.INFEASIBLE:
@@ -155,7 +161,7 @@ class _Run:
             conflicts = violated(self.program, found.v, found.violations, FEASIBLE)
         return self._packed(found, status, conflicts)
 
-    def _falls(self, found: Found) -> bool:
+    def falls(self, found: Found) -> bool:
         """Whether the cost fell without end."""
         first, last = (float(self.program.derivatives.values(v)[0]) for v in (self.program.guess, found.v))
         return last < -BOTTOMLESS * max(1.0, abs(first)) or (found.said == ENDLESS and last < first)
@@ -179,7 +185,7 @@ class _Run:
                 continue
             if tried.violations.max(initial=0.0) <= FEASIBLE:
                 again = self.solved(tried.v, None, warm=False)
-                status = _status(again)
+                status = status_of(again)
                 if status is OptimalControlStatus.INFEASIBLE:  # it is not, at the start of this call
                     return tried, OptimalControlStatus.STOPPED, ()
                 return again, status, ()
@@ -224,7 +230,7 @@ def _held(program: NonlinearProgram, p: ArrayLike) -> NonlinearProgram:
     return replace(program, lower=lower, upper=upper)
 
 
-def _status(found: Found) -> OptimalControlStatus:
+def status_of(found: Found) -> OptimalControlStatus:
     """Status from the solver's word and the residuals."""
     feasible = found.residuals.primal <= FEASIBLE
     if feasible and found.residuals.worst <= OPTIMAL:

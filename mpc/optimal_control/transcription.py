@@ -93,8 +93,8 @@ class _Assembly:
                              free, defects, path, interval)  # fmt: skip
             parts.append(part)
             cost = (1 + k, 1.0) if alone else (0, float(problem.weights[k]))
-            signals = self._intervals(part, *cost)
-            self._path_at_an_end(k, part, signals)
+            self._intervals(part, *cost)
+            self._path_at_an_end(k, part, *cost)
             self._ends(k, part, *cost)
             self._samples(part, *cost)
             if k and problem.linked:
@@ -192,8 +192,8 @@ class _Assembly:
         path = self._rows("path", k, functions.path_names, kept_at, *functions.path_bounds, 1.0)
         return defects, path, interval_function(phase, functions, self.scheme, layout, len(self.p))
 
-    def _intervals(self, part: PhasePart, target: int, weight: float) -> Array:
-        """Append costs and equations of a phase's intervals; return the signal (nw · points, N)."""
+    def _intervals(self, part: PhasePart, target: int, weight: float) -> None:
+        """Append costs and equations of a phase's intervals."""
         phase, layout, N = part.phase, part.layout, part.intervals
         signals = signal_along(phase, times_of(layout.signals, part.mesh)).T
 
@@ -212,27 +212,30 @@ class _Assembly:
         factors = np.where(np.arange(len(rows)) > 0, 1.0, weight)
         data = np.vstack([part.mesh[:-1], np.diff(part.mesh), signals])
         self._piece(values, places, rows, part.interval, factors=factors, data=data)
-        return signals
+        if part.functions.path is not None:
+            every, shares = np.arange(len(part.functions.path_names)), _shares(part)
+            kept = shares[:, layout.points[0] == 0 :] if shares.shape[1] > 1 else shares
+            self._soften(part, part.path, every, kept.ravel(), target, weight)
 
-    def _path_at_an_end(self, k: int, part: PhasePart, signals: Array) -> None:
+    def _path_at_an_end(self, k: int, part: PhasePart, target: int, weight: float) -> None:
         """Append path limits at the end that the intervals leave out."""
-        path, layout, nw = part.functions.path, part.layout, part.layout.nw
+        path, layout = part.functions.path, part.layout
         if path is None:
             return
         low, high = part.functions.path_bounds
         kept = np.arange(len(low))
         if layout.points == (0.0,):  # with the input that is held last
-            fraction = 1.0
-            signal = signals[len(signals) - nw :, -1:]
+            fraction, share = 1.0, 1 - part.mesh[-2]
             node = part.last - layout.node
             inputs = node - layout.nu + np.arange(layout.nu)
         else:
-            fraction = 0.0
-            signal = signals[:nw, :1]
+            fraction, share = 0.0, _shares(part)[0, 0] if layout.points[0] == 0 else 0.0
             node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
             if not layout.node_inputs:
                 kept = np.setdiff1d(kept, path.jac_sparsity(0, 1).row())
+            if not share:  # the start is given no time, so no price counts there
+                kept = kept[np.isinf(part.functions.path_prices[:, kept]).all(axis=0)]
         if not len(kept):
             return
 
@@ -244,7 +247,29 @@ class _Assembly:
         names = [part.functions.path_names[i] for i in kept]
         rows = self._rows("path", k, names, fraction, low[kept], high[kept], 1.0)
         places = {"x": node + np.arange(layout.nx), "u": inputs} | {"p": self.p, "free": part.free}
-        self._piece(values, places, _numbers(rows), path, data=signal)
+        self._piece(values, places, _numbers(rows), path, data=signal_along(part.phase, np.array([[fraction]])).T)
+        self._soften(part, rows, kept, np.array([share]), target, weight)
+
+    def _soften(self, part: PhasePart, rows: slice, entries: Numbers, share: Array, target: int,
+                weight: float) -> None:  # fmt: skip
+        """Let priced path limits `entries`, each at points of so large a part of the phase, be violated."""
+        prices = part.functions.path_prices[:, entries]
+        numbers = np.arange(rows.start, rows.stop).reshape(-1, len(entries))
+        for side, sign in zip(part.functions.path_bounds, (1.0, -1.0)):
+            soft = np.flatnonzero(np.isfinite(prices).all(axis=0) & np.isfinite(side[entries]))
+            if not len(soft):
+                continue
+            count = len(share) * len(soft)
+            first = self._unknown(np.zeros(count), np.full(count, np.inf), np.zeros(count))
+            data = np.vstack([share.repeat(len(soft)), np.tile(prices[:, soft], len(share))])
+
+            def values(e: Any, free: Any, data: Any) -> list[Any]:
+                time = 1.0 if part.phase.discrete else part.clock(free)[1] * data[0]
+                return [time * (data[1] * e + data[2] * e**2), e]
+
+            targets = np.vstack([np.full((1, count), target), 1 + numbers[:, soft].reshape(1, -1)])
+            places = {"e": first + np.arange(count)[None], "free": part.free[:, None]}
+            self._piece(values, places, targets, factors=np.array([weight, sign]), data=data)
 
     def _ends(self, k: int, part: PhasePart, target: int, weight: float) -> None:
         """Append a phase's terminal cost and boundary conditions."""
@@ -254,8 +279,8 @@ class _Assembly:
 
         def values(x0: Any, x: Any, p: Any, free: Any, data: Any) -> list[Any]:
             start, length = part.clock(free)
-            found = [] if cost is None else [cost(x, p, start + length)]
-            return found if boundary is None else [*found, boundary(x0, x, start, start + length, p)]
+            found = [] if cost is None else [cost(x, data, p, start + length)]
+            return found if boundary is None else [*found, boundary(x0, x, data, start, start + length, p)]
 
         names = part.functions.boundary_names
         rows = _numbers(self._rows("boundary", k, names, 1.0, *part.functions.boundary_bounds, 1.0))
@@ -263,7 +288,8 @@ class _Assembly:
         factors = np.where(targets == target, weight, 1.0)
         node = np.arange(part.layout.nx)
         nodes = {"x0": part.first + node, "x": part.last - part.layout.node + node}
-        self._piece(values, nodes | {"p": self.p, "free": part.free}, targets, cost, boundary, factors=factors)
+        places, signal = nodes | {"p": self.p, "free": part.free}, signal_along(part.phase, np.ones((1, 1))).T
+        self._piece(values, places, targets, cost, boundary, factors=factors, data=signal)
 
     def _samples(self, part: PhasePart, target: int, weight: float) -> None:
         """Append a phase's cost at its samples."""
@@ -305,6 +331,17 @@ class _Assembly:
         if len(targets):
             stated = [function for function in functions if function is not None]
             self._piece(lambda p, data: [function(p) for function in stated], {"p": self.p}, targets, *stated)
+
+
+def _shares(part: PhasePart) -> Array:
+    """Parts (N, points) of a phase that the points with path limits stand for in an integral."""
+    lengths, scheme = np.diff(part.mesh)[:, None], part.scheme
+    if part.phase.discrete or not isinstance(scheme, Collocation):
+        return lengths
+    shares = np.asarray(lengths * scheme.matrix[-1])
+    if scheme.points[0] == 0:  # a node belongs to both its intervals
+        shares[:-1, -1] += shares[1:, 0]
+    return shares
 
 
 def _numbers(rows: slice) -> Numbers:

@@ -8,7 +8,16 @@ import control
 import numpy as np
 import pytest
 
-from ccdtools import PID, Gaussian, InputError, LinearFeedback, QuadraticObjective, Trajectory, simulate
+from ccdtools import (
+    PID,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    QuadraticObjective,
+    Trajectory,
+    plant_from_matrices,
+    simulate,
+)
 from ccdtools.controllers import Passive
 from ccdtools.plants import LinearModel
 from mpc import lqr
@@ -246,6 +255,7 @@ def test_saturated_lqr_on_the_recorded_road_gives_the_known_returns(suspension, 
         ({"design": [[1.0], [1.0]]}, r"design: got shape \(2, 1\), expected one design"),
         ({"controller": lambda x: np.zeros((1, 2))}, r"controller: got inputs of shape \(1, 2\), expected \(1, 1\)"),
         ({"controller": lambda x: np.zeros(1)}, r"controller: got inputs of shape \(1,\)"),
+        ({"controller": lambda x: np.full((1, 1), 1j)}, "controller: got .* as its inputs"),
         ({"controller": lambda x: np.full((1, 1), np.nan)}, "controller: got an input that is not finite at step 0"),
         ({"limit": [1.0, 0.0]}, r"limit: got \[1.0, 0.0\] of shape \(2,\), expected \(2,\) positive numbers"),
         ({"limit": [1.0, 2.0, 3.0]}, r"limit: got .* of shape \(3,\), expected \(2,\)"),
@@ -285,3 +295,11 @@ def test_a_trajectory_is_drawn_and_becomes_a_table(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match="pip install pandas"):
         run.to_frame()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e305])
+def test_a_run_is_not_lost_where_it_starts_whatever_the_unit(unit):
+    plant = plant_from_matrices([[0.9]], [[1.0]], dt=1.0, continuous=False)
+    run = simulate(plant, Passive(1), x0=[[unit], [-unit]], steps=5)
+    assert not run.diverged.any()
+    np.testing.assert_allclose(run.states[:, -1, 0], np.array([1, -1]) * unit * 0.9**5, rtol=1e-12)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from set_plants import ILLUSTRATIVE_U, ILLUSTRATIVE_X, SUSPENSION_U, SUSPENSION_X, illustrative, suspension
 
-from invariant_sets import ParametricSet, Polytope, maximal_control_invariant_set
+from invariant_sets import InputError, ParametricSet, Polytope, maximal_control_invariant_set
 
 box = Polytope.from_bounds
 
@@ -106,6 +106,12 @@ def test_robust_family_uses_the_third_matrix():
     expected = maximal_control_invariant_set(*illustrative(2.0), ILLUSTRATIVE_X, ILLUSTRATIVE_U, E=[[0.0], [2.0]], W=W)
     assert family.volume([2.0]) == pytest.approx(expected.set.volume, rel=1e-12)
     assert family.volume([2.0]) < ParametricSet(illustrative, ILLUSTRATIVE_X, ILLUSTRATIVE_U).volume([2.0])
+
+
+def test_a_function_that_returns_no_disturbance_set_is_not_taken_for_one_without_disturbances():
+    family = ParametricSet(illustrative, ILLUSTRATIVE_X, ILLUSTRATIVE_U, W=lambda p: None)
+    with pytest.raises(InputError, match="W: got NoneType"):
+        family.at([2.0])
 
 
 def limits_of_slow(p):

@@ -26,6 +26,12 @@ def test_too_few_samples_are_refused_with_the_number_needed(level, needed):
         Conformal.fit(np.ones(1000), level, independent=needed - 1)
 
 
+def test_a_level_near_zero_takes_the_least_score_and_no_number_is_named():
+    assert Conformal.fit(np.arange(10.0), 1e-12).factors == 0.0
+    with pytest.raises(InputError, match="scores: got NaN"):
+        Conformal.fit([np.nan] * 10, 0.5)
+
+
 def test_every_regime_holds_the_level():
     rng = np.random.default_rng(0)
     size = rng.choice([1.0, 5.0], 2000)

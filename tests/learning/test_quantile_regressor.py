@@ -51,6 +51,28 @@ def test_its_score_is_minus_the_pinball_loss():
     assert one.score(x, y) == pytest.approx(-by_hand)
 
 
+def test_a_fold_of_few_samples_has_a_score():
+    x, y = samples(60, 2)
+    one = QuantileRegressor(steps=20).fit(x[:48], y[:48])
+    alone = [one.score(x[i : i + 1], y[i : i + 1]) for i in range(48, 60)]
+    assert one.score(x[48:], y[48:]) == pytest.approx(np.mean(alone))
+    with pytest.raises(InputError, match="y: got 2 targets, expected 1"):
+        one.score(x, np.column_stack([y, y]))
+
+
+@pytest.mark.parametrize("state", [-1, 1.5, "seed"])
+def test_a_seed_that_is_none_is_named(state):
+    with pytest.raises(InputError, match="random_state: got"):
+        QuantileRegressor(random_state=state).fit(*samples(50, 0))
+
+
+def test_samples_without_inputs_or_targets_are_refused():
+    x, y = samples(50, 0)
+    for given in ((x[:, :0], y), (x, y[:, None][:, :0])):
+        with pytest.raises(InputError, match="inputs, targets: got shapes"):
+            QuantileRegressor().fit(*given)
+
+
 def test_arguments_are_checked_by_fit_and_unknown_ones_refused():
     with pytest.raises(InputError, match="steps: got 0"):
         QuantileRegressor(steps=0).fit(*samples(50, 0))

@@ -31,6 +31,7 @@ from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.models import for_long_work
 from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
 from learning.networks import ActorCritic
@@ -89,6 +90,8 @@ class Learned:
     ) -> LearnedCoDesign:
         """Best design and policy from a feasible design (np,)."""
         config: Any = self.config
+        work = config.iterations * config.pathwise_runs * problem.steps
+        problem = replace(problem, model=for_long_work(problem.model, work))
         judge = problem if self.judge is None else self.judge
         check_followed(problem.risk, self.by, config.design_gradient)
         _check_judge(problem, judge)

@@ -52,11 +52,10 @@ def hardening_spring(stiffness: ca.SX, deflection: ca.SX, hardening: float) -> c
     return stiffness * (deflection + hardening * deflection**3)
 
 
-def bump_stop(deflection: ca.SX, stiffness: float, clearance: float, rounding: float) -> ca.SX:
-    """Force of a spring of `stiffness` beyond ±`clearance`, corners rounded over the width `rounding`."""
-    beyond = [side * deflection - clearance for side in (1, -1)]
-    up, down = ((past + ca.sqrt(past**2 + rounding**2)) / 2 for past in beyond)
-    return stiffness * (up - down)
+def bump_stop(deflection: ca.SX, stiffness: float, clearance: float) -> ca.SX:
+    """Force of rubber stops at ±`clearance`, which stiffen to `stiffness` over a fifth of it."""
+    up, down = (ca.fmax(side * deflection - clearance, 0) for side in (1, -1))
+    return stiffness * (up**2 / (up + clearance / 5) - down**2 / (down + clearance / 5))
 
 
 def dry_friction(force: float, speed: ca.SX, knee: float) -> ca.SX:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ccdtools.studies.reproduce.tasks import Task
 
 COMMON_TO_ALL = -1  # in place of a seed
-WORDS = {Status.BETTER: "better", Status.WORSE: "worse"}
+WORDS = {Status.BETTER: "better", Status.WORSE: "worse", Status.MORE_LOST: "loses more runs"}
 ELSEWHERE = " (on a generated road: the recorded one is not at hand)"
 
 
@@ -53,7 +53,7 @@ class Judged:
     percent: str
 
     def word(self, otherwise: str) -> str:
-        """Better or worse, or another word where neither is shown, with the gain."""
+        """Better, worse or more lost, or another word where none is shown, with the gain."""
         return f"{WORDS.get(self.status, otherwise)}: {self.percent}"
 
 
@@ -83,10 +83,11 @@ class Found:
         if table is None:
             return Cell()
         found = mean_over_seeds(table, fresh=fresh)
-        spread = float(np.nanstd(table, axis=1).mean()) if table.shape[1] > 1 else float("nan")
-        lost = float(np.isnan(table).mean())
-        at = self._where(key) + (f"; {lost:.2%} of the runs lost" if lost else "")
-        return Cell(found.mean, *found.ci95, spread, at)
+        lost = np.isnan(table)
+        kept = table[~lost.all(axis=1)]
+        spread = float(np.nanstd(kept, axis=1).mean()) if len(kept) and table.shape[1] > 1 else float("nan")
+        told = (self._where(key), f"{lost.mean():.2%} of the runs lost" if lost.any() else "")
+        return Cell(found.mean, *found.ci95, spread, "; ".join(filter(None, told)))
 
     def beside(self, key: str, other: str, *, fresh: bool, lower: bool) -> Judged | None:
         """Status and gain of one key beside another, or None."""
@@ -94,8 +95,12 @@ class Found:
         if one is None or two is None:
             return None
         runs = min(one.shape[1], two.shape[1])
-        gain = (one[:, :runs] - two[:, :runs]) * (-1 if lower else 1)
-        return judged(mean_over_seeds(gain, fresh=fresh), float(np.nanmean(one)), float(np.nanmean(two)))
+        one, two = np.broadcast_arrays(one[:, :runs], two[:, :runs])
+        gain = mean_over_seeds((one - two) * (-1 if lower else 1), fresh=fresh)
+        lost = (int(np.isnan(one).sum()), int(np.isnan(two).sum()))
+        kept = ~np.isnan(one - two)
+        values = (float(one[kept].mean()), float(two[kept].mean())) if kept.any() else (0.0, 0.0)
+        return judged(gain, *values, lost=lost)
 
     def _where(self, key: str) -> str:
         """Design or designs that a key belongs to, in words."""
@@ -210,9 +215,9 @@ def apart(one: Cell, other: Cell, *, lower: bool) -> Judged:
     return judged(PairedDifference(gain, (gain - below, gain + above)), one.mean, other.mean)
 
 
-def judged(gain: PairedDifference, one: float, other: float) -> Judged:
+def judged(gain: PairedDifference, one: float, other: float, *, lost: tuple[int, int] = (0, 0)) -> Judged:
     """Status and gain by the decision rule for deployments."""
-    evidence = Evidence("ours", "other", "these runs", Asked.GAIN, gain, (one, other), abs(other), 1, "seeds")
+    evidence = Evidence("ours", "other", "these runs", Asked.GAIN, gain, (one, other), abs(other), 1, "seeds", lost)
     return Judged(decide([evidence]).status, evidence.percent)
 
 

@@ -210,7 +210,7 @@ class MovingHorizonEstimator:
     def predict(self, belief: MovingHorizonBelief, u: ArrayLike) -> MovingHorizonBelief:
         """Belief one sample later, after inputs (n, nu)."""
         found = []
-        for window, status, row in zip(belief.windows, belief.status, as_floats("u", u)):
+        for window, status, row in zip(belief.windows, belief.status, self._inputs_of(belief, u, ahead=0)):
             mean, P = self.model.predicted(window.course[-1], row, window.course[-1], window.last)
             found.append((replace(window, course=np.vstack([window.course, mean]), last=P), status))
         return self._belief(found)
@@ -221,7 +221,16 @@ class MovingHorizonEstimator:
         if outputs.shape != (len(belief.windows), self.ny) or np.isinf(outputs).any():
             got = "infinite values" if np.isinf(outputs).any() else f"shape {outputs.shape}"
             raise InputError("y", got, f"({len(belief.windows)}, {self.ny}), finite, NaN where there is none")
-        return self._belief([self._updated(*row) for row in zip(belief.windows, outputs, as_floats("u", u))])
+        inputs = self._inputs_of(belief, u, ahead=1)
+        return self._belief([self._updated(*row) for row in zip(belief.windows, outputs, inputs)])
+
+    def _inputs_of(self, belief: MovingHorizonBelief, u: ArrayLike, *, ahead: int) -> Array:
+        """Inputs (n, nu), for states that many samples ahead of outputs."""
+        if any(len(window.course) != len(window.outputs) + ahead for window in belief.windows):
+            after = "`start` or `predict`" if ahead else "`update`"
+            cure = "Update with NaN where nothing was measured."
+            raise InputError("belief", "one out of turn", f"one after {after}", cure)
+        return as_array("u", u, (len(belief.windows), self.inputs))
 
     def _updated(self, window: Window, y: Array, u: Array) -> tuple[Window, WindowStatus]:
         """Window with one more sample, and its status."""

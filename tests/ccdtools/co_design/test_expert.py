@@ -131,6 +131,16 @@ def test_a_law_of_ones_own_is_an_expert_whose_inputs_are_imitated_at_every_desig
     np.testing.assert_allclose(data.actions[:, 0], -0.4 * np.tanh(data.inputs[:, 1]) / data.inputs[:, 2], rtol=1e-12)
 
 
+@pytest.mark.parametrize("controller", [
+    None, lambda x: None, lambda x: -x[:, :1], lambda x: np.zeros(3), lambda x: [np.nan], lambda x: [1j],
+    lambda x: "push",
+])  # fmt: skip
+def test_a_law_that_returns_no_input_is_named_and_not_said_to_diverge(illustrative, controller):
+    with pytest.raises(InputError, match="expert: got"):
+        expert_dataset(illustrative.problem(), samples=8, rng=np.random.default_rng(0), sets="none",
+                       expert=lambda problem, design: controller)  # fmt: skip
+
+
 def test_the_generator_decides(illustrative):
     a, b = (expert_dataset(illustrative.problem(), samples=10, rng=np.random.default_rng(4)) for _ in range(2))
     np.testing.assert_array_equal(a.inputs, b.inputs)

@@ -11,10 +11,13 @@ from ccdtools import (
     CVaR,
     InputError,
     LinearFeedback,
+    QuadraticObjective,
     Scenario,
     baselines,
     compare,
+    experiment,
     load_study,
+    plant_from_matrices,
     saturated_lqr,
     simulate,
 )
@@ -85,6 +88,19 @@ def test_an_unstable_plant_left_alone_diverges_and_is_counted(illustrative, cont
     assert np.isnan(passive.paired_to_lqr.mean)
     assert rows["LQR"].diverged == 0
     assert rows["LQR"].summary.n == 30
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("compares", ["compare", "experiment"])
+def test_without_a_limit_a_run_is_lost_beyond_a_thousand_half_widths_of_X_in_any_unit(unit, compares):
+    plant = plant_from_matrices([[1.5]], [[unit]], [[unit]], dt=1.0, continuous=False)
+    run = Scenario(plant, [[unit], [2 * unit]], np.zeros((15, 1)))  # 1.5¹⁵ is 438
+    given = {"objective": QuadraticObjective([[1 / unit**2]], [[1.0]]), "X": ([-0.6 * unit], [0.6 * unit])}
+    if compares == "compare":
+        lost = compare({"LQR": Passive(1)}, run, **given)["LQR"].diverged
+    else:
+        lost = experiment({"LQR": lambda p, rng: Passive(1)}, run, seeds=1, **given).records[0].cells[0].lost.mean()
+    assert lost == 0.5
 
 
 def test_violations_are_the_fraction_of_states_outside_X(illustrative, controllers, scenario):

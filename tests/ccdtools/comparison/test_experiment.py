@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import joblib
@@ -134,6 +135,14 @@ def test_a_killed_experiment_goes_on_where_it_was(tmp_path):
     assert kept < {path.name for path in tmp_path.glob("*.npz")}
 
 
+def test_threads_may_share_a_folder(tmp_path):
+    scenario = drawn(np.random.default_rng(0))
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda _: found(scenarios=scenario, folder=tmp_path), range(4)))
+    assert len({result["learned"].evidence.gain for result in results}) == 1
+    assert not list(tmp_path.glob("*.partial"))
+
+
 def test_what_is_finished_is_not_computed_again_and_what_changed_is(tmp_path):
     calls = []
     laws = {"LQR": lambda design, rng: calls.append(design) or LinearFeedback([[GAIN]])}
@@ -192,6 +201,22 @@ def test_a_missing_baseline_lets_nothing_be_better():
 
     result = found({"LQR": never, "learned": LAWS["learned"]})
     assert result.verdicts["learned", ""].startswith("open")
+
+
+def test_lost_runs_are_told_as_a_part_of_all_where_no_controller_can_be_made():
+    def never(design, rng):
+        raise InputError("gains", "none", "some")
+
+    bold = {"LQR": LAWS["LQR"], "never": never, "bold": lambda design, rng: LinearFeedback([[GAIN + 1.4]])}
+    wild = Scenario(PLANT, [[0.1], [5.0]], np.zeros((2, 15, 1)))
+    shares = {}
+    for baseline in ("LQR", "never"):
+        result = found(bold, wild, seeds=3, limit=[5.0], baseline=baseline)
+        for name in bold:
+            lost, runs = result[name].evidence.lost[0], result[name].evidence.runs
+            shares[baseline, name] = lost / runs
+    assert shares["LQR", "never"] == shares["never", "never"] == 1.0
+    assert shares["LQR", "bold"] == shares["never", "bold"] == 0.5
 
 
 def test_lost_runs_count_against_a_controller_whatever_it_gains():
@@ -419,6 +444,25 @@ def test_one_drawn_run_has_no_interval():
     cell = found(laws, start, seeds=1)["weak"]
     assert np.isnan(cell.evidence.gain.ci95).all()
     assert cell.word == "open"
+
+
+def test_one_run_whose_measurement_is_noisy_has_the_interval_that_compare_gives_it():
+    class FromOutput:
+        needs = frozenset({"output"})
+
+        def __init__(self, gain):
+            self.gain = gain
+
+        def __call__(self, x, y):
+            return -self.gain * y
+
+    noise = 0.3 * np.random.default_rng(0).standard_normal((1, 200, 1))
+    run = Scenario(PLANT, [[0.0]], np.zeros((1, 200, 1)), output=Measurement([[1.0]], noise=noise))
+    cell = found({"LQR": lambda p, rng: FromOutput(0.5), "weak": lambda p, rng: FromOutput(0.4)}, run, seeds=3)["weak"]
+    both = compare({"LQR": FromOutput(0.5), "weak": FromOutput(0.4)}, run, objective=OBJECTIVE, X=(-50, 50))
+    low, high = cell.evidence.gain.ci95
+    assert low < cell.evidence.gain.mean < high
+    assert (low, high) == pytest.approx(both["weak"].paired_to_lqr.ci95)
 
 
 def test_a_function_that_always_returns_the_same_runs_is_taken_as_these_runs():

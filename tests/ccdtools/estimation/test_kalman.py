@@ -304,3 +304,16 @@ def test_only_linear_plants_with_outputs_have_a_kalman_filter_of_their_own():
         KalmanFilter.of(linear, W=[1.0, 1.0], V=[1.0])
     with pytest.raises(InputError, match="a plant without outputs"):
         KalmanFilter.of(cc.Plant(x, u, None, None, -x, cc.DesignSpace([], [], []), 0.1), W=[1.0, 1.0], V=[1.0])
+
+
+@pytest.mark.parametrize("steady", [True, False])
+@pytest.mark.parametrize("rows", [np.zeros((2, 1)), np.zeros((3, 2)), np.zeros(3), None])
+def test_signals_of_other_runs_are_named(steady, rows):
+    own = KalmanFilter([[0.9]], [[1.0]], [[1.0]], [1.0], [1.0], P0=None if steady else [1.0], steady=steady)
+    belief, still = own.start(3), np.zeros((3, 1))
+    for name, step in (
+        ("u", lambda: own.predict(belief, rows)), ("u", lambda: own.update(belief, still, rows)),
+        ("y", lambda: own.update(belief, rows, still)), ("y", lambda: own.innovation(belief, rows, still)),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=f"^{name}: got"):
+            step()

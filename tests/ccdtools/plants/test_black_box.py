@@ -178,6 +178,14 @@ def test_what_cannot_be_an_environment_is_refused():
         from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
 
 
+@pytest.mark.parametrize("read", [
+    lambda env: None, lambda env: {}, lambda env: env.state[None], lambda env: env.state + 0j, lambda env: [np.nan, 0],
+])  # fmt: skip
+def test_what_is_no_state_of_an_environment_is_named(read):
+    with pytest.raises(InputError, match="read: got"):
+        pendulum(read=read)
+
+
 def test_a_model_with_a_wrong_mass_learns_its_error_from_the_environment():
     space = DesignSpace(["m"], [0.5], [2.0], ["kg"])
     plant = pendulum(design=space, build=lambda env, p: setattr(env, "m", p[0]))

@@ -34,7 +34,8 @@ def test_bump_stops_push_back_beyond_their_clearance_alone():
     for travel in (0.0, 0.02, 0.08, -0.08):
         free, stopped = (np.array(car.right_hand_side([0, 0, travel, 0], [0], [0], DESIGN)) for car in cars)
         pushed.append(-QuarterCar().sprung * (stopped - free)[3, 0])
-    np.testing.assert_allclose(pushed, [0.0, 0.0, 2e5 * 0.04, -2e5 * 0.04], atol=0.01 * 2e5 * 0.04)
+    squeezed = 2e5 * 0.04**2 / (0.04 + 0.008)
+    np.testing.assert_allclose(pushed, [0.0, 0.0, squeezed, -squeezed], rtol=1e-9)
 
 
 def test_a_damper_that_is_set_has_no_actuator_whose_lag_could_be_meant():

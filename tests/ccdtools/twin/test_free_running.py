@@ -142,6 +142,7 @@ def test_runs_that_run_away_are_bounded(illustrative, twin, log):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"steps": []}, r"steps: got \[\], expected at least one"),
         ({"steps": [0]}, "steps: got 0, expected a whole number"),
         ({"steps": [7000]}, r"steps: got .7000,., expected at most 6000, the longest stretch that the log offers"),
         ({"since": -1}, "since: got -1"),

@@ -1,12 +1,25 @@
 """From a log to a controller that keeps its limits, with the price; the filter and the sets that know W."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import InputError, deploy, linear_mpc, saturated_lqr
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    deploy,
+    discretise,
+    linear_mpc,
+    saturated_lqr,
+)
 from ccdtools.co_design import admissible_inputs, closed_loop_returns, feasible_sets
 from ccdtools.controllers import Filtered
-from ccdtools.twin import robust_mpc
+from ccdtools.twin import DigitalTwin, disturbance_set, robust_mpc
 from invariant_sets import Polytope
 from mpc import InfeasibleError, Status
 
@@ -55,6 +68,34 @@ def test_the_price_is_the_difference_on_common_runs(found, problem):
     assert len(again.values) == len(found.tightened.values) == len(found.nominal.values) == 20
     assert found.price.mean == pytest.approx(np.mean(found.nominal.values - found.tightened.values), abs=1e-9)
     assert "at a return of" in str(found)
+
+
+def test_w_holds_what_the_linearisation_of_a_nonlinear_model_leaves_out():
+    x, u, w = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w")
+    k, space = ca.SX.sym("k"), DesignSpace(["k"], lower=[0.5], upper=[2.0], units=["N/m"])
+    hardens = ca.vertcat(x[1], -k * x[0] - 20 * x[0] ** 3 - 0.4 * x[1] + u + w)
+    plant = Plant(x, u, w, k, hardens, space, dt=0.05)
+    X, U, gusts = ([-1, -1], [1, 1]), (-2, 2), Gaussian([0.02])
+    objective = QuadraticObjective(np.diag([10.0, 1.0]), [[0.1]])
+    own = CoDesignProblem(discretise(plant, X=X, U=U, W=(-0.1, 0.1)), X=X, U=U, objective=objective,
+                          scenarios=FixedStart([0.2, 0.0], gusts), steps=20)  # fmt: skip
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(-0.8, 0.8, (40, 2))
+    logged = deploy(plant, saturated_lqr(own, [1.0]), [1.0], gusts.sample(40, 100, rng), x0=starts)
+    robust = robust_mpc(own, [1.0], logged, rng=rng, level=0.95, runs=3)
+    A, B, _ = own.model.matrices([1.0])
+    errors = logged.states[:, 1:] - logged.states[:, :-1] @ A.T - logged.inputs @ B.T
+    assert robust.W.contains(errors.reshape(-1, 2)).mean() > 0.92
+
+
+def test_logs_of_several_designs_are_carried_to_the_newest(problem, illustrative, log):
+    law, rng = saturated_lqr(problem, P), np.random.default_rng(5)
+    draws = illustrative.real.disturbance.sample(30, 100, rng)
+    elsewhere = deploy(illustrative.real.plant, law, [2.0], draws, x0=illustrative.x0)
+    twin = DigitalTwin(problem.model).remembering(elsewhere).remembering(log)
+    W = disturbance_set(twin.carried(), level=0.95)
+    assert 0.9 < W.contains(twin.logs[1].e_next.reshape(-1, 2)).mean() < 0.99
+    assert robust_mpc(problem, P, twin.carried(), rng=rng, level=0.95, runs=2).W.equals(W, tol=1e-9)
 
 
 def test_the_robust_set_is_part_of_the_nominal_one_and_shrinks_with_the_level(found, problem):

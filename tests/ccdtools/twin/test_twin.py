@@ -146,6 +146,18 @@ def test_a_split_that_leaves_nothing_to_train_on_is_refused_by_what_was_passed(
         )  # fmt: skip
 
 
+@pytest.mark.parametrize("gap", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["states", "inputs"])
+def test_a_log_with_gaps_is_named(illustrative, gap, name):
+    log = driven(illustrative, DESIGN, 1, 100, 0)
+    values = np.array(getattr(log, name))
+    values[0, 50] = gap
+    with pytest.raises(InputError, match=f"log.{name}: got a value that is not finite"):
+        DigitalTwin(illustrative.model).update(
+            replace(log, **{name: values}), weight=illustrative.weight, rng=np.random.default_rng(0)
+        )
+
+
 def test_more_blocks_than_samples_are_as_many_as_there_are(illustrative):
     log = driven(illustrative, DESIGN, 1, 60, 0)
     twin = DigitalTwin(illustrative.model).update(

@@ -186,7 +186,7 @@ def test_the_depth_in_a_small_disc_counts_in_its_own_radius(unit):
 def test_a_limit_that_neither_state_nor_input_moves_is_no_obstacle():
     phase = Phase(
         lambda u: u, 1, 1, start=[0], end=[1], stage_cost=lambda u: u**2,
-        path=lambda t: ca.sin(3 * t) - 1 + 5e-8,
+        path=lambda x, t: ca.sin(3 * t) - 1 + 5e-8 + ca.floor(0.5 + 0.1 * x),
     )  # fmt: skip
     found = solve(build(phase, intervals=60))
     assert found.status is OptimalControlStatus.SOLVED

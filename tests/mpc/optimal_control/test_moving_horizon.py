@@ -151,3 +151,22 @@ def test_wrong_outputs_are_named(y):
     estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **WALK)
     with pytest.raises(InputError, match=r"^y: "):
         estimator.update(estimator.start(1), y, NO_INPUT)
+
+
+@pytest.mark.parametrize("u", [np.zeros((2, 1)), np.zeros((3, 2)), np.zeros(3), np.full((3, 1), np.nan)])
+def test_wrong_inputs_are_named_and_no_run_is_left_out(u):
+    estimator = MovingHorizonEstimator(lambda x, u, w: x + u + w, lambda x: x, 1, 1, **WALK)
+    y, still = np.zeros((3, 1)), np.zeros((3, 1))
+    begun = estimator.update(estimator.start(3), y, still)
+    for step in (lambda: estimator.predict(begun, u), lambda: estimator.update(estimator.predict(begun, still), y, u)):
+        with pytest.raises(InputError, match=r"^u: "):
+            step()
+
+
+def test_beliefs_out_of_turn_are_named():
+    estimator = MovingHorizonEstimator(lambda x, w: x + w, lambda x: x, 1, 0, **WALK)
+    begun = estimator.update(estimator.start(1), [[0.0]], NO_INPUT)
+    with pytest.raises(InputError, match="belief: got one out of turn, expected one after `start` or `predict`"):
+        estimator.update(begun, [[0.0]], NO_INPUT)
+    with pytest.raises(InputError, match=r"belief: got one out of turn, expected one after `update`\. Update with NaN"):
+        estimator.predict(estimator.predict(begun, NO_INPUT), NO_INPUT)

@@ -39,8 +39,9 @@ def designs(n, own, rng):
 @pytest.mark.parametrize("n", RUNS)
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("disturbed", [False, True])
-def test_a_step_of_any_number_of_runs_is_that_of_casadi(n, own, disturbed, rng):
-    model = SampledModel(winding(disturbed=disturbed), 0.1, substeps=3)
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_step_of_any_number_of_runs_is_that_of_casadi(n, own, disturbed, compiled, rng):
+    model = SampledModel(winding(disturbed=disturbed), 0.1, substeps=3, compiled=compiled)
     x, u, w = drawn(model, n, rng)
     p = designs(n, own, rng)
     expected = np.array([model.step(*one).full()[:, 0] for one in zip(x, u, w, np.broadcast_to(p, (n, 2)))])
@@ -49,8 +50,9 @@ def test_a_step_of_any_number_of_runs_is_that_of_casadi(n, own, disturbed, rng):
 
 @pytest.mark.parametrize("n", RUNS)
 @pytest.mark.parametrize("own", [False, True])
-def test_slopes_of_any_number_of_runs_are_those_of_casadi(n, own, rng):
-    model = SampledModel(winding(), 0.1, substeps=3)
+@pytest.mark.parametrize("compiled", [False, True])
+def test_slopes_of_any_number_of_runs_are_those_of_casadi(n, own, compiled, rng):
+    model = SampledModel(winding(), 0.1, substeps=3, compiled=compiled)
     x, u, w = drawn(model, n, rng)
     p = designs(n, own, rng)
     factor = rng.standard_normal((n, 3))
@@ -79,3 +81,28 @@ def test_several_threads_may_step_one_model_with_many_numbers_of_runs(rng):
 
     with ThreadPoolExecutor(6) as pool:
         assert not any(pool.map(differs, rng.choice(list(given), 3000)))
+
+
+def test_compiled_operations_are_those_of_casadi_for_any_number():
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u")
+    a, b = x[0], x[1]
+    unary = [ca.exp, ca.log, ca.sqrt, ca.tan, ca.asin, ca.acos, ca.atan, ca.sinh, ca.cosh, ca.tanh, ca.asinh, ca.acosh,
+             ca.atanh, ca.fabs, ca.sign, ca.floor, ca.ceil, ca.log1p, ca.expm1, ca.logic_not]  # fmt: skip
+    binary = [ca.fmin, ca.fmax, ca.atan2, ca.hypot, ca.copysign, ca.fmod, ca.remainder, ca.power, ca.logic_and,
+              ca.logic_or, ca.lt, ca.le, ca.eq, ca.ne, lambda a, b: 1 / a - b,
+              lambda a, b: ca.if_else(a, b, 3)]  # fmt: skip
+    values = [f(a) for f in unary] + [f(a, b) for f in binary]
+    state = ca.SX.sym("s", len(values))
+    function = ca.Function("all", [state, ca.vertcat(x, u)], [ca.vertcat(*values)])
+    drive = ca.SX.sym("u", 3)
+    plant = Plant(
+        state, drive, ca.SX(0, 1), ca.SX(0, 1), function(state, drive), DesignSpace([], lower=[], upper=[]), dt=1.0,
+        continuous=False,
+    )  # fmt: skip
+    given = np.array([0.0, -0.0, 0.3, -0.3, 1.0, -2.5, 2.5, 7.0, np.nan])
+    u = np.array([(one, other, 0.0) for one in given for other in given])
+    x, w = np.zeros((len(u), len(values))), np.zeros((len(u), 0))
+    found, expected = (
+        SampledModel(plant, 1.0, compiled=compiled).advance(x, u, w, np.zeros(0)) for compiled in (True, False)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-300)

@@ -128,6 +128,23 @@ def test_laws_on_the_same_runs_are_compared_in_pairs():
     assert found.beside("free-1.ours", "nowhere", fresh=True, lower=False) is None
 
 
+def test_a_law_that_loses_more_runs_is_not_better_by_the_others():
+    base = np.random.default_rng(0).normal(-10.0, 1.0, (3, 50))
+    ours = base + 1.0
+    ours[:, :25] = np.nan
+    ours[0] = np.nan
+
+    def beside(one, two):
+        seeds = tuple({"free-1.ours": a, "free-1.lqr": b} for a, b in zip(one, two))
+        return Found(seeds, {}, (), NOTHING.space)
+
+    found = beside(ours, base)
+    assert found.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False).word("equal").startswith("loses more")
+    assert found.cell("free-1.ours", fresh=True).at == "66.67% of the runs lost"
+    nowhere = beside(ours, base * np.nan)
+    assert nowhere.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False).word("equal") == "equal: n/a"
+
+
 def test_every_figure_of_the_paper_has_its_row():
     for case, figures in PAPER.items():
         shown = {line.paper or line.key for line in lines_of(case)}

@@ -96,6 +96,23 @@ def test_wrong_calls_are_named(given, says):
         disturbance_set(**{"logs": errors(np.random.default_rng(0), 1, 500), **given})
 
 
+def test_errors_in_a_direction_that_was_flat_before_are_held():
+    drawn = np.random.default_rng(5).standard_normal((5, 400, 2))
+    drawn[:4, :, 1] = 0.0  # the last run, which calibrates, has errors of this state, too
+    still = np.zeros_like(drawn)
+    W = disturbance_set(Residuals(still, still, still[..., :1], np.ones(1), drawn), level=0.9)
+    assert W.contains(drawn[4]).mean() >= 0.9
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_errors_that_are_no_numbers_are_named(value):
+    log = errors(np.random.default_rng(0), 1, 500)
+    broken = log.e_next.copy()
+    broken[0, 3, 1] = value
+    with pytest.raises(InputError, match="e_next"):
+        disturbance_set(Residuals(log.e, log.x, log.u, log.p, broken))
+
+
 def test_logs_of_two_designs_are_refused():
     log = errors(np.random.default_rng(0), 1, 500)
     other = Residuals(log.e, log.x, log.u, 2 * log.p, log.e_next)

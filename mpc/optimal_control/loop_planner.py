@@ -1,0 +1,269 @@
+"""Plans of a phase from sample to sample, each confirmed by the program's own conditions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mpc.budgets import ASIDE
+from mpc.checks import Array, as_array, as_floats
+from mpc.exceptions import InputError
+from mpc.optimal_control.bounds import as_number
+from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.functions import compiled
+from mpc.optimal_control.interval import first_guess
+from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
+from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.program import NonlinearProgram, rescaled
+from mpc.optimal_control.solution import OptimalControlStatus
+from mpc.optimal_control.solving import Run, as_settings, status_of
+from mpc.plan import Plan, Status
+from mpc.rollout import Given, finite, no_faster
+from mpc.tolerances import FEASIBLE, INTERIOR_POINT, KKT, VIOLATION_PRICE as PRICE
+
+RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
+ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """Result of a solve, its cost and largest violation."""
+
+    found: Found
+    cost: float
+    violation: float  # of a limit of states, in sizes of its row
+
+    @property
+    def status(self) -> Status:
+        """Status: an optimum only where its own conditions hold, and all limits."""
+        if status_of(self.found) is OptimalControlStatus.SOLVED:
+            return Status.SOLVED if self.violation <= FEASIBLE else Status.SOFTENED
+        feasible = max(self.violation, self.found.residuals.primal) <= FEASIBLE and np.isfinite(self.cost)
+        return Status.INACCURATE if feasible else Status.REPLACED
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Rank: optima by their cost, softened ones and others by their violation."""
+        worth = self.cost if self.status is Status.SOLVED else self.violation + self.found.residuals.primal
+        return RANKS.index(self.status), worth if np.isfinite(worth) else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class LoopPlanner:
+    """Plans of a phase for parameters p (np,), by Ipopt.
+
+    They begin at the plan before, or at so many `starts`. Where hard limits of states cannot be kept, their violations
+    get a price, and the plan is SOFTENED.
+    """
+
+    loop: LoopPhase
+    p: Array
+    most: int
+    starts: int
+    time_limit: float
+
+    def __post_init__(self) -> None:
+        settings = self._settings
+        if np.isfinite(self.time_limit):  # made before a clock runs
+            for options in ({}, WARM):
+                solver_of(self.loop.program, replace(settings, options=options))
+        _ = self.loop.program
+
+    @property
+    def _settings(self) -> Settings:
+        """Settings of every call of the solver."""
+        return replace(as_settings(1e-8, self.most, self.time_limit, None), each=True)
+
+    @cached_property
+    def model(self) -> DiscreteModel:
+        """Next state of (x, u, w) and parameters (p, t)."""
+        loop = self.loop
+        sizes = {"x": loop.phase.states, "u": loop.phase.inputs, "w": loop.functions.nw, "p": len(self.p) + 1}
+        step = compiled("dynamics", lambda x, u, w, p: loop.step(x, u, w, p[:-1], p[-1], 0 * u)[0], sizes)
+        return DiscreteModel(step, loop.horizon)
+
+    def signals(self, stated: dict[str, Any]) -> Given:
+        """Checked signals of a sample."""
+        loop, N, nw, nu = self.loop, self.loop.horizon, self.loop.functions.nw, self.loop.phase.inputs
+        known = {"w": nw > 0, "u_prev": loop.carries, "t": loop.timed, "time": loop.timed}
+        given = {name: value for name, value in stated.items() if value is not None}
+        if "time" in given and loop.timed:  # the number of the sample
+            given["t"] = loop.phase.start_time + loop.dt * as_number("time", given["time"], "a number", lambda _: True)
+        strange = next((name for name in given if not known.get(name)), None)
+        if strange is not None:
+            names = ", ".join(name for name, there in known.items() if there)
+            raise InputError(strange, "a signal", f"{names or 'none'}: nothing in the phase depends on {strange}")
+        missing = next((name for name in ASKED if known[name] and name not in given), None)
+        if missing is not None:
+            raise InputError(missing, "nothing", ASKED[missing], f"The phase depends on it: pass {missing}=….")
+        t = as_number("t", given.get("t", loop.phase.start_time), "a finite number", lambda _: True)
+        w = as_floats("w", given.get("w", loop.signal(t)))
+        w = np.tile(w, (N + 1, 1)) if w.ndim <= 1 else np.vstack([w, w[-1:]]) if len(w) == N else w
+        return {
+            "t": np.array([t]), "u_prev": as_array("u_prev", given.get("u_prev", np.zeros(nu)), (nu,)),
+            "w": as_array("w", w, (N + 1, nw)),
+        }  # fmt: skip
+
+    def each(self, stated: dict[str, Any], n: int) -> list[Given]:
+        """Signals of n states, common or one entry for each."""
+        more = {"u_prev": 2, "t": 1, "w": 3}
+        rows = [name for name, value in stated.items() if value is not None and np.ndim(value) == more.get(name)]
+        short = next((name for name in rows if len(stated[name]) != n), None)
+        if short is not None:
+            raise InputError(short, f"{len(stated[short])} of them", f"{n}, one for each state")
+        return [self.signals(stated | {name: stated[name][i] for name in rows}) for i in range(n)]
+
+    def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
+        """Plan from a state, begun at another or at several places."""
+        program = self._sample(x, given)
+        run = Run(program, self._settings)
+        tried: list[_Tried] = []
+        softened = before is not None and before.status is Status.SOFTENED  # from all starts, a sample ago
+        if before is not None:
+            v = self._unknowns(program, before.states, before.inputs, given)
+            tried.append(self._solved(run, program, v, PRICE, warm=True))
+        if not tried or tried[0].status not in RANKS[: 1 + softened]:
+            guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
+            tried += self._from_starts(run, program, guesses, 0.0)
+            if not run.late and all(one.status is not Status.SOLVED for one in tried):
+                tried += self._from_starts(run, program, guesses, PRICE)
+        best = min(tried, key=lambda one: one.rank)
+        if best.violation > KKT and best.status in RANKS[:2] and not run.late:  # the price may be too low
+            dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
+            best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
+        if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
+            cure = "Bound states and inputs, or price them."
+            raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
+        return self._packed(best, run, x, given, before)
+
+    def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
+        """States and inputs that the solver comes to, or None.
+
+        Whatever they are, they begin at others, unless these are no numbers.
+        """
+        if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
+            return None
+        program = replace(self._sample(x, given), cost_scale=cost)
+        settings = replace(self._settings, tolerance=INTERIOR_POINT)
+        found = once(program, self._unknowns(program, states, inputs, given), None, settings)
+        nodes, own, _, _ = program.parts[0].unknowns(found.v)
+        return nodes[: len(x)].T.copy(), own.T.copy()
+
+    def shifted(self, plan: Plan, given: Given) -> Plan:
+        """Plan one sample later, with the last input held."""
+        last = self._next(plan.states[-1], plan.inputs[-1], given, self.loop.horizon - 1)
+        return replace(plan, inputs=np.vstack([plan.inputs[1:], plan.inputs[-1]]),
+                       states=np.vstack([plan.states[1:], last]))  # fmt: skip
+
+    def _from_starts(self, run: Run, program: NonlinearProgram, guesses: list[Array], price: float) -> Iterator[_Tried]:
+        """Results from unknowns, as long as there is time."""
+        for v in guesses:
+            yield self._solved(run, program, v, price, warm=False)
+            if run.late:
+                return
+
+    def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
+        """Result from unknowns, with limits of states at a price.
+
+        The price is in sizes of cost and rows; at 0 they are hard.
+        """
+        first, rows = self.loop.violations, self.loop.given_rows
+        sized = rescaled(program, v)
+        lower, upper, scale = sized.lower.copy(), sized.upper.copy(), sized.scale.copy()
+        own, prices = slice(first, first + len(rows)), slice(first + len(rows), None)
+        lower[prices] = upper[prices] = price * sized.cost_scale / sized.row_scale[rows]
+        upper[own], scale[own] = np.inf if price else 0.0, sized.row_scale[rows] / PRICE
+        run.program = replace(sized, lower=lower, upper=upper, scale=scale)
+        found = run.solved(np.clip(v, lower, upper), None, warm=warm, as_sized=True)
+        return _Tried(found, *self._worth(run.program, found.v))
+
+    def _worth(self, program: NonlinearProgram, v: Array) -> tuple[float, float]:
+        """Cost of unknowns, and the largest violation of a limit of states in sizes of its row."""
+        hard = np.concatenate([v[: self.loop.violations], np.zeros(len(v) - self.loop.violations)])
+        cost, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(hard))
+        over = np.maximum(g - program.row_upper, program.row_lower - g) / program.row_scale
+        return float(cost[0]), float(over[self.loop.may_give].max(initial=0.0))
+
+    def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
+        """States and inputs of the starts.
+
+        The phase's guess, else the state held; the straight way to its end; where inputs by chance lead to.
+        """
+        phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
+        states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
+        part = self.loop.program.parts[0]
+        size = self.loop.program.scale[part.first + part.layout.nx :][: phase.inputs]
+        low, high = np.maximum(phase.u_bounds[0], -size), np.minimum(phase.u_bounds[1], size)
+        aside = np.clip(inputs[:-1] + rng.uniform(-ASIDE, ASIDE, (N, phase.inputs)) * size, *phase.u_bounds)
+        yield states if phase.guess is not None else np.tile(x, (N + 1, 1)), aside
+        way = np.linspace(0, 1, N + 1)[:, None]
+        if self.starts > 1:
+            yield (1 - way) * x + way * states[-1], aside
+        for _ in range(2, self.starts):
+            pieces = rng.uniform(low, high, (1 + N // 5, phase.inputs))
+            inputs = np.repeat(pieces, 5, axis=0)[:N]
+            yield self._led_to(x, inputs, given), inputs
+
+    def _led_to(self, x: Array, inputs: Array, given: Given) -> Array:
+        """States (N + 1, nx) that inputs lead to, finite."""
+        states = np.tile(x, (len(inputs) + 1, 1))
+        for k, u in enumerate(inputs):
+            states[k + 1] = self._next(states[k], u, given, k)
+        return states
+
+    def _next(self, x: Array, u: Array, given: Given, k: int) -> Array:
+        """Next state after step k of a sample, finite."""
+        t = given["t"] + k * self.loop.dt
+        return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
+
+    def _sample(self, x: Array, given: Given) -> NonlinearProgram:
+        """Program of one sample."""
+        program, nx, nw = self.loop.program, self.loop.phase.states, self.loop.functions.nw
+        part, lower, upper = program.parts[0], program.lower.copy(), program.upper.copy()
+        signal = part.first + nx + part.layout.column * np.arange(self.loop.horizon + 1)[:, None] + np.arange(nw)
+        first = np.concatenate([x, given["w"][0], given["u_prev"][: part.layout.nx - nx - nw]])
+        for bounds in (lower, upper):
+            bounds[signal] = given["w"]
+            bounds[part.first : part.first + len(first)] = first
+            bounds[program.parameters] = np.concatenate([self.p, given["t"]])
+        return replace(program, lower=lower, upper=upper, guess=np.clip(program.guess, lower, upper))
+
+    def _unknowns(self, program: NonlinearProgram, states: Array, inputs: Array, given: Given) -> Array:
+        """Unknowns of a plan, without violations."""
+        v, part = program.guess.copy(), program.parts[0]
+        last = [np.vstack([given["u_prev"], inputs])] * self.loop.carries
+        z = np.hstack([states, given["w"], *last])
+        v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
+        return np.clip(v, program.lower, program.upper)
+
+    def _packed(self, best: _Tried, run: Run, x: Array, given: Given, before: Plan | None) -> Plan:
+        """Plan of a result, or the best that was reached instead."""
+        part, nx, name = self.loop.program.parts[0], self.loop.phase.states, "Ipopt"
+        status, cost, violation = Status.LATE if run.late else best.status, best.cost, best.violation
+        nodes, own, _, _ = part.unknowns(best.found.v)
+        states, inputs = nodes[:nx].T.copy(), own.T.copy()
+        if best.status is Status.REPLACED:
+            guess = first_guess(self.loop.phase)(np.linspace(0, 1, len(inputs) + 1))[1][:-1]
+            other = ("guess", guess) if before is None else ("shifted plan", before.inputs)
+            found = [self._simulated(run.program, x, one, given) for one in (other[1], inputs)]
+            chosen = int(np.argmin([part[0] for part in found]))
+            _, cost, violation, states, inputs = found[chosen]
+            name = name if chosen else other[0]
+            status = Status.INACCURATE if chosen and status is Status.REPLACED else status
+        took = time.perf_counter() - run.began
+        return Plan(inputs, finite(states), cost, status, best.found.residuals, violation, took, name)
+
+    def _simulated(self, program: NonlinearProgram, x: Array, inputs: Array,
+                   given: Given) -> tuple[float, float, float, Array, Array]:  # fmt: skip
+        """Total, cost and violation of inputs, with the states that they lead to, and themselves."""
+        if self.loop.rate_limit is not None:
+            inputs = no_faster(inputs, given["u_prev"], self.loop.rate_limit, np.zeros(len(inputs), dtype=bool))
+        states = self._led_to(x, inputs, given)
+        cost, violation = self._worth(program, self._unknowns(program, states, inputs, given))
+        total = cost + PRICE * program.cost_scale * violation
+        return total if np.isfinite(total) else np.inf, cost, violation, states, inputs
