@@ -21,7 +21,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.error_set import disturbance_set
 from ccdtools.twin.residuals import residuals
-from invariant_sets import Polytope, SetResult
+from invariant_sets import Polytope, SetResult, Status
 from mpc import LinearMPC
 
 
@@ -38,7 +38,8 @@ class RobustMPC:
     level : float
         Share of the errors within W.
     nominal_set, robust_set : SetResult
-        States that some input keeps within X for ever, without errors and whatever errors of W do.
+        States that some input keeps within X for ever, without errors and whatever errors of W do; where none were
+        found in time, the terminal set of `controller`, which is a part of both.
     nominal, tightened : ClosedLoopReturns
         Returns and violations of MPC without and with W, on the same scenarios of the problem.
     """
@@ -65,10 +66,12 @@ class RobustMPC:
     def __str__(self) -> str:
         """Price, violations and volume in a sentence."""
         low, high = self.price.ci95
+        stopped = [one.status.name for one in (self.nominal_set, self.robust_set) if one.status is not Status.CONVERGED]
+        so_far = f" as far as it was found ({stopped[0]})" if stopped else ""
         return (
             f"{self.level:.4g} of the errors are allowed for at a return of {self.price.mean:.4g} "
             f"[{low:.4g}, {high:.4g}] less; states outside X: {self.tightened.outside:.3%}, without "
-            f"{self.nominal.outside:.3%}; volume left of X_fea: {self.volume_left:.1%}"
+            f"{self.nominal.outside:.3%}; volume left of X_fea{so_far}: {self.volume_left:.1%}"
         )
 
     def __repr__(self) -> str:
@@ -122,6 +125,8 @@ def robust_mpc(
         )
     controllers = [linear_mpc(problem, p, horizon=horizon, W=one) for one in (None, W)]
     sets = [replace(feasible_sets(problem, W=one), time_limit=SET_SECONDS).result(p) for one in (None, W)]
+    terminal = Polytope(*controllers[1].terminal_rows)
+    sets = [replace(one, set=terminal) if one.set.is_empty else one for one in sets]
     returns = [
         closed_loop_returns(problem, controller, p, np.random.default_rng(seed), runs=runs)
         for controller in controllers
