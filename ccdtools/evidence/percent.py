@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from ccdtools.tolerances import NOT_WORSE, SAME_RETURN
@@ -78,8 +79,8 @@ def in_measure(measure: str) -> str:
 
 
 def with_minus(text: str) -> str:
-    """Text with typographic minus signs."""
-    return text.replace("-", "−")
+    """Text with typographic minus signs before its numbers."""
+    return re.sub(r"-(?=[\d.]|inf)", "−", text)
 
 
 def _finite(value: float | None) -> bool:

@@ -242,11 +242,10 @@ def _phrase(results: Results, generation: Mapping[str, Any], *, moved: bool) -> 
         return "" if moved else f"{name} left the design where it was"
     delivery = generation["delivery"]
     if not delivery["replaces"]:
-        why = delivery["status"] if delivery.get("breach") else "worse"
         if delivery.get("carried"):
             updates = f"the updates of generation {delivery['former']}"
-            return f"{name} rolled {updates} back, which a whole deployment showed to be {why}"
-        return f"{name} was rolled back: it was {why}"
+            return f"{name} rolled {updates} back after a whole deployment: {delivery['status']}"
+        return f"{name} was rolled back: {delivery['status']}"
     if redesign["accepted"] and redesign["chosen"].startswith(FORMER):
         return f"{name} returned to {redesign['chosen'].removeprefix(FORMER)}"
     if moved:

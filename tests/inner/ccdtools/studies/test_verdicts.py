@@ -3,7 +3,7 @@
 import pytest
 
 from ccdtools.co_design.result import CoDesignStatus
-from ccdtools.evidence.percent import number, percent_interval, share, signed_percent
+from ccdtools.evidence.percent import number, percent_interval, share, signed_percent, with_minus
 from ccdtools.studies.report.gains import held_out_rows
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.report.summary import next_steps
@@ -31,6 +31,10 @@ def test_fractions_are_shown_in_per_cent():
 )
 def test_changes_are_shown_without_false_digits(percent, text):
     assert signed_percent(percent) == text
+
+
+def test_minus_signs_stand_before_numbers_alone():
+    assert with_minus("MPC, offset-free: mean -131.3 [-inf, -.5]") == "MPC, offset-free: mean −131.3 [−inf, −.5]"
 
 
 @pytest.mark.parametrize(
@@ -112,6 +116,15 @@ def test_the_headline_says_what_came_out(results, sentence):
 )  # fmt: skip
 def test_a_fiftieth_of_a_change_goes_unmentioned(lqr, learned, origin):
     assert origin in headline(outcome(100.0, lqr, learned))
+
+
+@pytest.mark.parametrize("status", ["worse", "not better"])
+def test_the_headline_calls_no_generation_worse_that_was_not_shown_to_be(status):
+    results = outcome(100, 42, 40, accepted=True, moved=True, ends=(1.9, 2.1))
+    third = {**results["generations"][1], "generation": 3, "delivery": {"replaces": False, "status": status}}
+    results["generations"].append(third)
+    results["comparison"] += [row | {"generation": 3} for row in results["comparison"] if row["generation"] == 2]
+    assert headline(results).endswith(f"Generation 2 moved the design to p = 3; generation 3 was rolled back: {status}.")
 
 
 def test_the_headline_tells_a_redesign_from_the_policy():
