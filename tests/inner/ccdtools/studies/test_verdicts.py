@@ -124,7 +124,9 @@ def test_the_headline_calls_no_generation_worse_that_was_not_shown_to_be(status)
     third = {**results["generations"][1], "generation": 3, "delivery": {"replaces": False, "status": status}}
     results["generations"].append(third)
     results["comparison"] += [row | {"generation": 3} for row in results["comparison"] if row["generation"] == 2]
-    assert headline(results).endswith(f"Generation 2 moved the design to p = 3; generation 3 was rolled back: {status}.")
+    assert headline(results).endswith(
+        f"Generation 2 moved the design to p = 3; generation 3 was rolled back: {status}."
+    )
 
 
 def test_the_headline_tells_a_redesign_from_the_policy():
