@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.linalg import qr
 from scipy.stats import rankdata
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, as_share, finite, shown
+from ccdtools.checks import as_share, finite
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.budgets import BLOCKS
-from ccdtools.twin.residuals import Residuals, block_parts, check_errors, of_linearisation, stacked
+from ccdtools.twin.residuals import Logs, block_parts, check_errors, errors_of, of_linearisation, stacked
 from ccdtools.twin.tolerances import HELD_OUT
 from invariant_sets import Polytope
 from learning.conformal import Conformal, samples_needed
 
 
 def disturbance_set(
-    logs: Residuals | Sequence[Residuals], *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS,
+    logs: Logs, *, level: float = 0.99, held_out: float = HELD_OUT, blocks: int = BLOCKS,
     model: Model | None = None,
 ) -> Polytope:  # fmt: skip
     """Set W of one-step errors at a level.
@@ -35,8 +33,8 @@ def disturbance_set(
 
     Parameters
     ----------
-    logs : Residuals, or a sequence of them at one design
-        `twin.logs`, or `twin.carried()` for several designs.
+    logs : Trajectory or Residuals, or a sequence of them at one design
+        From `deploy`, with `model`; or `twin.logs`, or `twin.carried()` for several designs.
     level : float
         Share of the errors within the set, in (0, 1).
     held_out : float
@@ -61,11 +59,8 @@ def disturbance_set(
     ----------
     Vovk, Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005 (split conformal prediction).
     """
-    given = [logs] if isinstance(logs, Residuals) else logs
-    if not isinstance(given, list | tuple) or not given:
-        raise InputError("logs", shown(logs), "Residuals, from residuals(model, log), or several")
+    given = errors_of(logs, model)
     for i, log in enumerate(given):
-        as_instance(f"logs[{i}]", log, Residuals, "Residuals")
         finite(f"logs[{i}].e_next", log.e_next)
         if not np.array_equal(log.p, given[0].p):
             got = f"design {log.p} beside {given[0].p}"

@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, shown
+from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import LinearFeedback
-from ccdtools.exceptions import InputError
 from ccdtools.twin.budgets import RIDGES
-from ccdtools.twin.residuals import Residuals, check_errors
+from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of
 from ccdtools.twin.transport import carried
 from mpc import lqr
 
 
-def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Sequence[Residuals]) -> LinearFeedback:
+def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> LinearFeedback:
     """LQR with an offset, of the affine model that explains logs best.
 
     The one-step errors of the nominal model are fitted by (ΔA, ΔB, c), each state by ridge regression towards no change
@@ -30,7 +29,8 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Sequence[R
     problem : CoDesignProblem
     design : (np,) array_like
         Logs of other designs are carried to it.
-    logs : sequence of Residuals
+    logs : Trajectory or Residuals, or a sequence of them
+        From `deploy`, or `twin.logs`.
 
     Raises
     ------
@@ -46,13 +46,12 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Sequence[R
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
-    if not isinstance(logs, list | tuple) or not logs:
-        raise InputError("logs", shown(logs), "at least one log, from residuals(model, log)")
-    for i, log in enumerate(logs):
-        check_errors(f"logs[{i}]", problem.model, as_instance(f"logs[{i}]", log, Residuals, "Residuals"))
+    errors = errors_of(logs, problem.model)
+    for i, log in enumerate(errors):
+        check_errors(f"logs[{i}]", problem.model, log)
     A, B, _ = problem.model.matrices(p)
     dA, dB, c = fitted_change(
-        [carried(problem.model, log, p, problem.state_scale) for log in logs], problem.state_scale
+        [carried(problem.model, log, p, problem.state_scale) for log in errors], problem.state_scale
     )
     A, B = A + dA, B + dB
     weights = problem.weights(p).keywords()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
-from ccdtools.checks import as_floats, as_instance, finite
+from ccdtools.checks import as_floats, as_instance, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
@@ -102,6 +103,19 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
     e_next = x[:, 1:] - model.undisturbed(log.design)(x[:, :-1], u)
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
+
+
+Logs: TypeAlias = Trajectory | Residuals | Sequence[Trajectory | Residuals]
+
+
+def errors_of(logs: Logs, model: Model | None) -> list[Residuals]:
+    """Errors along one log or several, given as trajectories or errors."""
+    given = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not given:
+        raise InputError("logs", shown(logs), "at least one log, a Trajectory or Residuals")
+    known = [residuals(model, one) if isinstance(one, Trajectory) and model is not None else one for one in given]
+    kinds = "a Trajectory, or Residuals" if model is not None else "Residuals; with `model=` a Trajectory, too"
+    return [as_instance(f"logs[{i}]", one, Residuals, kinds) for i, one in enumerate(known)]
 
 
 def of_linearisation(model: Model, errors: Residuals) -> Residuals:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +16,8 @@ from ccdtools.co_design.expert import feasible_sets
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
-from ccdtools.trajectory import Trajectory
 from ccdtools.twin.error_set import disturbance_set
-from ccdtools.twin.residuals import residuals
+from ccdtools.twin.residuals import Logs, errors_of
 from invariant_sets import Polytope, SetResult, Status
 from mpc import LinearMPC
 
@@ -79,7 +76,7 @@ class RobustMPC:
 
 
 def robust_mpc(
-    problem: CoDesignProblem, design: ArrayLike, logs: Any, *, rng: np.random.Generator, level: float = 0.99,
+    problem: CoDesignProblem, design: ArrayLike, logs: Logs, *, rng: np.random.Generator, level: float = 0.99,
     horizon: int = HORIZON, runs: int | None = None,
 ) -> RobustMPC:  # fmt: skip
     """Controller whose limits hold under a log's errors, with price.
@@ -116,8 +113,7 @@ def robust_mpc(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     seed = int(as_generator("rng", rng).integers(2**63))
     p = problem.design.check_one(design)
-    given: Sequence[Any] = logs if isinstance(logs, list | tuple) else [logs]
-    errors = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
+    errors = errors_of(logs, problem.model)
     W = disturbance_set(errors, level=level, model=problem.model)
     if not np.array_equal(errors[0].p, p):
         raise InputError(

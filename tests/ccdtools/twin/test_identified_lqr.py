@@ -19,7 +19,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )  # fmt: skip
-from ccdtools.twin import DigitalTwin, identified_lqr
+from ccdtools.twin import DigitalTwin, disturbance_set, identified_lqr
 
 DESIGN, Q, R = [2.0, 0.5], np.eye(2), np.array([[0.1]])
 
@@ -134,3 +134,15 @@ def test_a_gain_with_an_offset():
     for wrong in ([1.0, 2.0], [np.nan]):
         with pytest.raises(InputError, match="offset"):
             LinearFeedback([[1.0, 2.0]], offset=wrong)
+
+
+def test_logs_are_taken_as_they_were_deployed():
+    problem, rng = problem_of(), np.random.default_rng(0)
+    log = deploy(oscillator(1.6, 0.4), wandering, DESIGN, 0.1 * rng.standard_normal((8, 200, 1)), x0=[1.0, 0.0])
+    errors = DigitalTwin(problem.model).remembering(log).logs
+    for given in (log, [log]):
+        assert identified_lqr(problem, DESIGN, given).K.tolist() == identified_lqr(problem, DESIGN, errors).K.tolist()
+        W = disturbance_set(given, level=0.9, model=problem.model)
+        assert W.volume == disturbance_set(errors, level=0.9, model=problem.model).volume
+    with pytest.raises(InputError, match=r"logs\[0\].*with `model=` a Trajectory, too"):
+        disturbance_set(log)
