@@ -130,6 +130,16 @@ def test_signals_parameters_and_references_change_from_sample_to_sample():
     assert law.solve([0, 0], t=1.0).cost < other.solve([0, 0], t=1.0).cost
 
 
+@pytest.mark.parametrize("far", [1.0, 1e6, 1e9])
+def test_what_is_given_has_no_part_in_the_sizes_of_cost_and_limits(far):
+    plan = NonlinearMPC(push(stage_cost=lambda x, u, p: cost(x, u) + 1e-6 * p**2), p=[far]).solve([1.0, 0.5])
+    assert plan.inputs == pytest.approx(NonlinearMPC(push()).solve([1.0, 0.5]).inputs, abs=1e-6)
+    late = push(path=lambda x, t: t - far + 5 - x[1], start_time=far)  # speeds of 5, which no input reaches
+    plan = NonlinearMPC(late).solve([1.0, 0.0], t=far)
+    assert plan.status is Status.SOFTENED
+    assert plan.violation > 1e-3
+
+
 def test_changes_of_inputs_are_limited_and_priced_from_the_last_input_on():
     phase = push(stage_cost=lambda x, u, u_prev: ca.sumsqr(x) + 3 * (u - u_prev) ** 2)
     law = NonlinearMPC(phase, rate_limit=0.2)
