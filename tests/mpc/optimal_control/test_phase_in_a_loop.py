@@ -140,6 +140,22 @@ def test_what_is_given_has_no_part_in_the_sizes_of_cost_and_limits(far):
     assert plan.violation > 1e-3
 
 
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_states_without_bounds_are_planned_in_any_unit(unit):
+    """A boat whose heading no input turns at rest."""
+
+    def sail(x, u):
+        x = x / unit
+        return unit * (x + 0.2 * ca.vertcat(x[3] * ca.cos(x[2]), x[3] * ca.sin(x[2]), u[1] * x[3], u[0] - 0.2 * x[3]))
+
+    stated = {"duration": 10, "discrete": True, "u_bounds": (-1, 1)}
+    boat = Phase(sail, 4, 2, stage_cost=lambda x, u: ca.sumsqr(x / unit) + 0.1 * ca.sumsqr(u), **stated)
+    spelt = Phase(lambda x, u: sail(unit * x, u) / unit, 4, 2, stage_cost=lambda x, u: cost(x, 0) + 0.1 * ca.sumsqr(u),
+                  **stated)  # fmt: skip
+    start = np.array([0.8, -0.8, -0.9, -0.5])
+    assert NonlinearMPC(boat).solve(unit * start).cost == pytest.approx(NonlinearMPC(spelt).solve(start).cost, rel=1e-6)
+
+
 def test_changes_of_inputs_are_limited_and_priced_from_the_last_input_on():
     phase = push(stage_cost=lambda x, u, u_prev: ca.sumsqr(x) + 3 * (u - u_prev) ** 2)
     law = NonlinearMPC(phase, rate_limit=0.2)
