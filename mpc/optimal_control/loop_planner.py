@@ -120,6 +120,11 @@ class LoopPlanner:
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or at several places."""
+        with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
+            return self._planned(x, given, before)
+
+    def _planned(self, x: Array, given: Given, before: Plan | None) -> Plan:
+        """Plan, the best of what was tried."""
         program = self._sample(x, given)
         run = Run(program, self._settings)
         tried: list[_Tried] = []

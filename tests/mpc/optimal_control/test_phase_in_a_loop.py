@@ -221,6 +221,17 @@ def test_where_nothing_is_finite_the_guess_stands_in():
     assert (plan.inputs == 0).all()
 
 
+def test_states_that_inputs_by_chance_lead_out_of_the_numbers_are_no_warning():
+    plan = NonlinearMPC(push(stage_cost=lambda x, u: ca.sumsqr(x) + u**2, u_bounds=(0, 1))).solve([1e300, 0.0])
+    assert plan.status is Status.REPLACED
+    assert np.isfinite(plan.inputs).all()
+
+
+def test_a_signal_of_no_columns_is_none():
+    plan = NonlinearMPC(push(signal=np.zeros((11, 0)))).solve([1.0, 0.0])
+    assert plan.cost == pytest.approx(NonlinearMPC(push()).solve([1.0, 0.0]).cost)
+
+
 @pytest.mark.parametrize(
     ("stated", "argument"),
     [
