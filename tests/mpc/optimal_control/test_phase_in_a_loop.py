@@ -227,6 +227,12 @@ def test_states_that_inputs_by_chance_lead_out_of_the_numbers_are_no_warning():
     assert np.isfinite(plan.inputs).all()
 
 
+def test_a_row_of_the_wrong_width_is_told_as_it_was_given():
+    law = NonlinearMPC(push(stage_cost=lambda x, u, w: cost(x - w, u), signal=np.zeros((11, 2))))
+    with pytest.raises(InputError, match=r"^w: got shape \(10,\), expected \(2,\)"):
+        law.solve([1.0, 0.0], w=np.zeros(10))
+
+
 def test_a_signal_of_no_columns_is_none():
     plan = NonlinearMPC(push(signal=np.zeros((11, 0)))).solve([1.0, 0.0])
     assert plan.cost == pytest.approx(NonlinearMPC(push()).solve([1.0, 0.0]).cost)
