@@ -147,7 +147,8 @@ class CondensedSolver:
         What fails its check is solved stage by stage for an unstable plant, and so is what has to be relaxed while the
         states run away: there the dense QP would lose the digits of the inputs.
         """
-        result = self.dense.solve(q, b)
+        # without limits of states there is nothing to relax, so the word needs a second one
+        result = self.dense.solve(q, b, confirm_infeasible=not self.soft.any())
         status = Status.SOLVED
         away = False
         if result.infeasible:

@@ -64,8 +64,7 @@ class DiscreteModel:
     def undisturbed(self, p: ArrayLike) -> Callable[[Array, Array], Array]:
         """(x (..., nx), u (..., nu)) → x⁺ (..., nx) at design `p` where w is 0."""
         step = self.stepper(p, batch=1)
-        rest = np.zeros(self.nw)
-        return lambda x, u: step(x.reshape(-1, self.nx), u.reshape(-1, self.nu), rest).reshape(x.shape)
+        return lambda x, u: np.asarray(step(x, u, np.zeros((*x.shape[:-1], self.nw))))
 
     @property
     def _box(self) -> DesignSpace:

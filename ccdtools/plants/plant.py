@@ -192,8 +192,7 @@ class Plant(Symbolic):
 
     def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p`."""
-        step = self._sampled
-        return lambda x, u, w: step.rows(x, (u, w, p))
+        return self._sampled.at(p)
 
     @cached_property
     def _sampled(self) -> ExplicitStep:

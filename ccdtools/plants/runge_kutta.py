@@ -96,6 +96,17 @@ class ExplicitStep:
         after = self.rows(np.broadcast_to(x, (runs, x.shape[-1])), tuple(held))
         return after.reshape(*batch, after.shape[-1]).astype(np.result_type(arguments[0], np.float32), copy=False)
 
+    def at(self, p: Array) -> Callable[[Array, Array, Array], Array]:
+        """(x, u, w) → x⁺ at a design (np,), the sooner where each has a row a run."""
+        sizes = [self.substep.numel_in(i) for i in range(3)]
+
+        def step(x: Array, u: Array, w: Array) -> Array:
+            """Next states; leading shapes broadcast."""
+            each = [a.shape for a in (x, u, w)] == [(len(x), size) for size in sizes]
+            return self.rows(x, (u, w, p)) if each else np.asarray(self(x, u, w, p))
+
+        return step
+
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
         """x⁺ (n, nx) of x (n, nx) and u, w, p, (n, ·) or common (·,)."""
         if len(x) <= self.few_rows:

@@ -174,7 +174,7 @@ class SampledModel(Immutable, DiscreteModel):
         p = self.design.check_one(p)
         own = self._own_step
         if isinstance(own, ExplicitStep) and not self.errors:
-            return lambda x, u, w: own.rows(x, (u, w, p))
+            return own.at(p)
         return lambda x, u, w: self.advance(x, u, w, p)
 
     @cached_property

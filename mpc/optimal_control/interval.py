@@ -168,15 +168,18 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
     """Sizes (nx + nu,) of states and inputs, some of them told, NaN the others.
 
     An unknown is as large as a state of known size needs it, to move by that over the phase or as fast as the rest
-    of its dynamics makes it; failing that, a state is as large as it moves over the phase.
+    of its dynamics makes it; failing that, a state is as large as it moves over the phase. Where the dynamics are flat
+    at the guess, that is asked again beside it, by the sizes that are known.
     """
-    times = phase.start_time + first_duration(phase) * mesh
-    slopes = evaluated(slopes_of(functions.dynamics), phase, x, u, times, parameters)
-    steep = np.abs(slopes).max(axis=0).reshape(-1, phase.states).T
-    steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
+    times, dynamics = phase.start_time + first_duration(phase) * mesh, slopes_of(functions.dynamics)
     told = np.isfinite(sizes)
-    sizes = np.where(told, sizes, 1.0)
-    for _ in range(len(sizes)):
+    sizes, aside = np.where(told, sizes, 1.0), np.zeros(len(sizes))
+    for _ in range(2 * len(sizes)):
+        if told.all():
+            break
+        slopes = evaluated(dynamics, phase, x + aside[: phase.states], u + aside[phase.states :], times, parameters)
+        steep = np.abs(slopes).max(axis=0).reshape(-1, phase.states).T
+        steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
         with np.errstate(divide="ignore"):
             moves = np.maximum(sizes[: phase.states], (steep * (sizes * told)).max(axis=1))
             needed = np.where(told[: phase.states, None], moves[:, None] / steep, np.inf).min(axis=0)
@@ -186,4 +189,5 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
             needed[: phase.states] = (steep * (sizes * told)).max(axis=1)
             found = np.logical_not(told) & (needed > 0)
         sizes, told = np.where(found, needed, sizes), told | found
+        aside = aside if found.any() else sizes * told
     return sizes

@@ -103,7 +103,8 @@ class LoopPlanner:
             raise InputError(missing, "nothing", ASKED[missing], f"The phase depends on it: pass {missing}=….")
         t = as_number("t", given.get("t", loop.phase.start_time), "a finite number", lambda _: True)
         w = as_floats("w", given.get("w", loop.signal(t)))
-        w = np.tile(w, (N + 1, 1)) if w.ndim <= 1 else np.vstack([w, w[-1:]]) if len(w) == N else w
+        w = np.tile(as_array("w", np.atleast_1d(w), (nw,)), (N + 1, 1)) if w.ndim <= 1 else w
+        w = np.vstack([w, w[-1:]]) if len(w) == N else w
         return {
             "t": np.array([t]), "u_prev": as_array("u_prev", given.get("u_prev", np.zeros(nu)), (nu,)),
             "w": as_array("w", w, (N + 1, nw)),
@@ -120,6 +121,11 @@ class LoopPlanner:
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or at several places."""
+        with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
+            return self._planned(x, given, before)
+
+    def _planned(self, x: Array, given: Given, before: Plan | None) -> Plan:
+        """Plan, the best of what was tried."""
         program = self._sample(x, given)
         run = Run(program, self._settings)
         tried: list[_Tried] = []

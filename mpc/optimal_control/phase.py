@@ -260,7 +260,7 @@ def signal_at(phase: Phase, times: Array) -> Array:
         return values
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))
-    return np.stack([np.interp(times, grid, column) for column in table.T], axis=1)
+    return np.array([np.interp(times, grid, column) for column in table.T]).reshape(-1, len(times)).T
 
 
 def signal_along(phase: Phase, fractions: Array) -> Array:

@@ -171,7 +171,7 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
     scale[loose] = np.where(large > NEGLIGIBLE * scale[loose], large, scale[loose])
     slope = np.asarray(program.derivatives.jacobian[0](v)[1], dtype=float).ravel()
     places = slice(program.costs.stop or None)  # violations, which vanish where limits are kept, stand behind
-    size = float(np.abs(slope * scale)[places].max(initial=0.0))
+    size = float(np.abs(slope * scale * (program.lower < program.upper))[places].max(initial=0.0))
     cost_scale = size if np.isfinite(size) and size > 0 else 1.0
     return with_sizes_of_rows(replace(program, scale=scale, row_scale=row_scale, guess=v, cost_scale=cost_scale))
 
@@ -179,18 +179,21 @@ def rescaled(program: NonlinearProgram, v: Array) -> NonlinearProgram:
 def with_sizes_of_rows(program: NonlinearProgram) -> NonlinearProgram:
     """Program with constraints sized by their change over the unknowns' sizes.
 
-    One size for all points of an entry, that of the point where it changes most.
+    One size for all points of an entry, that of the point where it changes most; of unknowns that are held only where
+    it depends on no other.
     """
     row_scale = program.row_scale.copy()
-    slope = program.derivatives.jacobian[1](program.guess)[1].sparse()
-    steepest = abs(slope.multiply(program.scale[None])).max(axis=1).toarray().ravel()
+    slope = abs(program.derivatives.jacobian[1](program.guess)[1].sparse())
+    sizes = program.scale * (program.lower < program.upper), program.scale
+    steepest = [slope.multiply(size[None]).max(axis=1).toarray().ravel() for size in sizes]
     for rows in program.rows:
         if rows.name in ("dynamics", "link"):
             continue
-        own = steepest[rows.first : rows.last].reshape(-1, len(rows.entries))
-        size = own.max(axis=0)
+        own = [each[rows.first : rows.last].reshape(-1, len(rows.entries)) for each in steepest]
+        free, held = (each.max(axis=0) for each in own)
+        size = np.where(free > 0, free, held)
         size = np.where(np.isfinite(size) & (size > 0), size, 1.0)
-        row_scale[rows.first : rows.last] = np.tile(size, len(own))
+        row_scale[rows.first : rows.last] = np.tile(size, len(own[0]))
     return replace(program, row_scale=row_scale)
 
 

@@ -342,3 +342,16 @@ def test_unknown_signals_and_a_missing_last_input_are_refused(integrator):
 def test_singular_R_alone_is_legal():
     A, B = double_integrator()
     assert LinearMPC(A, B, Q=np.eye(2), R=[[0.0]], horizon=5, U=box([1])).solve([1.0, 0.0]).feasible
+
+
+def test_an_input_that_its_limits_hold_leaves_the_optimum_of_the_others():
+    rng = np.random.default_rng(43)
+    A, B, size = rng.normal(size=(2, 2)), rng.normal(size=(2, 2)), np.array([1e5, 0.1])
+    A, held = 0.9 * A / np.abs(np.linalg.eigvals(A)).max(), [0.0, 0.1]
+    stated = {"Q": np.eye(2), "horizon": 6, "P": 5 * np.eye(2)}
+    both = LinearMPC(A, B / size, R=np.diag(0.1 / size**2), U=(np.negative(held), held), **stated)
+    one = LinearMPC(A, B[:, 1:] / 0.1, R=10.0, U=(-0.1, 0.1), **stated)
+    for x in rng.normal(size=(60, 2)) * 10.0 ** rng.integers(-2, 2, (60, 1)):
+        plan = both.solve(x)
+        assert plan.status is Status.SOLVED
+        assert plan.cost == pytest.approx(one.solve(x).cost, rel=1e-6)

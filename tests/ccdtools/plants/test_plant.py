@@ -102,6 +102,26 @@ def test_small_and_large_batches_agree(n, rng):
     np.testing.assert_allclose(whole, rows, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize("of", [lambda plant: plant, discretise])
+def test_steppers_broadcast_and_refuse_other_widths(of, rng):
+    step = of(pendulum()).stepper(one([1.2]), batch=5)
+    x, u, w = rng.standard_normal((5, 2)), rng.standard_normal((1, 1)), np.zeros(1)
+    rows = step(x, np.tile(u, (5, 1)), np.zeros((5, 1)))
+    np.testing.assert_allclose(step(x, u, w), rows, rtol=1e-13)
+    np.testing.assert_allclose(step(x[0], u[0], w), rows[0], rtol=1e-13)
+    with pytest.raises(InputError, match=r"^u: got shape \(5, 2\)"):
+        step(x, np.zeros((5, 2)), w)
+
+
+def test_without_inputs_the_undisturbed_step_is_that_of_its_states(rng):
+    x, none = ca.SX.sym("x", 2), ca.SX(0, 1)
+    model = discretise(Plant(x, none, none, none, ca.vertcat(x[1], -ca.sin(x[0])), DesignSpace([], [], []), dt=0.1))
+    states = rng.standard_normal((3, 4, 2))
+    nothing = np.zeros(0)
+    expected = model.advance(states, nothing, nothing, nothing)
+    np.testing.assert_array_equal(model.undisturbed(())(states, np.zeros((3, 4, 0))), expected)
+
+
 @pytest.mark.check
 def test_the_stepper_of_one_run_is_the_step_itself_and_outlives_its_plant(rng):
     x, u, w = (rng.standard_normal((1, size)) for size in (2, 1, 1))

@@ -130,6 +130,32 @@ def test_signals_parameters_and_references_change_from_sample_to_sample():
     assert law.solve([0, 0], t=1.0).cost < other.solve([0, 0], t=1.0).cost
 
 
+@pytest.mark.parametrize("far", [1.0, 1e6, 1e9])
+def test_what_is_given_has_no_part_in_the_sizes_of_cost_and_limits(far):
+    plan = NonlinearMPC(push(stage_cost=lambda x, u, p: cost(x, u) + 1e-6 * p**2), p=[far]).solve([1.0, 0.5])
+    assert plan.inputs == pytest.approx(NonlinearMPC(push()).solve([1.0, 0.5]).inputs, abs=1e-6)
+    late = push(path=lambda x, t: t - far + 5 - x[1], start_time=far)  # speeds of 5, which no input reaches
+    plan = NonlinearMPC(late).solve([1.0, 0.0], t=far)
+    assert plan.status is Status.SOFTENED
+    assert plan.violation > 1e-3
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_states_without_bounds_are_planned_in_any_unit(unit):
+    """A boat whose heading no input turns at rest."""
+
+    def sail(x, u):
+        x = x / unit
+        return unit * (x + 0.2 * ca.vertcat(x[3] * ca.cos(x[2]), x[3] * ca.sin(x[2]), u[1] * x[3], u[0] - 0.2 * x[3]))
+
+    stated = {"duration": 10, "discrete": True, "u_bounds": (-1, 1)}
+    boat = Phase(sail, 4, 2, stage_cost=lambda x, u: ca.sumsqr(x / unit) + 0.1 * ca.sumsqr(u), **stated)
+    spelt = Phase(lambda x, u: sail(unit * x, u) / unit, 4, 2, stage_cost=lambda x, u: cost(x, 0) + 0.1 * ca.sumsqr(u),
+                  **stated)  # fmt: skip
+    start = np.array([0.8, -0.8, -0.9, -0.5])
+    assert NonlinearMPC(boat).solve(unit * start).cost == pytest.approx(NonlinearMPC(spelt).solve(start).cost, rel=1e-6)
+
+
 def test_changes_of_inputs_are_limited_and_priced_from_the_last_input_on():
     phase = push(stage_cost=lambda x, u, u_prev: ca.sumsqr(x) + 3 * (u - u_prev) ** 2)
     law = NonlinearMPC(phase, rate_limit=0.2)
@@ -193,6 +219,23 @@ def test_where_nothing_is_finite_the_guess_stands_in():
     assert plan.status is Status.REPLACED
     assert plan.solver == "guess"
     assert (plan.inputs == 0).all()
+
+
+def test_states_that_inputs_by_chance_lead_out_of_the_numbers_are_no_warning():
+    plan = NonlinearMPC(push(stage_cost=lambda x, u: ca.sumsqr(x) + u**2, u_bounds=(0, 1))).solve([1e300, 0.0])
+    assert plan.status is Status.REPLACED
+    assert np.isfinite(plan.inputs).all()
+
+
+def test_a_row_of_the_wrong_width_is_told_as_it_was_given():
+    law = NonlinearMPC(push(stage_cost=lambda x, u, w: cost(x - w, u), signal=np.zeros((11, 2))))
+    with pytest.raises(InputError, match=r"^w: got shape \(10,\), expected \(2,\)"):
+        law.solve([1.0, 0.0], w=np.zeros(10))
+
+
+def test_a_signal_of_no_columns_is_none():
+    plan = NonlinearMPC(push(signal=np.zeros((11, 0)))).solve([1.0, 0.0])
+    assert plan.cost == pytest.approx(NonlinearMPC(push()).solve([1.0, 0.0]).cost)
 
 
 @pytest.mark.parametrize(
