@@ -15,6 +15,7 @@ from ccdtools.arrays import Array, Immutable, Indices, Mask, frozen
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, in_double, scenario_tensors, simulated
 from ccdtools.co_design.limits import measured, measurement_errors
+from ccdtools.co_design.measured import observed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, Risk, fewest_runs, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
@@ -97,7 +98,7 @@ def closed_loop_returns(
     ----------
     problem : CoDesignProblem
     controller : callable
-        Of the state; it may have memory.
+        Of the state, or of the measurement that the problem has; it may have memory.
     design : (np,) array_like
     rng : numpy.random.Generator
     runs : int, optional
@@ -118,9 +119,15 @@ def closed_loop_returns(
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
     n = min(max(n, fewest_runs(problem.risk)), len(x0))
     x0, w = x0[:n], w[:n]
-    if (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
+    sensor = None
+    if problem.measurement is not None:
+        noisy = problem.measurement.drawn(all_runs, problem.steps, rng).first(n, problem.steps)
+        sensor = noisy.sensor(problem.model, p.numpy(), n, problem.steps, None)
+    elif (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
         x0, w = x0[:1], w[:1]
-    driver = Driver(controller, len(x0), problem.model.nu, disturbances=np.zeros((len(x0), 0, 0)), recorded=False)
+    nothing = np.zeros((len(x0), 0, 0))
+    acting = observed(problem, controller, p.numpy())
+    driver = Driver(acting, len(x0), problem.model.nu, disturbances=nothing, recorded=False, output=sensor)
     sample = iter(range(problem.steps * 2))
     least, most = problem.input_bounds_at(p.numpy())
     beyond: list[float] = []

@@ -26,6 +26,7 @@ from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
+from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.design_space import DesignSpace
@@ -116,6 +117,10 @@ class CoDesignProblem(Immutable):
     warm_up : int
         First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
         begin at a state that the design and policy in question have not come to themselves.
+    measurement : Measurement, optional
+        What the sensors of the closed loop measure, with their noise: controllers of the state then act on the estimate
+        of a steady Kalman filter at their design, to which the disturbance of `scenarios` is white noise; by default
+        the state is known.
     divergence : float
         Half-widths of X beyond which a run is lost and ends. It bounds what a lost run costs: about the square of it
         for a quadratic cost. Learning from a policy that loses runs asks for less than the default of 1000.
@@ -141,6 +146,7 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
     risk: Risk = MEAN
     output_limits: OutputLimits | None = None
+    measurement: Measurement | None = None
     divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
@@ -186,6 +192,7 @@ class CoDesignProblem(Immutable):
         object.__setattr__(self, "divergence", as_positive("divergence", self.divergence))
         self._check_discrepancy()
         self._check_scenarios()
+        self._check_measurement()
         check_every_entry_acts(self)
 
     def _check_over_designs(self) -> None:
@@ -228,6 +235,23 @@ class CoDesignProblem(Immutable):
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
+
+    def _check_measurement(self) -> None:
+        """Raise an `InputError` unless `measurement` has noise and fits the model."""
+        if self.measurement is None:
+            return
+        as_instance("measurement", self.measurement, Measurement, "a Measurement(output, noise=…) or None")
+        if self.measurement.noise is None:
+            raise InputError("measurement", "one without noise", "Measurement(output, noise=…), which a filter weighs")
+        self.measurement.check(self.model.nx, self.model.nu)
+        if self.discrepancy is not None:
+            raise InputError("discrepancy", "a learned error beside a measurement", "one or the other")
+
+    @cached_property
+    def second_moments(self) -> tuple[Array, Array]:
+        """Second moments of the starts (nx, nx) and of the disturbance of a sample (nw, nw)."""
+        x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
+        return x0.T @ x0 / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.

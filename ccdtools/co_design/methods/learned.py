@@ -89,6 +89,9 @@ class Learned:
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> LearnedCoDesign:
         """Best design and policy from a feasible design (np,)."""
+        if problem.measurement is not None:
+            cure = "LearnedPolicy of outputs: imitate(…, history=…)."
+            raise InputError("problem", "one with a measurement", "one whose state the policy sees", cure)
         config: Any = self.config
         work = config.iterations * config.pathwise_runs * problem.steps
         problem = replace(problem, model=for_long_work(problem.model, work))

@@ -1,0 +1,51 @@
+"""Controllers of a problem whose state is measured by noisy sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.checks import as_instance
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.observed import Observed
+from ccdtools.controllers.signals import needs_of
+from ccdtools.estimation.kalman import KalmanFilter
+from ccdtools.exceptions import InputError
+
+
+def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
+    """Steady Kalman filter of a design, for the problem's sensors and disturbances.
+
+    Model and outputs are linearised at rest; the disturbance counts as white noise of its second moment.
+
+    Raises
+    ------
+    InputError
+        If the problem has no `measurement`, or its noise leaves an output exact.
+    NotDetectableError
+        If the outputs do not see a mode that does not decay.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    if problem.measurement is None:
+        raise InputError("problem", "one without a measurement", "CoDesignProblem(measurement=Measurement(…))")
+    p = problem.design.check_one(design)
+    A, B, E = problem.model.matrices(p)
+    nx, nu = problem.model.nx, problem.model.nu
+    rest, still = np.zeros((1, nx)), np.zeros((1, nu))
+    output = problem.measurement.at(nx, nu, p)
+    C = np.reshape(output.slope(rest, still, np.ones((1, nx))), (-1, nx))
+    D = np.column_stack([(output.of(rest, u) - output.of(rest, -u))[0] / 2 for u in np.eye(nu)[:, None]])
+    v = problem.measurement.drawn(4096, min(problem.steps, 64), np.random.default_rng(0)).noise
+    assert v is not None
+    V = np.einsum("nti,ntj->ij", v, v) / (v.shape[0] * v.shape[1])
+    W = E @ problem.second_moments[1] @ E.T
+    return KalmanFilter(A, B, C, (W + W.T) / 2, (V + V.T) / 2, D=D, y0=output.of(rest, still)[0])
+
+
+def observed(problem: CoDesignProblem, controller: Any, design: ArrayLike) -> Any:
+    """Controller as it is, or behind the problem's filter where the state is not known to it."""
+    if problem.measurement is None or "output" in needs_of(controller):
+        return controller
+    return Observed(controller, kalman_filter(problem, design))
