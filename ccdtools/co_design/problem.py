@@ -121,6 +121,8 @@ class CoDesignProblem(Immutable):
         What the sensors of the closed loop measure, with their noise: controllers of the state then act on the estimate
         of a steady Kalman filter at their design, to which the disturbance of `scenarios` is white noise; by default
         the state is known.
+    hidden : int
+        So many first states a policy does not see, see `history_problem`.
     divergence : float
         Half-widths of X beyond which a run is lost and ends. It bounds what a lost run costs: about the square of it
         for a quadratic cost. Learning from a policy that loses runs asks for less than the default of 1000.
@@ -147,6 +149,7 @@ class CoDesignProblem(Immutable):
     risk: Risk = MEAN
     output_limits: OutputLimits | None = None
     measurement: Measurement | None = None
+    hidden: int = 0
     divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
@@ -360,8 +363,8 @@ class CoDesignProblem(Immutable):
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:
-        """Range of the observation (x, p), each (nx + np,), with room at fixed entries."""
-        scale = self.state_scale
+        """Range of the observation (x, p), each (nx − hidden + np,), with room at fixed entries."""
+        scale = self.state_scale[self.hidden :]
         lower, upper = self.design.lower, self.design.upper
         room = np.where(self.design.free, 0.0, np.where(lower == 0, 1.0, 0.5 * np.abs(lower)))
         return np.r_[-scale, lower - room], np.r_[scale, upper + room]
