@@ -61,7 +61,7 @@ def by_traces(problem: CoDesignProblem, p: np.ndarray, part: float) -> float:
     S = np.zeros(B.shape) if weights.S is None else weights.S
     C = np.eye(len(A))[::2]
     V = np.diag((part * C @ np.ravel(problem.state_scale)) ** 2)
-    W = E @ problem.second_moments[1] @ E.T
+    W = E @ problem.moments[2] @ E.T
     try:
         P = solve_discrete_are(A, B, weights.Q, weights.R, s=S)
         N = solve_discrete_are(A.T, C.T, W, V)

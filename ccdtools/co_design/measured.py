@@ -16,7 +16,7 @@ from ccdtools.exceptions import InputError
 
 
 def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
-    """Steady Kalman filter of a design, for the problem's sensors and disturbances.
+    """Kalman filter of a design, for the problem's starts, sensors and disturbances.
 
     Model and outputs are linearised at rest; the disturbance counts as white noise of its second moment.
 
@@ -24,8 +24,6 @@ def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
     ------
     InputError
         If the problem has no `measurement`, or its noise leaves an output exact.
-    NotDetectableError
-        If the outputs do not see a mode that does not decay.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     if problem.measurement is None:
@@ -40,8 +38,12 @@ def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
     v = problem.measurement.drawn(4096, min(problem.steps, 64), np.random.default_rng(0)).noise
     assert v is not None
     V = np.einsum("nti,ntj->ij", v, v) / (v.shape[0] * v.shape[1])
-    W = E @ problem.second_moments[1] @ E.T
-    return KalmanFilter(A, B, C, (W + W.T) / 2, (V + V.T) / 2, D=D, y0=output.of(rest, still)[0])
+    mean, starts, noise = problem.moments
+    W, P0 = E @ noise @ E.T, starts - np.outer(mean, mean)
+    return KalmanFilter(
+        A, B, C, (W + W.T) / 2, (V + V.T) / 2, D=D, y0=output.of(rest, still)[0], steady=False, x0=mean,
+        P0=(P0 + P0.T) / 2,
+    )  # fmt: skip
 
 
 def observed(problem: CoDesignProblem, controller: Any, design: ArrayLike) -> Any:

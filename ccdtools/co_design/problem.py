@@ -119,8 +119,8 @@ class CoDesignProblem(Immutable):
         begin at a state that the design and policy in question have not come to themselves.
     measurement : Measurement, optional
         What the sensors of the closed loop measure, with their noise: controllers of the state then act on the estimate
-        of a steady Kalman filter at their design, to which the disturbance of `scenarios` is white noise; by default
-        the state is known.
+        of a Kalman filter at their design, which knows mean and spread of the starts and takes the disturbance of
+        `scenarios` for white noise; by default the state is known.
     hidden : int
         So many first states a policy does not see, see `history_problem`.
     divergence : float
@@ -251,10 +251,10 @@ class CoDesignProblem(Immutable):
             raise InputError("discrepancy", "a learned error beside a measurement", "one or the other")
 
     @cached_property
-    def second_moments(self) -> tuple[Array, Array]:
-        """Second moments of the starts (nx, nx) and of the disturbance of a sample (nw, nw)."""
+    def moments(self) -> tuple[Array, Array, Array]:
+        """Mean start (nx,), and second moments of the starts (nx, nx) and of the disturbance of a sample (nw, nw)."""
         x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
-        return x0.T @ x0 / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
+        return x0.mean(axis=0), x0.T @ x0 / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.

