@@ -15,7 +15,6 @@ from ccdtools.arrays import Array, Immutable, Indices, Mask, frozen
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, in_double, scenario_tensors, simulated
 from ccdtools.co_design.limits import measured, measurement_errors
-from ccdtools.co_design.measured import observed
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import MEAN, Mean, Risk, fewest_runs, measure
 from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
@@ -126,7 +125,7 @@ def closed_loop_returns(
     elif (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
         x0, w = x0[:1], w[:1]
     nothing = np.zeros((len(x0), 0, 0))
-    acting = observed(problem, controller, p.numpy())
+    acting = behind_filter(problem, controller, p.numpy())
     driver = Driver(acting, len(x0), problem.model.nu, disturbances=nothing, recorded=False, output=sensor)
     sample = iter(range(problem.steps * 2))
     least, most = problem.input_bounds_at(p.numpy())
@@ -149,6 +148,15 @@ def closed_loop_returns(
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
     errors = measurement_errors(seen).values()
     return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond))
+
+
+def behind_filter(problem: CoDesignProblem, controller: Any, design: Array) -> Any:
+    """Controller, behind a filter where the state is measured."""
+    if problem.measurement is None:
+        return controller
+    from ccdtools.co_design.measured import observed  # estimation is loaded where it is asked for
+
+    return observed(problem, controller, design)
 
 
 def scenarios_of(seed: int) -> np.random.Generator:

@@ -175,7 +175,7 @@ class LearnedCoDesign(CoDesignResult):
 
     @property
     def policy(self) -> LearnedPolicy:
-        """Policy at the design found, of the state or of a history."""
+        """Policy at the design found, as a controller."""
         policy = self.controller.controller if isinstance(self.controller, History) else self.controller
         assert isinstance(policy, LearnedPolicy)
         return policy

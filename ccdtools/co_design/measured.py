@@ -16,7 +16,7 @@ from ccdtools.exceptions import InputError
 
 
 def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
-    """Kalman filter of a design, for the problem's starts, sensors and disturbances.
+    """Kalman filter of a problem's sensors at a design.
 
     Model and outputs are linearised at rest; the disturbance counts as white noise of its second moment.
 
@@ -47,7 +47,7 @@ def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
 
 
 def observed(problem: CoDesignProblem, controller: Any, design: ArrayLike) -> Any:
-    """Controller as it is, or behind the problem's filter where the state is not known to it."""
-    if problem.measurement is None or "output" in needs_of(controller):
+    """Controller of outputs, or of the estimate."""
+    if "output" in needs_of(controller):
         return controller
     return Observed(controller, kalman_filter(problem, design))

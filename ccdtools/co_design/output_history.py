@@ -1,4 +1,4 @@
-"""Co-design of policies that see the last outputs and inputs, as states of the model."""
+"""Problems whose policies see the last outputs and inputs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.measured import observed
-from ccdtools.co_design.preview import previewed_objective
+from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits
@@ -30,7 +30,7 @@ from mpc import NotStabilisableError
 
 
 def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
-    """Problem whose policies see the last outputs and inputs in the place of the state.
+    """Problem whose policies see the last outputs and inputs.
 
     Its state is (x, y_k, …, y_{k−m+1}, u_{k−1}, …, u_{k−m}), of which x is `hidden`; its disturbance is (w, v). What is
     measured at the start is that of the design in the middle of the box.
@@ -59,23 +59,19 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     y = problem.measurement.at(problem.model.nx, nu, problem.design.centre).of(x, np.zeros((len(x), nu)))
     seen = np.abs(y).max(axis=0) + np.abs(drawn[1][..., problem.model.nw :]).max(axis=(0, 1))
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
-    limits = problem.output_limits
-    own = None if limits is None else limits.outputs
-    nx = problem.model.nx
+    box = as_set((-room, room), "X", len(room))
+    X = problem.X
     return replace(
-        problem, model=_with_history(problem.model, output, length), scenarios=scenarios, measurement=None, hidden=nx,
-        X=problem.X.followed_by(-room, room) if isinstance(problem.X, DesignLimits)
-        else problem.X.cartesian_product(as_set((-room, room), "X", len(room))),
-        objective=previewed_objective(problem.objective, length, channels=ny + nu),
-        output_limits=None if own is None else replace(
-            limits, outputs=lambda x, u, p: own.function(nx, u.numel(), p.numel())(x[:nx], u, p)
-        ),
+        problem, model=_with_history(problem.model, output, length), scenarios=scenarios, measurement=None,
+        hidden=problem.model.nx, objective=previewed_objective(problem.objective, length, channels=ny + nu),
+        X=X.followed_by(-room, room) if isinstance(X, DesignLimits) else X.cartesian_product(box),
+        output_limits=previewed_output_limits(problem.output_limits, problem.model.nx),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class HistoryScenarios(Immutable):
-    """Scenarios of a model with a history: its first output, then disturbances with noise.
+    """Scenarios of a model with a history.
 
     Attributes
     ----------
@@ -107,7 +103,7 @@ class HistoryScenarios(Immutable):
 def warm_start_of_outputs(
     problem: CoDesignProblem, known: CoDesignProblem, rng: np.random.Generator, *, gamma: float = 0.99
 ) -> ActorCritic:
-    """Agent that imitates LQG on the histories that its loops meet, at designs all over the box.
+    """Agent that imitates LQG at designs all over the box.
 
     Parameters
     ----------
@@ -180,4 +176,5 @@ def _with_history(model: Model, output: ca.Function, length: int) -> Model:
     after = step(x, u, w[:nw], p)
     latest = output(after, u, p) + w[nw:]
     moved = ca.vertcat(after, latest, y[: (length - 1) * ny], u, before[: (length - 1) * nu])
+    assert model.design is not None
     return discretise(Plant(z, u, w, p, moved, model.design, model.dt, continuous=False), sampling_guard="ignore")

@@ -39,7 +39,7 @@ from learning.networks import scaled
 
 
 class Retuned:
-    """Policy with its last layer changed by r (nu, 2 + n_x) of the states it sees, or (n, nu, 2 + n_x) per run.
+    """Policy with its last layer changed by r (nu, 2 + n_seen), or (n, nu, 2 + n_seen) per run.
 
     Parameters
     ----------

@@ -26,7 +26,6 @@ from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
-from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.design_space import DesignSpace
@@ -148,7 +147,7 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
     risk: Risk = MEAN
     output_limits: OutputLimits | None = None
-    measurement: Measurement | None = None
+    measurement: Any = None
     hidden: int = 0
     divergence: float = DIVERGENCE
 
@@ -243,7 +242,7 @@ class CoDesignProblem(Immutable):
         """Raise an `InputError` unless `measurement` has noise and fits the model."""
         if self.measurement is None:
             return
-        as_instance("measurement", self.measurement, Measurement, "a Measurement(output, noise=…) or None")
+        has_method("measurement", self.measurement, "drawn", "a Measurement(output, noise=…) or None")
         if self.measurement.noise is None:
             raise InputError("measurement", "one without noise", "Measurement(output, noise=…), which a filter weighs")
         self.measurement.check(self.model.nx, self.model.nu)
@@ -252,7 +251,7 @@ class CoDesignProblem(Immutable):
 
     @cached_property
     def moments(self) -> tuple[Array, Array, Array]:
-        """Mean start (nx,), and second moments of the starts (nx, nx) and of the disturbance of a sample (nw, nw)."""
+        """Mean start (nx,), second moments of starts (nx, nx) and disturbances (nw, nw)."""
         x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
         return x0.mean(axis=0), x0.T @ x0 / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 

@@ -28,7 +28,6 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
-from ccdtools.co_design.output_history import history_problem
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
@@ -169,7 +168,7 @@ class Settling:
 
     @property
     def _reference(self) -> Nested:
-        """Nested co-design that results are held against: by LQR, or LQG where the state is measured."""
+        """Nested co-design that results are held against."""
         inner = "lqr" if self.problem.measurement is None else "lqg"
         return Nested(inner, runs=SETTLING_RUNS, starts=1, evaluations=20)
 
@@ -230,10 +229,13 @@ class Settling:
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result of a policy, settled if its gradient and a search confirm it."""
         policy: Any = result.controller
-        if isinstance(policy, History):  # on the problem whose states its histories are
-            of_histories = replace(self, problem=history_problem(self.problem, policy.length))
-            return of_histories.confirmed(result, policy.controller, loop)
-        return self.confirmed(result, policy, loop)
+        if not isinstance(policy, History):
+            return self.confirmed(result, policy, loop)
+        from ccdtools.co_design.output_history import history_problem
+
+        inner: Any = policy.controller  # on the problem whose states its histories are
+        of_histories = replace(self, problem=history_problem(self.problem, policy.length))
+        return of_histories.confirmed(result, inner, loop)
 
     def confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result with the status that gradient and search leave its policy."""

@@ -25,7 +25,6 @@ from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.output_history import history_problem, warm_start_of_outputs
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
@@ -96,7 +95,10 @@ class Learned:
     ) -> LearnedCoDesign:
         """Best design and policy from a feasible design (np,)."""
         known = problem
-        problem = history_problem(known, self.history) if known.measurement is not None else known
+        if known.measurement is not None:
+            from ccdtools.co_design.output_history import history_problem
+
+            problem = history_problem(known, self.history)
         config: Any = self.config
         work = config.iterations * config.pathwise_runs * problem.steps
         problem = replace(problem, model=for_long_work(problem.model, work))
@@ -135,8 +137,10 @@ class Learned:
 def _first_agent(
     problem: CoDesignProblem, known: CoDesignProblem, rng: np.random.Generator, *, progress: bool
 ) -> ActorCritic:
-    """Agent that imitates saturated LQR, or LQG where the state is measured."""
+    """Agent that imitates saturated LQR, or LQG."""
     if problem.hidden:
+        from ccdtools.co_design.output_history import warm_start_of_outputs
+
         return warm_start_of_outputs(problem, known, rng)
     return warm_start(problem, rng, progress=progress)
 

@@ -18,7 +18,7 @@ from mpc import NotStabilisableError
 
 @dataclass(eq=False)
 class LqgCost(RiccatiCost):
-    """Expected cost of the episodes under LQG, plus the design's; slopes by differences.
+    """Expected cost of LQG, plus the design's.
 
     The second moments of states and estimates are carried along the episode, so that its start counts. Inputs never
     saturate, the disturbance is white; else see `RiccatiCost`.
