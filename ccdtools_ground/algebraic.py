@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ccdtools_ground.errors import InputError
 from ccdtools_ground.term_sizes import term_sizes
-from ccdtools_ground.tolerances import NEWTON_STEPS, ROOT_NEAR, SINGULAR, VANISHING
+from ccdtools_ground.tolerances import NEWTON_STEPS, ROOT_ROUNDINGS, SINGULAR, VANISHING
 
 INDEX_ONE = "equations of index 1, which determine z: ∂g/∂z regular"
 
@@ -58,9 +58,9 @@ def _check_regular(J: np.ndarray) -> None:
 def solved(g: ca.SX, z: ca.SX, guess: Any) -> ca.SX:
     """Expression (nz, 1) for the z at which g is 0.
 
-    Block by block of ∂g/∂z in triangular form. A block that is affine in its own variables is solved; on others Newton
-    steps are unrolled from `guess`, and what they have not come near is NaN. Its derivatives are exact, for two of the
-    steps are made from where the residual is small (one for the first, two for the second derivatives).
+    Block by block of ∂g/∂z in triangular form. A block that is affine in its own variables is solved, and corrected
+    once; on others Newton steps are unrolled from `guess`, and what is no root to rounding is NaN. Derivatives are
+    exact: two steps are made from a root (one for the first, two for the second derivatives).
     """
     check_index(g, z, guess)
     blocks, rows, columns, row_ends, column_ends, *_ = ca.jacobian(g, z).sparsity().btf()
@@ -76,12 +76,19 @@ def _root(g: ca.SX, z: ca.SX, guess: ca.SX) -> ca.SX:
     unknown = {symbol.element_hash() for symbol in ca.vertsplit(z)}
     rest = ca.vertcat(ca.SX(0, 1), *(one for one in ca.symvar(g) if one.element_hash() not in unknown))
     J = ca.jacobian(g, z)
-    step = ca.Function("newton", [z, rest], [ca.densify(z - ca.solve(J, g))])
+    columns = ca.diag(1 / ca.sqrt(ca.sum1(J**2)).T)
+    rows = ca.diag(1 / ca.sqrt(ca.sum2((J @ columns) ** 2)))  # with them no unit matters
+    step = ca.Function("newton", [z, rest], [ca.densify(z - columns @ ca.solve(rows @ J @ columns, rows @ g))])
     if not ca.depends_on(J, z):
-        return step(ca.SX.zeros(z.shape), rest)
-    residual, found = ca.Function("residual", [z, rest], [ca.densify(g)]), guess
-    for _ in range(NEWTON_STEPS - 2):
-        found = step(found, rest)
-    terms = term_sizes(residual, found, rest)
-    missed = ca.mmax(ca.fabs(residual(found, rest)) / (ROOT_NEAR * terms + VANISHING))
-    return step(step(found + VANISHING * ca.sqrt(1 - missed), rest), rest)  # NaN where too much is missed
+        return step(step(ca.SX.zeros(z.shape), rest), rest)
+    residual, scale = (ca.Function("at", [z, rest], [ca.densify(value)]) for value in (g, ca.diag(rows)))
+    found = guess
+    for steps in (NEWTON_STEPS - 2, 2):
+        for _ in range(steps):
+            found = step(found, rest)
+        terms = ca.mmax(scale(found, rest) * term_sizes(residual, found, rest))
+        missed = ca.mmax(ca.fabs(scale(found, rest) * residual(found, rest)))
+        one = ca.fmin(1, 1 + terms)
+        rounding = ca.fabs(3 * (4 / 3 * one - one) - one)  # of the arithmetic that this runs in
+        found += VANISHING * ca.sqrt(1 - missed / (ROOT_ROUNDINGS * rounding * terms + VANISHING))  # NaN if missed
+    return found

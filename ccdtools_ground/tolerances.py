@@ -6,6 +6,6 @@ WEIGHT_ROUNDING = 1e-9
 
 # ---- algebraic variables ----
 NEWTON_STEPS = 12  # Newton steps from the guess to an algebraic variable.
-ROOT_NEAR = 1e-6  # Residual of an equation beside its terms [-], above which its root counts as not found.
+ROOT_ROUNDINGS = 100  # Roundings of the largest term, above which a residual is no zero.
 SINGULAR = 1e-12  # Least singular value of ∂g/∂z, rows and columns of unit size, that is not rounding [-].
 VANISHING = 1e-30  # What is added so that nothing is divided by 0, of single precision too [-].
