@@ -119,6 +119,7 @@ class Plant(Symbolic):
         g, guess = as_expression("algebraic", algebraic), as_expression("z_guess", guess)
         check_known("algebraic", g, **known, z=z)
         check_known("z_guess", guess, **known)
+        check_numbers("z_guess", guess)
         guess = ca.SX.ones(z.shape) * guess if guess.numel() == 1 else guess
         if guess.shape != z.shape:
             raise InputError("z_guess", f"shape {guess.shape}", f"{z.shape}, one for each algebraic variable")
