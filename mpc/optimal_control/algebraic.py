@@ -20,7 +20,7 @@ def collocated(phase: Phase, parameters: int) -> Phase:
     f, nu, nz = PhaseFunctions(phase, parameters), phase.inputs, phase.algebraics
     columns, values = _expressions(f)
     v = type(columns["u"]).sym("u", nu + nz)
-    found = ca.substitute(list(values.values()), [columns["u"], columns.pop("z")], [v[:nu], v[nu:]])
+    found = ca.substitute(list(values.values()), [columns["u"], columns.pop("z")], ca.vertsplit(v, [0, nu, nu + nz]))
     values = dict(zip(values, found))
     values["path"] = ca.vertcat(*(values[name] for name in ("path", "algebraic") if name in values))
     times = np.array([0.0, 1.0]) if phase.guess is None else phase.guess[0]

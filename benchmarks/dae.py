@@ -1,0 +1,215 @@
+"""Differential-algebraic plants beside IDAS at 1e-12, and whole-number inputs beside their relaxation.
+
+    python benchmarks/dae.py
+
+A batch reactor of Caracotsios and Stewart (Computers & Chemical Engineering 9, 1985; four concentrations are algebraic,
+rates from 1e-3 to 1e9), a pendulum in Cartesian coordinates whose rod force is algebraic, a distillation column of 20
+trays whose temperatures are implicit. Each is simulated as a `Plant` and as a `Phase` of given inputs; the pendulum is
+also swung up, in these coordinates and by its angle. What is stated is the largest difference of a state at the end of a
+sample, relative to the largest value of that state.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from ccdtools import DesignSpace, Plant, discretise
+from mpc.optimal_control import Phase, Radau, build, refine, solve
+
+TRAYS = 20
+
+
+@dataclass(frozen=True)
+class Case:
+    """x' = f(x, z, u), 0 = g(x, z, u) with its start, guess of z, held inputs and times."""
+
+    name: str
+    f: Callable[..., Any]
+    g: Callable[..., Any]
+    x0: np.ndarray
+    z0: Any
+    inputs: np.ndarray
+    dt: float
+    intervals: int = 60
+
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """x, z and u."""
+        nz = np.size(ca.DM(self.guess(self.x0)))
+        return ca.SX.sym("x", len(self.x0)), ca.SX.sym("z", nz), ca.SX.sym("u", self.inputs.shape[1])
+
+    def by_idas(self) -> np.ndarray:
+        """States (N + 1, nx) by IDAS."""
+        x, z, u = self.symbols()
+        dae = {"x": x, "z": z, "p": u, "ode": ca.vertcat(*ca.vertsplit(self.f(x, z, u))), "alg": self.g(x, z, u)}
+        options = {"abstol": 1e-14, "reltol": 1e-12, "max_num_steps": 10**6}
+        step = ca.integrator("step", "idas", dae, 0.0, self.dt, options)
+        states, guess = [self.x0], np.array(ca.DM(self.guess(self.x0))).ravel()
+        for one in self.inputs:
+            end = step(x0=states[-1], z0=guess, p=one)
+            states.append(np.array(end["xf"]).ravel())
+            guess = np.array(end["zf"]).ravel()
+        return np.array(states)
+
+    def guess(self, x: Any) -> Any:
+        """Guess of z at a state."""
+        return self.z0(x) if callable(self.z0) else self.z0
+
+    def by_plant(self) -> np.ndarray:
+        """States of the discretised plant."""
+        x, z, u = self.symbols()
+        plant = Plant(
+            x, u, ca.SX(0, 1), ca.SX.sym("p"), self.f(x, z, u), DesignSpace(["p"], [0.0], [1.0]), dt=self.dt,
+            z=z, algebraic=self.g(x, z, u), z_guess=self.guess(x),
+        )  # fmt: skip
+        model = discretise(plant, method="collocation", sampling_guard="ignore")
+        states = [self.x0]
+        for one in self.inputs:
+            states.append(np.asarray(model.step(states[-1], one, [], [0.5])).ravel())
+        return np.array(states)
+
+    def by_phase(self) -> tuple[np.ndarray, str]:
+        """States of a phase with the inputs as a signal, and its status."""
+        x, z, u = self.symbols()
+        guess = np.array(ca.DM(self.guess(self.x0))).ravel()
+        states, held, words = [self.x0], guess, set()
+        for one in self.inputs:
+            given = {"x": x, "z": z}
+            phase = Phase(
+                ca.Function("f", list(given.values()), [ca.substitute(self.f(x, z, u), u, ca.DM(one))], list(given), ["f"]),
+                len(self.x0), 0, start=states[-1], duration=self.dt, algebraics=z.numel(), z_guess=held,
+                algebraic=ca.Function("g", [x, z], [ca.substitute(self.g(x, z, u), u, ca.DM(one))], ["x", "z"], ["g"]),
+            )  # fmt: skip
+            found = solve(build(phase, Radau(5), self.intervals // len(self.inputs)), tolerance=1e-11)
+            states.append(found.x(self.dt))
+            held = found.z(self.dt)
+            words.add(found.status.name)
+        return np.array(states), ", ".join(sorted(words))
+
+
+def reactor(unit: float = 1.0) -> Case:
+    """Batch reactor; concentrations in `unit` of kg-mol/m³."""
+    k1, k1r, k2, k3, k3r = 21.893, 2.14e9, 32.318, 21.893, 1.07e9
+    K1, K2, K3 = 7.65e-18, 4.03e-11, 5.32e-18
+    size = unit * np.array([1e-6, 1e-6, 1e-12, 1e-12])  # of the algebraic concentrations
+
+    def rates(x: Any, z: Any, u: Any) -> Any:
+        y, c = x / unit, z * size / unit
+        first = k1 * y[1] * y[5] - k1r * c[3]
+        second, third = k2 * y[1] * c[1], k3 * y[3] * y[5] - k3r * c[2]
+        return unit * ca.vertcat(-second, -first - second, second + third, -third, first, -first - third)
+
+    def balance(x: Any, z: Any, u: Any) -> Any:
+        y, c = x / unit, z * size / unit
+        return unit / size * ca.vertcat(
+            -0.0131 + y[5] + c[1] + c[2] + c[3] - c[0], c[1] - K2 * y[0] / (K2 + c[0]),
+            c[2] - K3 * y[2] / (K3 + c[0]), c[3] - K1 * y[4] / (K1 + c[0]),
+        )  # fmt: skip
+
+    def guess(x: Any) -> Any:
+        first = 0.5 * (-K2 + ca.sqrt(K2**2 + 4 * K2 * ca.fmax(x[0] / unit, 0)))
+        return unit / size * ca.vertcat(first, first, 0, 0)
+
+    start = unit * np.array([1.5776, 8.32, 0.0, 0.0, 0.0, 0.0131])
+    return Case("batch reactor", rates, balance, start, guess, np.zeros((10, 0)), 0.1, 100)
+
+
+def pendulum(length: float = 1.0, second: float = 1.0) -> Case:
+    """Pendulum of a metre in `length` a metre and `second` a second; λ is the force of the rod."""
+    g, rod = 9.81 * length / second**2, 1.0 * length
+
+    def rates(x: Any, z: Any, u: Any) -> Any:
+        push = u[0] * length / second**2
+        return ca.vertcat(x[2], x[3], -z[0] * x[0] - push * x[1] / rod, -z[0] * x[1] + push * x[0] / rod - g)
+
+    def rod_kept(x: Any, z: Any, u: Any) -> Any:
+        return x[2] ** 2 + x[3] ** 2 - z[0] * rod**2 - g * x[1]
+
+    start = np.array([np.sin(1.0), -np.cos(1.0), 0.0, 0.0]) * length
+    inputs = np.sin(np.arange(20.0))[:, None]
+    return Case("pendulum", rates, rod_kept, start, 1.0 / second**2, inputs, 0.1 * second, 100)
+
+
+def column(unit: float = 1.0) -> Case:
+    """Column of 20 trays, a reboiler and a condenser; temperatures in `unit` of K."""
+    feed = 10
+
+    def pressure(a: float, b: float, c: float, T: Any) -> Any:
+        return ca.exp(a - b / (T / unit + c))  # Antoine's equation, in bar
+
+    def light(T: Any) -> Any:
+        return pressure(9.2806, 2788.51, -52.36, T)  # benzene
+
+    def heavy(T: Any) -> Any:
+        return pressure(9.3935, 3096.52, -53.67, T)  # toluene
+
+    def rates(x: Any, z: Any, u: Any) -> Any:
+        y = light(z) / 1.01325 * x
+        reflux, boil = 1.5 + 0.2 * u[0], 2.0
+        liquid = [reflux + (k >= feed) for k in range(TRAYS)]
+        change = []
+        for k in range(TRAYS):
+            above = x[k - 1] if k else y[0]
+            below = y[k + 1] if k < TRAYS - 1 else y[k]
+            entering = liquid[k - 1] if k else reflux
+            fed = 0.5 * (k == feed)
+            flow = entering * above + boil * below - liquid[k] * x[k] - boil * y[k]
+            change.append((flow + fed) / 0.5)
+        return ca.vertcat(*change)
+
+    def boils(x: Any, z: Any, u: Any) -> Any:
+        return x * light(z) + (1 - x) * heavy(z) - 1.01325
+
+    start = np.linspace(0.9, 0.1, TRAYS)
+    inputs = np.sign(np.sin(np.arange(10.0)))[:, None]
+    return Case("column", rates, boils, start, np.full(TRAYS, 365.0 * unit), inputs, 0.5, 100)
+
+
+def difference(states: np.ndarray, reference: np.ndarray) -> float:
+    """Largest difference of a state, relative to its largest value."""
+    return float(np.max(np.abs(states - reference) / np.abs(reference).max(axis=0)))
+
+
+def swung() -> tuple[float, float, str]:
+    """Cost of a swing-up in Cartesian coordinates and by the angle, and the statuses."""
+    case = pendulum()
+    end = ([0.0, 1.0, 0.0, 0.0], [np.pi, 0.0])
+    flat = Phase(
+        lambda x, u, z: case.f(x, z, u), 4, 1, stage_cost=lambda u: u[0] ** 2, start=[0.0, -1.0, 0.0, 0.0],
+        end=([-1e-9, 0.5, -1e-9, -1e-9], [1e-9, 1.5, 1e-9, 1e-9]), duration=2.0, u_bounds=(-9, 9),
+        algebraic=lambda x, z: case.g(x, z, None), algebraics=1, z_guess=[9.81],
+        guess=([0, 1], [[0, -1, 0, 0], [0, 1, 0, 0]], [[1], [1]]),
+    )  # fmt: skip
+    angle = Phase(
+        lambda x, u: ca.vertcat(x[1], u[0] - 9.81 * ca.sin(x[0])), 2, 1, stage_cost=lambda u: u[0] ** 2, start=[0.0, 0.0],
+        end=end[1], duration=2.0, u_bounds=(-9, 9), guess=([0, 1], [[0, 0], [np.pi, 0]], [[1], [1]]),
+    )  # fmt: skip
+    first, second = (refine(build(phase, Radau(5), 40)) for phase in (flat, angle))
+    return first.cost, second.cost, f"{first.status.name}, {second.status.name}"
+
+
+def main() -> None:
+    """Print the tables."""
+    warnings.simplefilter("ignore")
+    print("| plant | as a Plant, from IDAS | as a Phase | status | s |")
+    print("|---|---|---|---|---|")
+    cases = [reactor(), pendulum(), column(), reactor(1e3), pendulum(1e3, 1e3), column(1e-2)]
+    for case, units in zip(cases, ("", "", "", ", mol", ", mm and ms", ", hundreds of K")):
+        began = time.perf_counter()
+        reference = case.by_idas()
+        plant = difference(case.by_plant(), reference)
+        states, status = case.by_phase()
+        took = time.perf_counter() - began
+        print(f"| {case.name}{units} | {plant:.1e} | {difference(states, reference):.1e} | {status} | {took:.1f} |", flush=True)
+    flat, angle, status = swung()
+    print(f"\nswing-up: {flat:.8f} with the force of the rod, {angle:.8f} by the angle, {status}")
+
+
+if __name__ == "__main__":
+    main()
