@@ -22,8 +22,8 @@ from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.loop_phase import LoopPhase, as_loop_phase
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.phase import Phase
-from mpc.optimal_control.planner import Planner
 from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.quadratic_planner import QuadraticPlanner
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.rollout import disturbance, spread_signals
@@ -193,12 +193,14 @@ class NonlinearMPC:
         return isinstance(self.terminal_set, str) and self.terminal_set == "invariant"
 
     @cached_property
-    def planner(self) -> Planner | LoopPlanner:
+    def planner(self) -> QuadraticPlanner | LoopPlanner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
         if self._loop is not None:
             return LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
-        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit)
+        return QuadraticPlanner(
+            self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
+        )
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"
