@@ -156,9 +156,8 @@ def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]
     except (TypeError, ValueError, IndexError) as error:
         if k > 0:
             raise
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        got = f"one that stops with {reason[:120]} for states of shape {x.shape}"
-        raise InputError("controller", got, f"inputs {shape}", BATCHED) from error
+        at = f" for states of shape {x.shape}"
+        raise stopped("controller", driver, error, f"inputs {shape}", BATCHED, at=at) from error
     try:
         if np.iscomplexobj(given):
             raise TypeError

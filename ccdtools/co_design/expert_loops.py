@@ -123,9 +123,8 @@ def _asked(controller: Law, x: Array, nu: int) -> Array:
     except CCDError:
         raise
     except (TypeError, ValueError, IndexError) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        got = f"a controller that stops with {reason[:120]} for a state of shape {x.shape}"
-        raise InputError("expert", got, f"one that returns ({nu},)") from error
+        at = f" for a state of shape {x.shape}"
+        raise stopped("expert", controller, error, f"one that returns ({nu},)", at=at) from error
     u = as_floats("expert", given)
     if u.size != nu or not np.isfinite(u).all():
         raise InputError("expert", f"a controller that returns {shown(given)}", f"({nu},) finite numbers")
