@@ -20,6 +20,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.user_functions import stopped
 
 Step = Callable[[Array, Array, Array], Array]
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."

@@ -28,9 +28,7 @@ KNOWN = (
 )  # fmt: skip
 
 
-def stopped(
-    argument: str, given: Any, error: Exception, expected: str, cure: str = "", *, at: str = ""
-) -> InputError:
+def stopped(argument: str, given: Any, error: Exception, expected: str, cure: str = "", *, at: str = "") -> InputError:
     """Error that replaces the one a user's function stopped with."""
     reason, own = in_words(error)
     cure = f"{own} {cure}".strip()

@@ -18,6 +18,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.progress import counted
+from ccdtools_ground.user_functions import stopped
 from invariant_sets import AdmissibleInputs, Polytope
 
 Law = Callable[[Array], Array]

@@ -16,6 +16,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.user_functions import stopped
 
 Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]
 
