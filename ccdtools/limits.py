@@ -50,8 +50,7 @@ class Excursions(Immutable):
     single: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("fraction", "mean", "peak"):
-            object.__setattr__(self, name, frozen(as_floats(name, getattr(self, name))))
+        super().__post_init__()
         lost = np.zeros(len(self.peak), dtype=bool) if self.lost is None else self.lost
         object.__setattr__(self, "lost", frozen(lost))
 

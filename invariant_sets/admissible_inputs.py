@@ -9,6 +9,7 @@ from typing import Any
 import daqp
 import numpy as np
 
+from ccdtools_ground.door import Immutable
 from invariant_sets.engine.certificate import tightened_rows
 from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
@@ -198,7 +199,7 @@ class AdmissibleInputFamily:
 
 
 @dataclass(frozen=True)
-class _LocalRows:
+class _LocalRows(Immutable):
     """Rows on v, u = middle + size v: slope v <= room + after x, H v <= h."""
 
     middle: Array
@@ -235,7 +236,7 @@ def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B
-    arrays = (
+    return _LocalRows(
         body.centre,
         body.basis,
         left_inverse(body.basis),
@@ -245,7 +246,6 @@ def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
         body.F,
         body.g,
     )
-    return _LocalRows(*(frozen(np.array(array)) for array in arrays))
 
 
 def _proposals(value: Any, nu: int, count: int) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -299,9 +299,6 @@ class LinearMPC(MPCProblem):
     def _sparse(self) -> Callable[[tuple[str, ...]], SparseSolver]:
         """Signals → solver with the states kept."""
         return cache(partial(SparseSolver, self, solver=self.solver))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {entry.name: getattr(self, entry.name) for entry in fields(self)}  # solvers are built anew
 
 
 def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:

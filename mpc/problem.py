@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import frozen
 from mpc.checks import (
     Array,
+    Immutable,
     as_array,
     as_blocks,
     as_count,
@@ -31,7 +32,7 @@ from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tighten
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MPCProblem:
+class MPCProblem(Immutable):
     """Minimise Σ x'Qx + 2 x'Su + u'Ru + x_N'Px_N subject to model and limits.
 
     `LinearMPC` says what every argument is. `condense` turns it into a `ParametricQP`, `LinearMPC` solves it.
