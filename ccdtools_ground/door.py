@@ -105,14 +105,18 @@ class Immutable:
         for name, kind in array_fields(type(self)).items():
             value = getattr(self, name)
             array = as_floats(name, value) if kind is float else np.array(value, dtype=kind, order="C")
-            object.__setattr__(self, name, frozen(array))
+            self._set(**{name: array})
+
+    def _set(self, **values: Any) -> None:
+        """Store checked values, arrays read-only, before the object is complete."""
+        for name, value in values.items():
+            object.__setattr__(self, name, frozen(value))
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, frozen(value))
+        self._set(**state)
 
 
 def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,

@@ -95,7 +95,7 @@ class LinearMPC(MPCProblem):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "uses", _checked_uses(self.uses, self.nw))
+        self._set(uses=_checked_uses(self.uses, self.nw))
         if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InputError("solver", repr(self.solver), f"one of {SOLVERS}")
         self._solver_for(("u_prev",) if self.rate_limit is not None else ())  # builds the QP: fails here

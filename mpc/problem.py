@@ -151,13 +151,6 @@ class MPCProblem(Immutable):
         H = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}[kind][0]
         return H, self.bounds[kind][step]
 
-    def _set(self, **values: Any) -> None:
-        """Store checked values, before the object is complete."""
-        for name, value in values.items():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-            object.__setattr__(self, name, value)
-
     @property
     def nx(self) -> int:
         """Number of states."""

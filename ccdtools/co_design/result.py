@@ -126,9 +126,9 @@ class Valley(Immutable):
     given: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "design", as_vector("design", self.design))
+        self._set(design=as_vector("design", self.design))
         if self.found is not None:
-            object.__setattr__(self, "found", as_vector("found", self.found))
+            self._set(found=as_vector("found", self.found))
 
     def __repr__(self) -> str:
         ended = "" if self.found is None else f", co-design {self.found_return:.5g} at {_short(self.found)}"
@@ -156,7 +156,7 @@ class Baseline(Immutable):
     measure: str = "mean"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "design", as_vector("design", self.design))
+        self._set(design=as_vector("design", self.design))
 
     def __repr__(self) -> str:
         low, high = self.gain.ci95
@@ -232,7 +232,7 @@ class CoDesignResult(Immutable):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.history is None:
-            object.__setattr__(self, "history", History.of([(1, 1, self.design, self.objective, 0.0, 0.0)]))
+            self._set(history=History.of([(1, 1, self.design, self.objective, 0.0, 0.0)]))
 
     def __repr__(self) -> str:
         bounds = ", ".join(f"{name} at its {side} bound" for name, side in self.active_bounds.items()) or "none"

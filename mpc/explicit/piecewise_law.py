@@ -28,7 +28,7 @@ class PiecewiseLaw(Immutable):
     def __post_init__(self) -> None:
         super().__post_init__()
         H, h = (np.array(rows, dtype=np.float64, order="C") for rows in self.input_rows)
-        object.__setattr__(self, "input_rows", (frozen(H), frozen(h)))
+        self._set(input_rows=(frozen(H), frozen(h)))
 
     @property
     def status(self) -> MPQPStatus:
