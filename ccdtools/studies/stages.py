@@ -32,6 +32,7 @@ from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.limits_kept import violation
+from ccdtools.twin.log_drift import drift_of_log
 from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import DigitalTwin
@@ -231,11 +232,12 @@ class LoopStages:
         notes = [
             f"update {k} on trial, {update.trial}" for k, update in enumerate(deployment.updates, 1) if update.trial
         ]
-        notes += [] if deployment.drift is None else [str(deployment.drift)]
-        watched = {"notes": notes} if notes else {}
-        if deployment.drift is not None:
-            watched["drift"] = deployment.drift.as_dict()  # type: ignore[assignment]
-        values = watched | {
+        watched: dict[str, Any] = {}
+        if config.drift is not None and known and not log.diverged.all():
+            drift = drift_of_log(twin, log, level=config.drift)
+            notes.append(str(drift))
+            watched["drift"] = drift.as_dict()
+        values = watched | ({"notes": notes} if notes else {}) | {
             "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
             "deployed_return": asdict(summary_of(log, study.objective)),
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,

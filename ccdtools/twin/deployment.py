@@ -18,7 +18,6 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
-from ccdtools.evidence.drift import Drift
 from ccdtools.evidence.switchback import TrialStatus
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
@@ -29,7 +28,6 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
 from ccdtools.twin.judge import Judge
-from ccdtools.twin.log_drift import drift_of_log
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.pieces import joined
 from ccdtools.twin.replay import replay_problem
@@ -48,7 +46,6 @@ class Deployment(Immutable):
     log: Trajectory  # all runs as they happened, under the policies then deployed
     agent: ActorCritic  # deployed at the end
     updates: tuple[OnlineUpdate, ...]
-    drift: Drift | None = None  # of the log's errors, where `OnlineConfig.drift` asks for it
 
     @property
     def changes(self) -> tuple[int, ...]:
@@ -200,10 +197,7 @@ class _DeployedPolicy:
             if len(self.pieces) <= count and self._learn(piece, part[0].start) and self._may_update():
                 at(f"update {k + 1} of {count}")
                 self._update()
-        log = joined(self.pieces, runs)
-        level = self.config.drift
-        drift = None if level is None else drift_of_log(self.problem.model, log, self.former, level)
-        return Deployment(log, self.deployed.agent, tuple(self.updates), drift)
+        return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
     @property
     def _logged(self) -> int:

@@ -1,55 +1,47 @@
-"""Drift of the errors along a log."""
+"""Drift of a plant from its twin, along a log."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.checks import as_instance
 from ccdtools.evidence.drift import Drift, detect_drift
-from ccdtools.plants.models import Model
-from ccdtools.tolerances import CALIBRATION_BLOCKS
+from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.transport import carried
+from ccdtools.twin.twin import DigitalTwin
 
 
-def drift_of_log(model: Model, log: Trajectory, former: Sequence[Residuals] = (), level: float = 0.05) -> Drift | None:
-    """Drift of the model's errors along a log, beside those of former logs at its design; None if too few.
+def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, block: int | None = None) -> Drift:
+    """Whether a twin still describes the plant of a fresh log.
 
-    Without a former log the first half of this one calibrates. What is affine in state and input is taken out as the
-    calibration has it: another law, which visits other states, is no drift.
+    What its median leaves unexplained is compared with what it left unexplained of its own logs. Another law is no
+    drift as far as the twin describes the states that it visits.
 
     Parameters
     ----------
-    model : LinearModel or SampledModel
+    twin : DigitalTwin
+        After `update`.
     log : Trajectory
         Runs that diverged are left out.
-    former : sequence of Residuals
-        Errors along former logs.
-    level : float
-        Probability of any alarm in the log without a drift, at most.
+    level, block
+        As in `detect_drift`.
+
+    Raises
+    ------
+    InputError
+        As `detect_drift`; also if the twin has learned nothing, or the log is of another plant.
     """
-    if log.diverged.all():
-        return None
-    now = residuals(model, log)
-    before = [one for one in former if np.array_equal(one.p, now.p)]
-    known = np.concatenate([_columns(one) for one in before]) if before else _columns(now)
-    new = _columns(now)
-    begun = 0 if before else len(new) // 2
-    known, new = known[: None if before else begun], new[begun:]
-    if len(known) < CALIBRATION_BLOCKS or len(new) < max(1, len(known) // CALIBRATION_BLOCKS):
-        return None
-    nx = now.x.shape[2]
-    fit = np.linalg.lstsq(known[:, nx:], known[:, :nx], rcond=None)[0]
-    found = detect_drift(*(part[:, :nx] - part[:, nx:] @ fit for part in (known, new)), level=level)
-    if found.found is None or found.began is None:
-        return found
-    return replace(found, found=begun + found.found, began=begun + found.began, samples=begun + found.samples)
+    as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
+    if twin.discrepancy is None:
+        raise InputError("twin", "one without a discrepancy", "one after `update`")
+    known = np.concatenate([_in_time(one, one.e_next) for one in twin.innovations()])
+    now = carried(twin.model, residuals(twin.model, log), twin.logs[-1].p, twin.scale)
+    return detect_drift(known, _in_time(now, now.e_next - twin.discrepancy.median(now)), level=level, block=block)
 
 
-def _columns(errors: Residuals) -> Array:
-    """Errors, one, states and inputs (samples, ·) in the order of time."""
-    _, x, u, _, e = errors.columns()
-    return np.hstack([e, np.ones((len(e), 1)), x, u])
+def _in_time(log: Residuals, errors: Array) -> Array:
+    """Errors (samples, nx) of all runs, one after the other."""
+    return errors.reshape(-1, log.x.shape[2])

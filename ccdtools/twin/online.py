@@ -47,8 +47,6 @@ class OnlineConfig:
     trial : TrialConfig, optional
         A candidate that is accepted on the replayed logs takes turns with the deployed policy on the real plant, and
         replaces it only if that trial adopts it. By default it replaces it at once.
-    drift : float, optional
-        Whether the log's errors are those of the logs before, with this probability of a false alarm in a deployment.
     """
 
     updates: int = 4
@@ -60,7 +58,6 @@ class OnlineConfig:
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
     trial: TrialConfig | None = None
-    drift: float | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
@@ -72,8 +69,6 @@ class OnlineConfig:
         as_instance("quantile", self.quantile, QuantileConfig, "a QuantileConfig")
         if self.trial is not None:
             as_instance("trial", self.trial, TrialConfig, "a TrialConfig or None")
-        if self.drift is not None:
-            as_share("drift", self.drift)
 
 
 @dataclass(frozen=True, eq=False)
