@@ -15,6 +15,7 @@ from ccdtools.co_design.expert import (
     feasible_sets as feasible_sets,
 )
 from ccdtools.co_design.learned_result import LearnedCoDesign as LearnedCoDesign
+from ccdtools.co_design.measured import kalman_filter as kalman_filter
 from ccdtools.co_design.methods.learned import Learned as Learned
 from ccdtools.co_design.methods.nested import Nested as Nested
 from ccdtools.co_design.methods.search import Search as Search
@@ -22,6 +23,7 @@ from ccdtools.co_design.methods.sequential import Sequential as Sequential
 from ccdtools.co_design.methods.simultaneous import Simultaneous as Simultaneous
 from ccdtools.co_design.multi_start import MultiStart as MultiStart
 from ccdtools.co_design.objective import QuadraticObjective as QuadraticObjective
+from ccdtools.co_design.output_history import history_problem as history_problem
 from ccdtools.co_design.preview import (
     previewed_limits as previewed_limits,
     previewed_objective as previewed_objective,

@@ -16,7 +16,7 @@ from learning.networks import ActorCritic
 def check_agent(problem: CoDesignProblem, agent: ActorCritic) -> None:
     """Raise an `InputError` unless `agent` fits states, designs and inputs."""
     as_instance("agent", agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
-    nx = problem.model.nx
+    nx = problem.model.nx - problem.hidden
     space = problem.design
     observed = len(agent.observation_offset)
     if observed != nx + space.dim:

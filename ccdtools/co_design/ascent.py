@@ -185,9 +185,9 @@ class Ascent:
         limit = torch.as_tensor(self.task.problem.limit, dtype=torch.float32)
         x = x[(x.abs() <= limit).all(dim=1)]  # of runs that are lost, what came before
         if len(x):
-            seen = observe(x, p)
+            seen = observe(x[:, self.task.problem.hidden :], p)
             fill = seen.std(dim=0, correction=0) / self.agent.observation_scale
-            least = LEAST_FILL * fill[: x.shape[1]].max() * self.agent.observation_scale
+            least = LEAST_FILL * fill[: seen.shape[1] - len(p)].max() * self.agent.observation_scale
             self.agent.see(seen, given=self.task.problem.design.dim, keep=True, least=least)
 
     @property

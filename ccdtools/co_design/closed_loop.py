@@ -97,7 +97,7 @@ def closed_loop_returns(
     ----------
     problem : CoDesignProblem
     controller : callable
-        Of the state; it may have memory.
+        Of the state, or of the measurement that the problem has; it may have memory.
     design : (np,) array_like
     rng : numpy.random.Generator
     runs : int, optional
@@ -118,9 +118,15 @@ def closed_loop_returns(
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
     n = min(max(n, fewest_runs(problem.risk)), len(x0))
     x0, w = x0[:n], w[:n]
-    if (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
+    sensor = None
+    if problem.measurement is not None:
+        noisy = problem.measurement.drawn(all_runs, problem.steps, rng).first(n, problem.steps)
+        sensor = noisy.sensor(problem.model, p.numpy(), n, problem.steps, None)
+    elif (x0 == x0[0]).all() and (w == w[0]).all():  # all runs are one
         x0, w = x0[:1], w[:1]
-    driver = Driver(controller, len(x0), problem.model.nu, disturbances=np.zeros((len(x0), 0, 0)), recorded=False)
+    nothing = np.zeros((len(x0), 0, 0))
+    acting = behind_filter(problem, controller, p.numpy())
+    driver = Driver(acting, len(x0), problem.model.nu, disturbances=nothing, recorded=False, output=sensor)
     sample = iter(range(problem.steps * 2))
     least, most = problem.input_bounds_at(p.numpy())
     beyond: list[float] = []
@@ -142,6 +148,15 @@ def closed_loop_returns(
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
     errors = measurement_errors(seen).values()
     return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond))
+
+
+def behind_filter(problem: CoDesignProblem, controller: Any, design: Array) -> Any:
+    """Controller, behind a filter where the state is measured."""
+    if problem.measurement is None:
+        return controller
+    from ccdtools.co_design.measured import observed  # estimation is loaded where it is asked for
+
+    return observed(problem, controller, design)
 
 
 def scenarios_of(seed: int) -> np.random.Generator:

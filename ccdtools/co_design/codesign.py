@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
+from ccdtools.co_design.closed_loop import behind_filter
 from ccdtools.co_design.configuration import METHODS as LEARNED, CoDesignConfig
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import StateLimitPenalty
@@ -122,8 +123,8 @@ def codesign(
         seconds += time.perf_counter() - began
         result = settling.continued(result, settling.checked(further))
     return replace(
-        result, seconds=seconds, described=space.describe(result.design),
-        active_bounds=space.active_bounds(result.design),
+        result, seconds=seconds, controller=behind_filter(problem, result.controller, result.design),
+        described=space.describe(result.design), active_bounds=space.active_bounds(result.design),
         active_constraints=space.active_constraints(result.design),
     )  # fmt: skip
 

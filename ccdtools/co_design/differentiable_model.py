@@ -332,7 +332,8 @@ def mean_law(agent: ActorCritic, p: Tensor) -> Law:
 def latent_law(agent: ActorCritic, p: Tensor) -> Law:
     """Unclipped latent actions (n, nu) of the mean policy, from states (n, nx)."""
     layers = agent.mean_network.at(p, agent.observation_offset, agent.observation_scale)
-    return lambda x: layers(x, torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
+    seen = len(agent.observation_offset) - p.shape[-1]  # the last of the states
+    return lambda x: layers(x[:, -seen:], torch.tanh, lambda x, W, b: torch.addmm(b, x, W))  # in one kernel
 
 
 def episode_at(

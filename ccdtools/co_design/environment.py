@@ -165,7 +165,7 @@ class EpisodeEnv:
     def _seen(self, x: Tensor, u: Tensor) -> Tensor:
         """Observations of states (runs, nx) after inputs (runs, nu), which a history takes in."""
         if not self.history:
-            return observe(x, self._step.p)
+            return observe(x[:, self.problem.hidden :], self._step.p)
         y = torch.tensor(self._output.of(x.double().numpy(), u.double().numpy())).float() + self._v[:, self._k]
         latest = torch.cat([y, u], dim=1)[:, None]
         before = latest.new_zeros(self.runs, self.history, latest.shape[2]) if self._past is None else self._past
@@ -187,7 +187,7 @@ def network_input_gradient(
 def loss_gradient(problem: CoDesignProblem, agent: ActorCritic, v: Tensor, batch: Batch, config: PPOConfig) -> Tensor:
     """−∂/∂v of a batch's PPO loss, through its design columns."""
     v = v.detach().clone().requires_grad_(True)
-    x = batch.observations[:, : problem.model.nx]
+    x = batch.observations[:, : problem.model.nx - problem.hidden]
     losses = ppo_losses(agent, replace(batch, observations=observe(x, to_design(problem, v))), config)
     with torch.no_grad():  # the surrogate is that of one step, in standard deviations of the advantages
         size = problem.steps * ((batch.targets - agent.value(batch.observations)).std() + 1e-8)

@@ -11,6 +11,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.checks import as_vector
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.tolerances import LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
+from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference
 from learning.networks import ActorCritic
@@ -156,6 +157,8 @@ class LearnedCoDesign(CoDesignResult):
         What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
         one found, "policy" the gain of the policy found over the first one there.
     convergence : Convergence or None
+    output_history : int
+        So many last outputs and inputs the policy sees in the place of the state, as `History`; 0 for the state.
     """
 
     agent: ActorCritic
@@ -163,16 +166,19 @@ class LearnedCoDesign(CoDesignResult):
     policy_gradients: GradientCheck | None = None
     gains: dict[str, float] = field(default_factory=dict)
     convergence: Convergence | None = None
+    output_history: int = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "controller", LearnedPolicy(self.agent, self.design))
+        policy = LearnedPolicy(self.agent, self.design)
+        object.__setattr__(self, "controller", History(policy, self.output_history) if self.output_history else policy)
 
     @property
     def policy(self) -> LearnedPolicy:
         """Policy at the design found, as a controller."""
-        assert isinstance(self.controller, LearnedPolicy)
-        return self.controller
+        policy = self.controller.controller if isinstance(self.controller, History) else self.controller
+        assert isinstance(policy, LearnedPolicy)
+        return policy
 
     def _values(self) -> dict[str, Any]:
         """Status and its evidence as plain values."""

@@ -39,7 +39,7 @@ from learning.networks import scaled
 
 
 class Retuned:
-    """Policy with its last layer changed by r (nu, 2 + nx), or (n, nu, 2 + nx) per run.
+    """Policy with its last layer changed by r (nu, 2 + n_seen), or (n, nu, 2 + n_seen) per run.
 
     Parameters
     ----------
@@ -55,7 +55,8 @@ class Retuned:
         self._latent = latent_law(agent, p)
         self._range = agent.action_range(p)
         self.scenarios = (scenarios[0].double(), scenarios[1].double())
-        self.shape = (problem.model.nu, 2 + problem.model.nx)
+        self._hidden = problem.hidden
+        self.shape = (problem.model.nu, 2 + problem.model.nx - problem.hidden)
         x, latent = self._root_mean_squares()
         self._unit = latent.clamp(LEAST_ACTION, 1.0)[:, None]
         self._law = self._unit / x.clamp(min=1e-12)
@@ -68,7 +69,7 @@ class Retuned:
 
         def inputs(x: Tensor) -> Tensor:
             """Inputs (n, nu)."""
-            latent = gain * self._latent(x) + offset + (law @ x[:, :, None])[:, :, 0]
+            latent = gain * self._latent(x) + offset + (law @ x[:, self._hidden :, None])[:, :, 0]
             return scaled(latent, self._range)
 
         return simulated(self._stepper, inputs, self.scenarios, depths=depths)
@@ -89,7 +90,7 @@ class Retuned:
         limit = self._stepper.limit.double()
         x, *_ = visited(self._stepper, lambda x: scaled(self._latent(x), self._range), self.scenarios)
         with torch.no_grad():
-            found = (x.clamp(-limit, limit), self._latent(x).clamp(-1.0, 1.0))
+            found = (x.clamp(-limit, limit)[:, self._hidden :], self._latent(x).clamp(-1.0, 1.0))
         states, latents = (value.square().mean(dim=0).sqrt() for value in found)
         return states, latents
 

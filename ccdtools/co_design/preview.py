@@ -64,12 +64,11 @@ def previewed_problem(
     scenarios = PreviewedScenarios(problem.scenarios, steps, known)
     if W is None:
         W = _drawn_bounds(problem, known)
-    limits = problem.output_limits
     return replace(
         problem, model=with_preview(problem.model, steps, channels=known), scenarios=scenarios,
         X=previewed_limits(problem.X, W, steps, channels=len(known)),
         objective=previewed_objective(problem.objective, steps, channels=len(known)),
-        output_limits=None if limits is None else _previewed_output_limits(limits, problem.model.nx),
+        output_limits=previewed_output_limits(problem.output_limits, problem.model.nx),
     )  # fmt: skip
 
 
@@ -159,8 +158,10 @@ def _with_register(own: Weights, length: int) -> Weights:
     return Weights(block_diag(own.Q, np.zeros((length, length))), own.R, S)
 
 
-def _previewed_output_limits(limits: OutputLimits, nx: int) -> OutputLimits:
-    """Limits of outputs of the first nx states."""
+def previewed_output_limits(limits: OutputLimits | None, nx: int) -> OutputLimits | None:
+    """Limits of outputs of the first nx states, if there are any."""
+    if limits is None:
+        return None
     own = limits.outputs
 
     def outputs(x: Any, u: Any, p: Any) -> Any:

@@ -116,6 +116,12 @@ class CoDesignProblem(Immutable):
     warm_up : int
         First steps of an episode whose rewards and states outside X do not count; 0 by default. For episodes that
         begin at a state that the design and policy in question have not come to themselves.
+    measurement : Measurement, optional
+        What the sensors of the closed loop measure, with their noise: controllers of the state then act on the estimate
+        of a Kalman filter at their design, which knows mean and spread of the starts and takes the disturbance of
+        `scenarios` for white noise; by default the state is known.
+    hidden : int
+        So many first states a policy does not see, see `history_problem`.
     divergence : float
         Half-widths of X beyond which a run is lost and ends. It bounds what a lost run costs: about the square of it
         for a quadratic cost. Learning from a policy that loses runs asks for less than the default of 1000.
@@ -141,6 +147,8 @@ class CoDesignProblem(Immutable):
     warm_up: int = 0
     risk: Risk = MEAN
     output_limits: OutputLimits | None = None
+    measurement: Any = None
+    hidden: int = 0
     divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
@@ -186,6 +194,7 @@ class CoDesignProblem(Immutable):
         object.__setattr__(self, "divergence", as_positive("divergence", self.divergence))
         self._check_discrepancy()
         self._check_scenarios()
+        self._check_measurement()
         check_every_entry_acts(self)
 
     def _check_over_designs(self) -> None:
@@ -228,6 +237,23 @@ class CoDesignProblem(Immutable):
         width = self.model.nx if replayed else self.model.nw
         if (self.discrepancy is None or replayed) and w != (1, self.steps, width):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
+
+    def _check_measurement(self) -> None:
+        """Raise an `InputError` unless `measurement` has noise and fits the model."""
+        if self.measurement is None:
+            return
+        has_method("measurement", self.measurement, "drawn", "a Measurement(output, noise=…) or None")
+        if self.measurement.noise is None:
+            raise InputError("measurement", "one without noise", "Measurement(output, noise=…), which a filter weighs")
+        self.measurement.check(self.model.nx, self.model.nu)
+        if self.discrepancy is not None:
+            raise InputError("discrepancy", "a learned error beside a measurement", "one or the other")
+
+    @cached_property
+    def moments(self) -> tuple[Array, Array, Array]:
+        """Mean start (nx,), second moments of starts (nx, nx) and disturbances (nw, nw)."""
+        x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
+        return x0.mean(axis=0), x0.T @ x0 / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.
@@ -336,8 +362,8 @@ class CoDesignProblem(Immutable):
 
     @property
     def observation_bounds(self) -> tuple[Array, Array]:
-        """Range of the observation (x, p), each (nx + np,), with room at fixed entries."""
-        scale = self.state_scale
+        """Range of the observation (x, p), each (nx − hidden + np,), with room at fixed entries."""
+        scale = self.state_scale[self.hidden :]
         lower, upper = self.design.lower, self.design.upper
         room = np.where(self.design.free, 0.0, np.where(lower == 0, 1.0, 0.5 * np.abs(lower)))
         return np.r_[-scale, lower - room], np.r_[scale, upper + room]

@@ -36,6 +36,7 @@ from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
 from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.sampled_model import SampledModel
@@ -43,6 +44,8 @@ from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import NOT_WORSE
 from mpc import MPCError
+
+POLICIES = (LearnedPolicy, History)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +79,7 @@ class Settling:
         result = replace(result, baselines=tuple(self._baselines(result, loop)))
         if any(map(_better, result.baselines)):
             return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
-        return self._policy_checked(result, loop) if isinstance(result.controller, LearnedPolicy) else result
+        return self._policy_checked(result, loop) if isinstance(result.controller, POLICIES) else result
 
     def continued(self, first: CoDesignResult, further: CoDesignResult) -> CoDesignResult:
         """The result that went on from a first one where it gained beyond chance, else the first."""
@@ -137,11 +140,13 @@ class Settling:
             if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
                 found.append(self._baseline(name, lqr, result.design, loop, None))
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
-        if isinstance(result.controller, LearnedPolicy) and not too_few(self.problem.risk, np.arange(runs)):
+        if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
                 planned = linear_mpc(self.problem, result.design)
-                found.append(self._baseline("MPC of the same design", planned, result.design, loop, None, runs))
-        if self.designing and result.method != Nested().name:
+                found.append(
+                    self._baseline(f"MPC of the same design{self._behind}", planned, result.design, loop, None, runs)
+                )
+        if self.designing and result.method != self._reference.name:
             starts = start_points(self.problem.design, result.design, result.valleys[:1], 2)
             found += [self._nested(self.problem.design.settled(v), loop) for v in starts]
         return [one for one in found if one is not None]
@@ -149,21 +154,31 @@ class Settling:
     def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
         """LQR of the tangent at rest, if any, and of a better secant."""
         with suppress(MPCError, InputError):
-            yield "LQR of the same design", saturated_lqr(self.problem, design)
+            yield f"LQR of the same design{self._behind}", saturated_lqr(self.problem, design)
         if isinstance(self.problem.model, SampledModel):
             with suppress(MPCError, InputError):
                 secant = fitted(self.problem, design, visited(self.problem, copy.deepcopy(self.scenarios)))
                 if secant.better:
-                    yield "LQR of the same design, of its secant", secant.controller
+                    yield f"LQR of the same design, of its secant{self._behind}", secant.controller
+
+    @property
+    def _behind(self) -> str:
+        """Where controllers of the state stand, if it is measured."""
+        return "" if self.problem.measurement is None else ", behind the filter"
+
+    @property
+    def _reference(self) -> Nested:
+        """Nested co-design that results are held against."""
+        inner = "lqr" if self.problem.measurement is None else "lqg"
+        return Nested(inner, runs=SETTLING_RUNS, starts=1, evaluations=20)
 
     def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
         """Result of a short nested LQR from a design."""
-        method = Nested("lqr", runs=SETTLING_RUNS, starts=1, evaluations=20)
         try:
-            best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
+            best = self._reference.run(self.problem, start, copy.deepcopy(self.scenarios))
         except (MPCError, InputError):
             return None
-        kept = self._at("nested LQR", best.controller, best.design, loop, best.limits)
+        kept = self._at(self._reference.name, best.controller, best.design, loop, best.limits)
         if kept is None or best.limits is None:
             return kept
         return self._nearer(kept, best.history.design[np.nanargmax(best.history.model_return)], loop, best.limits)
@@ -213,8 +228,17 @@ class Settling:
 
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result of a policy, settled if its gradient and a search confirm it."""
-        policy = result.controller
-        assert isinstance(policy, LearnedPolicy)
+        policy: Any = result.controller
+        if not isinstance(policy, History):
+            return self.confirmed(result, policy, loop)
+        from ccdtools.co_design.output_history import history_problem
+
+        inner: Any = policy.controller  # on the problem whose states its histories are
+        of_histories = replace(self, problem=history_problem(self.problem, policy.length))
+        return of_histories.confirmed(result, inner, loop)
+
+    def confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
+        """Result with the status that gradient and search leave its policy."""
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)

@@ -27,6 +27,7 @@ def left(monkeypatch, *arguments: str) -> int:
     return ended.value.code
 
 
+@pytest.mark.check
 def test_the_table_is_printed_and_kept(tmp_path, monkeypatch, capsys):
     asked = ("--methods", "nested-lqr,sequential", "--seed", "2", "--output", "kept")
     done = command("illustrative", *asked, cwd=tmp_path)

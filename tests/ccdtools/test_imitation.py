@@ -86,6 +86,7 @@ def test_what_a_policy_is_fitted_to_is_what_it_sees_in_the_loop():
     assert found.returns[0] == pytest.approx(found.expert, rel=0.02)
 
 
+@pytest.mark.check
 def test_an_expert_may_see_the_state_where_the_policy_sees_outputs():
     found = imitated(LQR, history=4, rounds=3)
     assert isinstance(found.controller, History)
@@ -105,6 +106,7 @@ def test_runs_that_the_policy_loses_are_not_blamed_on_the_expert():
     assert found.samples[0] == 20 * 60
 
 
+@pytest.mark.check
 def test_the_best_round_is_kept_and_seeds_repeat():
     found = imitated(LQR, rounds=3)
     again = imitated(LQR, rounds=3)
@@ -163,6 +165,7 @@ def test_a_history_needs_outputs_and_a_policy_without_needs():
         History(LQR, 0)
 
 
+@pytest.mark.check
 def test_every_round_draws_runs_of_its_own():
     starts = []
 

@@ -69,6 +69,19 @@ class DesignCost(ABC):
         count = len(self.rows) + 1
         self.rows.append((count, count * samples, p, value, std, lost))
 
+    def differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
+        """Slopes (count, np) of values (count,), central or one-sided at a bound."""
+        slopes = np.zeros((count, len(v)))
+        for i in np.flatnonzero(self.problem.design.allowed.free):
+            ends = []
+            for side in (COST_STEP, -COST_STEP):
+                at = v.copy()
+                at[i] = np.clip(v[i] + side, 0.0, 1.0)
+                ends.append((at[i], values(at)))
+            (high, above), (low, below) = ends
+            slopes[:, i] = (above - below) / (high - low)
+        return slopes
+
     def measured(self, v: Array) -> tuple[float, float]:
         """Cost at a point without slope or history, and violation of the limits."""
         return self(v)[0], 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from types import NoneType
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_instance, has_method
+from ccdtools.checks import as_choice, as_count, as_instance, has_method
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
@@ -61,6 +62,8 @@ class Learned:
         the problem holds a learned model whose errors an optimiser may exploit.
     limits : optional
         What leaving X costs, see `StateLimitPenalty`; by default what `judge.limit_tolerance` asks for.
+    history : int
+        Of a problem with a `measurement` the policy sees so many last outputs and inputs; it begins by imitating LQG.
     """
 
     by: str = "pathwise"
@@ -68,6 +71,7 @@ class Learned:
     config: CoDesignConfig | None = None
     judge: CoDesignProblem | None = None
     limits: StateLimitPenalty | None = None
+    history: int = 8
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
@@ -75,6 +79,7 @@ class Learned:
         as_instance("agent", self.agent, kinds, "an ActorCritic", "fit_actor_critic makes one.")
         config = CoDesignConfig() if self.config is None else self.config
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
+        as_count("history", self.history)
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
         if self.limits is not None:
@@ -89,14 +94,20 @@ class Learned:
         self, problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool = False
     ) -> LearnedCoDesign:
         """Best design and policy from a feasible design (np,)."""
+        known = problem
+        if known.measurement is not None:
+            from ccdtools.co_design.output_history import history_problem
+
+            problem = history_problem(known, self.history)
         config: Any = self.config
         work = config.iterations * config.pathwise_runs * problem.steps
         problem = replace(problem, model=for_long_work(problem.model, work))
-        judge = problem if self.judge is None else self.judge
+        judge = problem if self.judge is None or known.measurement is not None else self.judge
         check_followed(problem.risk, self.by, config.design_gradient)
         _check_judge(problem, judge)
         _check_objective(problem)
-        agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
+        first = partial(_first_agent, problem, known, rng, progress=progress)
+        agent = first() if self.agent is None else self.agent
         check_agent(problem, agent)
         limits = self.limits
         if limits is None and judge.limit_tolerance != "off":
@@ -104,12 +115,13 @@ class Learned:
             warn_of_unavoidable_depth(judge, design)
         task = Task(problem, judge, self.by, config, limits)
         at("landscape of saturated LQR")
-        found = chosen_valleys(task, design, rng)
+        found = chosen_valleys(replace(task, problem=replace(known, measurement=None)), design, rng)
         agents = [agent]
-        if self.agent is not None and (task.pathwise or task.ppo) and _spoilt(judge, agent, design, rng):
-            agents.append(warm_start(problem, rng, progress=progress))
+        if self.agent is not None and (task.pathwise or task.ppo) and not problem.hidden:
+            agents += [first()] if _spoilt(judge, agent, design, rng) else []
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
-        return _result(task, ascents, agent, design, found)
+        result = _result(task, ascents, agent, design, found)
+        return replace(result, output_history=self.history) if problem.hidden else result
 
     def instead(self, result: CoDesignResult) -> Learned | None:
         """PPO, from where a climb ended whose policy its gradient led to no optimum; else None."""
@@ -120,6 +132,17 @@ class Learned:
         if self.by != "pathwise" or config.policy_rate == 0 or not (known or behind):
             return None
         return replace(self, by="ppo", agent=getattr(result, "agent", None))
+
+
+def _first_agent(
+    problem: CoDesignProblem, known: CoDesignProblem, rng: np.random.Generator, *, progress: bool
+) -> ActorCritic:
+    """Agent that imitates saturated LQR, or LQG."""
+    if problem.hidden:
+        from ccdtools.co_design.output_history import warm_start_of_outputs
+
+        return warm_start_of_outputs(problem, known, rng)
+    return warm_start(problem, rng, progress=progress)
 
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:

@@ -30,7 +30,7 @@ from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_kept_runs
-from ccdtools.co_design.tolerances import COST_STEP, NEGLIGIBLE_GAIN, PRICE_GROWTH, USED_SHARE
+from ccdtools.co_design.tolerances import NEGLIGIBLE_GAIN, PRICE_GROWTH, USED_SHARE
 from ccdtools.controllers.controllers import Controller
 from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError
@@ -81,7 +81,7 @@ class LoopCost(DesignCost):
         found = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
         self.remember(self.problem.design.from_unit(v), *found, samples=math.prod(self.scenarios[1].shape[:2]))
         if not exact:
-            return float(cost), lambda: np.asarray(self._differences(v, self._value_at, 1)[0])
+            return float(cost), lambda: self.differences(v, self._value_at, 1)[0]
         if not cost.requires_grad:
             return float(cost), lambda: np.zeros(len(v))
         return float(cost.detach()), lambda: torch.autograd.grad(cost, point)[0].numpy()
@@ -94,19 +94,6 @@ class LoopCost(DesignCost):
             return np.array([float(self._cost(self.seen(v), torch.tensor(v)))])
         except NotStabilisableError:
             return np.array([np.inf])
-
-    def _differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
-        """Slopes (count, np) of values (count,), central or one-sided at a bound."""
-        slopes = np.zeros((count, len(v)))
-        for i in np.flatnonzero(self.problem.design.allowed.free):
-            ends = []
-            for side in (COST_STEP, -COST_STEP):
-                at = v.copy()
-                at[i] = np.clip(v[i] + side, 0.0, 1.0)
-                ends.append((at[i], values(at)))
-            (high, above), (low, below) = ends
-            slopes[:, i] = (above - below) / (high - low)
-        return slopes
 
     @property
     def _priced(self) -> bool:
@@ -234,7 +221,7 @@ class LoopCost(DesignCost):
         outcome = found.penalty.outcome(self.seen(found.v))
         if not found.penalty.active:
             return replace(found, limits=outcome)
-        slope, *violations = self._differences(found.v, self._cost_and_violations, 3)
+        slope, *violations = self.differences(found.v, self._cost_and_violations, 3)
         named = zip(("mean violation of the limits", "peak violation of the limits"), violations)
         measures = (outcome.achieved, outcome.errors, outcome.tolerance, outcome.multipliers)
         used = zip(*(measure.values() for measure in measures))

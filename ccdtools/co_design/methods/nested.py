@@ -32,8 +32,24 @@ from ccdtools.plants.sampled_model import SampledModel
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 
-RUNS = {"lqr": 1000, "mpc": 32, "nmpc": 16, "riccati": 1, "trajectory": 8, "rl": 256}  # Scenarios of 100 steps
-NAMES = {"lqr": "LQR", "mpc": "MPC", "nmpc": "NMPC", "riccati": "Riccati", "trajectory": "trajectory", "rl": "RL"}
+RUNS = {
+    "lqr": 1000,
+    "mpc": 32,
+    "nmpc": 16,
+    "riccati": 1,
+    "lqg": 1,
+    "trajectory": 8,
+    "rl": 256,
+}  # Scenarios of 100 steps
+NAMES = {
+    "lqr": "LQR",
+    "mpc": "MPC",
+    "nmpc": "NMPC",
+    "riccati": "Riccati",
+    "lqg": "LQG",
+    "trajectory": "trajectory",
+    "rl": "RL",
+}
 
 
 @dataclass(frozen=True)
@@ -42,12 +58,12 @@ class Nested:
 
     Attributes
     ----------
-    inner : {"lqr", "riccati", "mpc", "nmpc", "trajectory", "rl"}
+    inner : {"lqr", "riccati", "lqg", "mpc", "nmpc", "trajectory", "rl"}
         In closed loop on fixed scenarios: saturated LQR ("lqr"; slopes exact, through the Riccati equation and the
         simulation), linear or nonlinear MPC (slopes by differences of closed loops), a policy trained at every design
         ("rl", the bi-level form; slopes by the envelope theorem). Without a simulation: LQR that never saturates
-        ("riccati"). In open loop: the best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes
-        exact, by multipliers).
+        ("riccati"), on the estimate of the problem's Kalman filter ("lqg"; slopes by differences). In open loop: the
+        best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes exact, by multipliers).
     runs : int, optional
         Scenarios of 100 steps; of longer ones fewer are taken, except of trajectories. By default 1000 of LQR, 32 of
         MPC, 16 of nonlinear MPC, 8 of trajectories, 256 of learning.
@@ -140,6 +156,10 @@ class Nested:
         runs = self.runs or RUNS[self.inner]
         if self.inner == "riccati":
             return lambda v: RiccatiCost(problem)
+        if self.inner == "lqg":
+            from ccdtools.co_design.methods.lqg_cost import LqgCost
+
+            return lambda v: LqgCost(problem)
         if self.inner == "trajectory":  # what few ask for is loaded where it is asked for
             from ccdtools.co_design.methods.open_loop import drawn
             from ccdtools.co_design.methods.trajectory_cost import TrajectoryCost

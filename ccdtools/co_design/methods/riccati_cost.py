@@ -50,9 +50,6 @@ class RiccatiCost(DesignCost):
             if is_so:
                 cure = "Nested('lqr') simulates the problem as it is."
                 raise InputError("method", f"the Riccati equation for a problem with {got}", "one of mean costs", cure)
-        x0, w = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))  # for second moments
-        self._starts = x0.T @ x0 / len(x0)
-        self._noise = np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost and slope (np,) at a point (np,); infinite without LQR."""
@@ -63,12 +60,13 @@ class RiccatiCost(DesignCost):
         except NotStabilisableError:
             return np.inf, lambda: np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
-        spread = self._starts + problem.steps * (E @ self._noise @ E.T)
+        _, starts, noise = problem.moments
+        spread = starts + problem.steps * (E @ noise @ E.T)
         objective = problem.objective  # of the first states, next-state rewards count nothing
-        first = float(np.sum(objective.Q * self._starts)) if isinstance(objective, QuadraticObjective) else 0.0
+        first = float(np.sum(objective.Q * starts)) if isinstance(objective, QuadraticObjective) else 0.0
         cost = float(np.sum(found.P * spread)) - first
         slope = np.einsum("xyp,xy->p", found.dP, spread)
-        slope = slope + 2 * problem.steps * np.einsum("xy,ywp,wv,xv->p", found.P, dE, self._noise, E)
+        slope = slope + 2 * problem.steps * np.einsum("xy,ywp,wv,xv->p", found.P, dE, noise, E)
         at_rest, rest_slope = self._at_rest(p)
         value = cost + at_rest
         self.remember(p, -value)

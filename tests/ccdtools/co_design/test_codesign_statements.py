@@ -62,6 +62,7 @@ def test_nested_trajectories_leave_a_first_design_that_cannot_keep_the_limits(un
     assert nested.objective == pytest.approx(together.objective, rel=1e-5)
 
 
+@pytest.mark.check
 def test_limits_are_named_as_the_plant_and_the_user_name_them():
     problem = replace(mass(), output_limits=cc.OutputLimits(lambda x, u, p: x[0], -0.2, 0.2, names=["travel [m]"]),
                       scenarios=cc.FixedStart([0.1, 3.0], cc.Gaussian([0.5])), U=([-0.1], [0.1]))  # fmt: skip

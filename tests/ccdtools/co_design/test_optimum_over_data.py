@@ -107,6 +107,7 @@ def test_where_the_design_meets_its_bound_the_slopes_to_both_sides_differ():
     assert "ahead" in repr(found)
 
 
+@pytest.mark.check
 def test_all_starts_lead_to_the_exact_optimum_and_processes_change_nothing():
     own = mass()
     found = multi_start(own, 3, method=NESTED)

@@ -41,6 +41,7 @@ def test_inputs_that_know_the_disturbance_are_better_than_any_controller():
     assert ahead.closed_loop.summary.mean <= loop.closed_loop.summary.mean + 0.002 * abs(loop.objective)
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("unit", [1.0, 1000.0])
 def test_a_gain_found_with_the_design_is_as_good_as_nested_lqr(unit):
     problem = spring_problem(unit, U=([-2 * unit], [2 * unit]), limit_tolerance="off")
@@ -83,6 +84,7 @@ def test_a_search_keeps_constraints_and_whole_numbers(name):
     assert case.cost(found.design) <= 1.01 * cost
 
 
+@pytest.mark.check
 @pytest.mark.quick(4)
 @pytest.mark.parametrize("library", ["cma", "bayesian"])
 @pytest.mark.parametrize("seed", range(3))

@@ -125,6 +125,7 @@ def test_a_plan_that_stands_still_at_a_saddle_is_left(starts):
     assert controller.last_plans[0].cost == pytest.approx(best, rel=1e-2)
 
 
+@pytest.mark.check
 def test_threads_may_share_a_controller():
     controller, states = law(), [angle / 8 * HANGING for angle in range(1, 9)]
     alone = [controller.solve(x) for x in states]

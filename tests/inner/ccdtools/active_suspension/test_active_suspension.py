@@ -87,6 +87,7 @@ def test_nested_reaches_that_cost_from_every_published_start(start):
     assert found(nested, start).solution.cost == pytest.approx(found(simultaneous, start).solution.cost, rel=1e-5)
 
 
+@pytest.mark.check
 def test_equal_costs_are_those_of_one_stiffness_and_damping_in_different_dimensions():
     designs = np.array([found(simultaneous, "theirs, 1").p, found(nested, "theirs, 1").p])
     assert np.abs(designs[1] / designs[0] - 1).max() > 0.2

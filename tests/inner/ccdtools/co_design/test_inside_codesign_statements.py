@@ -49,6 +49,7 @@ def test_designs_that_were_looked_at_in_vain_are_counted_from_every_start(monkey
     assert found.evaluations == len(looked) > 2
 
 
+@pytest.mark.check
 def test_a_state_that_is_called_like_a_parameter_of_the_program_keeps_its_name():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p * ca.sin(x[0]) - x[1] + u + w), cc.DesignSpace(["k"], [1], [3]),

@@ -88,6 +88,7 @@ def test_nested_lqr_finds_the_best_design_of_a_grid_whatever_counts(name, unit):
     assert found.status.settled
 
 
+@pytest.mark.check
 @pytest.mark.parametrize("weight", [0.3, 1.0])
 @pytest.mark.parametrize("unit", [1.0, 1e3])
 def test_a_program_that_counts_the_spread_of_costs_is_solved(unit, weight):

@@ -11,7 +11,7 @@ from ccdtools import DesignSpace, Plant
 from ccdtools.plants import SampledModel
 from ccdtools.plants.budgets import FEW_ROWS, KEPT_SIZES
 
-RUNS = [1, 2, FEW_ROWS, FEW_ROWS + 1, 2500]
+RUNS = [1, 2, FEW_ROWS, FEW_ROWS + 1, pytest.param(2500, marks=pytest.mark.check)]
 DESIGN = DesignSpace(["a", "b"], lower=[0.5, 1.0], upper=[2.0, 3.0])
 
 

@@ -124,6 +124,7 @@ def landscape_of(whole, design):
     return landscape(run)
 
 
+@pytest.mark.check
 def test_a_report_names_what_a_design_keeps_and_what_holds_it(tmp_path, monkeypatch):
     """From the command to the page: a fixed entry, a whole number and a budget that is spent at the start."""
     monkeypatch.setattr(preparation, "configuration", small_runs.tiny_configuration)

@@ -160,6 +160,7 @@ def _without_input(plant):
     return ca.substitute(plant.dynamics, plant.u, ca.DM.zeros(plant.nu))
 
 
+@pytest.mark.check
 def test_of_a_single_drive_only_what_does_not_enter_through_E_follows_the_state(suspension, clone):
     """A slow road looks like a consequence of the state; learned as one it would be met twice."""
     agent = clone(suspension)

@@ -1,0 +1,53 @@
+"""Controllers of a problem whose state is measured by noisy sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.checks import as_instance
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.observed import Observed
+from ccdtools.controllers.signals import needs_of
+from ccdtools.estimation.kalman import KalmanFilter
+from ccdtools.exceptions import InputError
+
+
+def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
+    """Kalman filter of a problem's sensors at a design.
+
+    Model and outputs are linearised at rest; the disturbance counts as white noise of its second moment.
+
+    Raises
+    ------
+    InputError
+        If the problem has no `measurement`, or its noise leaves an output exact.
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    if problem.measurement is None:
+        raise InputError("problem", "one without a measurement", "CoDesignProblem(measurement=Measurement(…))")
+    p = problem.design.check_one(design)
+    A, B, E = problem.model.matrices(p)
+    nx, nu = problem.model.nx, problem.model.nu
+    rest, still = np.zeros((1, nx)), np.zeros((1, nu))
+    output = problem.measurement.at(nx, nu, p)
+    C = np.reshape(output.slope(rest, still, np.ones((1, nx))), (-1, nx))
+    D = np.column_stack([(output.of(rest, u) - output.of(rest, -u))[0] / 2 for u in np.eye(nu)[:, None]])
+    v = problem.measurement.drawn(4096, min(problem.steps, 64), np.random.default_rng(0)).noise
+    assert v is not None
+    V = np.einsum("nti,ntj->ij", v, v) / (v.shape[0] * v.shape[1])
+    mean, starts, noise = problem.moments
+    W, P0 = E @ noise @ E.T, starts - np.outer(mean, mean)
+    return KalmanFilter(
+        A, B, C, (W + W.T) / 2, (V + V.T) / 2, D=D, y0=output.of(rest, still)[0], steady=False, x0=mean,
+        P0=(P0 + P0.T) / 2,
+    )  # fmt: skip
+
+
+def observed(problem: CoDesignProblem, controller: Any, design: ArrayLike) -> Any:
+    """Controller of outputs, or of the estimate."""
+    if "output" in needs_of(controller):
+        return controller
+    return Observed(controller, kalman_filter(problem, design))

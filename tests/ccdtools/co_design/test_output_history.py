@@ -1,0 +1,109 @@
+"""Policies of measured outputs, learned with the design."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    CoDesignConfig,
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Learned,
+    Measurement,
+    Nested,
+    Plant,
+    QuadraticObjective,
+    Scenario,
+    codesign,
+    discretise,
+)
+from ccdtools.co_design import history_problem
+from ccdtools.controllers import History
+
+M = 6
+
+
+def stated(outputs, measurement=None, *, stiff=False, **changes):
+    """A mass on a spring, linear or stiffening, whose given outputs are measured."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    force = p[0] * x[0] + p[1] * x[1] + (0.5 * x[0] ** 3 if stiff else 0)
+    plant = Plant(
+        x, u, w, p, [x[1], -force + u + w], DesignSpace(["k", "c"], [0.5, 0.1], [3.0, 2.0]), dt=0.1,
+        outputs=outputs(x, u, p, force),
+    )  # fmt: skip
+    own = {
+        "X": ([-20, -20], [20, 20]), "U": (-3, 3), "scenarios": FixedStart([1.0, 0.0], Gaussian([1.0])),
+        "objective": QuadraticObjective(np.diag([1, 0.1]), [[0.1]], design_cost=lambda p: 0.2 * p[0] ** 2 + p[1]),
+        "steps": 80, "limit_tolerance": "off",
+        "measurement": Measurement(plant, noise=[0.1]) if measurement is None else measurement,
+    }  # fmt: skip
+    model = discretise(plant, X=own["X"], U=own["U"], method="rk4") if stiff else discretise(plant)
+    return CoDesignProblem(model, **(own | changes))
+
+
+@pytest.mark.parametrize("stiff", [False, True])
+@pytest.mark.parametrize("of_design", [False, True])
+def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(stiff, of_design, rng):
+    problem = stated((lambda x, u, p, f: [u - f]) if of_design else (lambda x, u, p, f: [x[0]]), stiff=stiff)
+    longer = history_problem(problem, M)
+    p, x = np.array([1.3, 0.4]), rng.standard_normal((4, 2))
+    h = problem.measurement.at(2, 1, p).of
+    step, own = longer.model.stepper(p, batch=4), problem.model.stepper(p, batch=4)
+    z = np.hstack([x, np.zeros((4, 2 * M))])
+    seen, applied = [np.zeros((4, 1))] * M, [np.zeros((4, 1))] * M
+    for _ in range(9):
+        u, w, v = rng.standard_normal((3, 4, 1))
+        x = own(x, u, w)
+        seen, applied = [h(x, u) + v, *seen[:-1]], [u, *applied[:-1]]
+        z = np.asarray(step(z, u, np.hstack([w, v])))
+        np.testing.assert_allclose(z, np.hstack([x, *seen, *applied]), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.check
+def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_the_sensor():
+    problem = stated(lambda x, u, p, f: [x[0]])
+    config = CoDesignConfig(iterations=40, starts=1, pathwise_runs=128, evaluation_runs=256)
+    found = codesign(problem, method=Learned(history=M, config=config), rng=np.random.default_rng(0))
+    assert isinstance(found.controller, History)
+    assert found.controller.needs == {"output", "last_input"}
+    lqg = codesign(problem, method=Nested("lqg"), rng=np.random.default_rng(0))
+    mine, its = found.closed_loop.summary, lqg.closed_loop.summary
+    assert mine.mean > its.mean - 0.02 * abs(its.mean)
+    x0, w = problem.scenarios.sample(400, 80, np.random.default_rng(5))
+    run = Scenario(problem.model, x0, w, output=problem.measurement, seed=1).run(found.controller, design=found.design)
+    own = run.returns(problem.objective)
+    spread = 3 * own.std() / 20
+    assert own.mean() == pytest.approx(mine.mean, abs=spread + mine.ci95[1] - mine.ci95[0])
+
+
+@pytest.mark.check
+def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it():
+    problem = stated(lambda x, u, p, f: [u - f])
+    config = CoDesignConfig(iterations=10, starts=1, pathwise_runs=128, evaluation_runs=256)
+    found = codesign(problem, method=Learned(history=M, config=config), rng=np.random.default_rng(0))
+    assert found.gradients.trusted
+
+
+@pytest.mark.parametrize(
+    ("measurement", "words"),
+    [
+        (Measurement(lambda x: x[:, :1], noise=[0.1]), "Python function"),
+        (Measurement(np.eye(2)[:1], noise=None), "without noise"),
+    ],
+)
+def test_sensors_that_no_history_can_be_made_of_are_refused(measurement, words):
+    with pytest.raises(InputError, match=words):
+        history_problem(stated(lambda x, u, p, f: [x[0]], measurement), M)
+
+
+def test_a_history_asks_for_a_measurement_and_a_length():
+    problem = stated(lambda x, u, p, f: [x[0]])
+    with pytest.raises(InputError, match="length"):
+        history_problem(problem, 0)
+    with pytest.raises(InputError, match="measurement"):
+        history_problem(history_problem(problem, 2), 2)
