@@ -1,32 +1,20 @@
-"""Array types, immutable dataclasses and values for JSON."""
+"""Array types and values for JSON."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccdtools_ground.door import frozen as frozen
+from ccdtools_ground.door import Immutable as Immutable, frozen as frozen
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.integer[Any]]
 Mask: TypeAlias = NDArray[np.bool_]
 ArrayField: TypeAlias = Any
 """A dataclass field that takes any array_like and holds an `Array` once the object exists."""
-
-
-class Immutable:
-    """Base of the frozen dataclasses; copies have read-only arrays too."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, frozen(value))
 
 
 def jsonable(value: Any) -> Any:

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, Mask, frozen
+from ccdtools.arrays import Array, Immutable, Mask
 from ccdtools.checks import as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
@@ -80,7 +80,7 @@ class DesignLimits(Immutable):
                 got = f"{lower[k, i]:.6g} and {upper[k, i]:.6g} for number {i + 1} at {space.describe(designs[k])}"
                 over = f"{expected} over the whole box of designs"
                 raise InputError(argument, got, over, "" if space.violation(designs[k]) <= FEASIBLE else FORBIDDEN)
-        return cls(argument, both, tuple(space.names), frozen(lower.min(axis=0)), frozen(upper.max(axis=0)))
+        return cls(argument, both, tuple(space.names), lower.min(axis=0), upper.max(axis=0))
 
     def __repr__(self) -> str:
         return f"DesignLimits({self.argument}, {self.dim} numbers)"
@@ -147,8 +147,7 @@ class DesignLimits(Immutable):
         both = ca.vertcat(own[: self.dim], ca.DM(lower), own[self.dim :], ca.DM(upper))
         function = SymbolicFunction(self.argument, ca.Function(self.argument, [p], [both]), ("p",))
         function.function(self.entries)
-        wider = (frozen(np.r_[own, added]) for own, added in ((self.lower, lower), (self.upper, upper)))
-        return DesignLimits(self.argument, function, self.names, *wider)
+        return DesignLimits(self.argument, function, self.names, np.r_[self.lower, lower], np.r_[self.upper, upper])
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for `from_dict`."""
@@ -161,8 +160,7 @@ class DesignLimits(Immutable):
         """Limits from the values of `as_dict`."""
         both = SymbolicFunction(values["argument"], ca.Function.deserialize(values["function"]), ("p",))
         both.function(len(values["names"]))
-        lower, upper = (frozen(np.array(values[name], dtype=float)) for name in ("lower", "upper"))
-        return cls(values["argument"], both, tuple(values["names"]), lower, upper)
+        return cls(values["argument"], both, tuple(values["names"]), values["lower"], values["upper"])
 
 
 Limits: TypeAlias = Polytope | DesignLimits

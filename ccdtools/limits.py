@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, Mask, frozen
+from ccdtools.arrays import Array, Immutable, Mask
 from ccdtools.budgets import STRETCHES
 from ccdtools.checks import as_array, as_floats, as_instance
 from ccdtools.exceptions import InputError
@@ -50,10 +50,9 @@ class Excursions(Immutable):
     single: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("fraction", "mean", "peak"):
-            object.__setattr__(self, name, frozen(as_floats(name, getattr(self, name))))
+        super().__post_init__()
         lost = np.zeros(len(self.peak), dtype=bool) if self.lost is None else self.lost
-        object.__setattr__(self, "lost", frozen(lost))
+        self._set(lost=lost)
 
     @classmethod
     def from_depths(cls, by_row: Array, texts: Sequence[str], limits: str = "X", **options: Any) -> Excursions:

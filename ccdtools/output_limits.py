@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_floats, as_instance, as_names, shown
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
@@ -51,7 +51,7 @@ class OutputLimits(Immutable):
     texts: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "outputs", as_symbolic("output_limits", self.outputs, ("x", "u", "p")))
+        self._set(outputs=as_symbolic("output_limits", self.outputs, ("x", "u", "p")))
         given = [np.atleast_1d(as_floats("output_limits", bound)) for bound in (self.lower, self.upper)]
         try:
             low, high = (np.array(bound) for bound in np.broadcast_arrays(*given))
@@ -62,8 +62,7 @@ class OutputLimits(Immutable):
             raise InputError("output_limits", f"{shown(low)} and {shown(high)}", "numbers or vectors, lower < upper")
         if not (np.isfinite(low) | np.isfinite(high)).any():
             raise InputError("output_limits", "infinite ones alone", "at least one finite limit")
-        object.__setattr__(self, "lower", frozen(low))
-        object.__setattr__(self, "upper", frozen(high))
+        self._set(lower=low, upper=high)
 
     @classmethod
     def of(cls, plant: Plant) -> OutputLimits | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import ArrayField, Immutable, frozen
+from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
@@ -51,15 +51,12 @@ class Scenario(Immutable):
     seed: int | None = None
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
         plant = as_simulable(self.plant)
         w = as_floats("disturbance", self.disturbance)
         steps = w.shape[-2] if w.ndim > 1 else len(np.atleast_1d(w))
         x0, w = matched_runs(plant, self.x0, self.disturbance, max(steps, 1))
-        for name, value in (("plant", plant), ("x0", frozen(x0)), ("disturbance", frozen(w)),
-                            ("reference", as_reference(plant, self.reference)),
-                            ("output", self._measured(as_output(plant, self.output), *w.shape[:2]))):  # fmt: skip
-            set_(self, name, value)
+        output = self._measured(as_output(plant, self.output), *w.shape[:2])
+        self._set(plant=plant, x0=x0, disturbance=w, reference=as_reference(plant, self.reference), output=output)
 
     def _measured(self, output: Measurement | None, runs: int, steps: int) -> Measurement | None:
         """Measurement with its noise drawn for all runs."""

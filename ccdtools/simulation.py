@@ -20,6 +20,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.user_functions import stopped
 
 Step = Callable[[Array, Array, Array], Array]
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
@@ -156,9 +157,8 @@ def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]
     except (TypeError, ValueError, IndexError) as error:
         if k > 0:
             raise
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        got = f"one that stops with {reason[:120]} for states of shape {x.shape}"
-        raise InputError("controller", got, f"inputs {shape}", BATCHED) from error
+        at = f" for states of shape {x.shape}"
+        raise stopped("controller", driver, error, f"inputs {shape}", BATCHED, at=at) from error
     try:
         if np.iscomplexobj(given):
             raise TypeError

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_floats
+from ccdtools.arrays import Array, Immutable, Indices
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.exceptions import InputError
 from ccdtools.table import data_frame
@@ -41,14 +40,12 @@ class Trajectory(Immutable):
     states: Array
     inputs: Array
     disturbances: Array
-    diverged_at: NDArray[np.int64]
+    diverged_at: Indices
     design: Array
     dt: float
 
     def __post_init__(self) -> None:
-        for name in ("states", "inputs", "disturbances", "design"):
-            object.__setattr__(self, name, frozen(as_floats(name, getattr(self, name))))
-        object.__setattr__(self, "diverged_at", frozen(np.array(self.diverged_at, dtype=np.int64)))
+        super().__post_init__()
         n, steps = self.inputs.shape[:2] if self.inputs.ndim == 3 else (-1, -1)
         shapes = (self.states.shape[:2], self.disturbances.shape[:2], self.diverged_at.shape)
         if shapes != ((n, steps + 1), (n, steps), (n,)) or self.states.ndim != 3 or self.disturbances.ndim != 3:

@@ -7,6 +7,7 @@ import math
 import numbers
 import os
 import warnings
+from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from ccdtools_ground.errors import InputError
 
 Array = np.ndarray
 T = TypeVar("T")
+KINDS: dict[Any, type] = {"Array": float, "Indices": np.int64, "Ints": np.int64, "Mask": np.bool_}  # of array fields
 
 
 def shown(value: Any) -> str:
@@ -88,6 +90,33 @@ def frozen(value: T) -> T:
     if isinstance(value, np.ndarray):
         value.setflags(write=False)
     return value
+
+
+def array_fields(kind: type) -> dict[str, type]:
+    """Names of a dataclass's fields that are arrays, and the types of their entries."""
+    return {field.name: KINDS[field.type] for field in fields(kind) if field.type in KINDS}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Immutable:
+    """Dataclass whose arrays are read-only copies, also once it is unpickled; what it has cached is not pickled."""
+
+    def __post_init__(self) -> None:
+        for name, kind in array_fields(type(self)).items():
+            value = getattr(self, name)
+            array = as_floats(name, value) if kind is float else np.array(value, dtype=kind, order="C")
+            self._set(**{name: array})
+
+    def _set(self, **values: Any) -> None:
+        """Store checked values, arrays read-only, before the object is complete."""
+        for name, value in values.items():
+            object.__setattr__(self, name, frozen(value))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._set(**state)
 
 
 def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,

@@ -1,4 +1,4 @@
-"""Messages about a user's CasADi function that stops."""
+"""Messages about a user's function that stops, a CasADi function among others."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ KNOWN = (
 )  # fmt: skip
 
 
-def stopped(argument: str, given: Any, error: Exception, expected: str, cure: str = "") -> InputError:
+def stopped(argument: str, given: Any, error: Exception, expected: str, cure: str = "", *, at: str = "") -> InputError:
     """Error that replaces the one a user's function stopped with."""
     reason, own = in_words(error)
     cure = f"{own} {cure}".strip()
-    return InputError(argument, f"a function that stops with {reason}{_line(given, error)}", expected, cure)
+    return InputError(argument, f"a function that stops with {reason}{at}{_line(given, error)}", expected, cure)
 
 
 def in_words(error: Exception) -> tuple[str, str]:
@@ -42,7 +42,7 @@ def in_words(error: Exception) -> tuple[str, str]:
         found = re.search(pattern, text)
         if found:
             return brief(words.format(*found.groups())), cure
-    if isinstance(error, RuntimeError):  # what was called stands above what went wrong
+    if isinstance(error, RuntimeError) and "casadi" in str(error):  # what was called stands above what went wrong
         last = CASADI.sub("", (str(error).splitlines() or [type(error).__name__])[-1])
         return brief(last).rstrip("."), ""
     return brief(f"{type(error).__name__}: {text}"), ""

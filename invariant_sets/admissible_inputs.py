@@ -9,6 +9,7 @@ from typing import Any
 import daqp
 import numpy as np
 
+from ccdtools_ground.door import Immutable
 from invariant_sets.engine.certificate import tightened_rows
 from invariant_sets.engine.local_problem import left_inverse
 from invariant_sets.exceptions import EmptySetError, InputError, UnboundedError
@@ -18,13 +19,13 @@ from invariant_sets.polyhedron import nonempty_body
 from invariant_sets.polytope import Polytope
 from invariant_sets.system_checks import LinearSystem, Set, checked_system
 from invariant_sets.tolerances import FAR_PROPOSAL, LARGEST_ROOM, LP_SOLVER, MEMBERSHIP
-from invariant_sets.validation import as_batch, as_vector, frozen
+from invariant_sets.validation import as_batch, as_vector
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class AdmissibleInputs:
+class AdmissibleInputs(Immutable):
     """Inputs {u in U : A x + B u + E w in S for all w}.
 
     Parameters
@@ -70,8 +71,7 @@ class AdmissibleInputs:
             raise EmptySetError("AdmissibleInputs", "U is empty, no input can be admissible")
         if not U.is_bounded:
             raise UnboundedError("AdmissibleInputs", "U is unbounded. Intersect it with a box")
-        for name, value in (("S", S), ("U", U), ("rows", _local_rows(system, S, U))):
-            object.__setattr__(self, name, value)
+        self._set(S=S, U=U, rows=_local_rows(system, S, U))
 
     def __repr__(self) -> str:
         nx = self.rows.after.shape[1]
@@ -125,7 +125,7 @@ class AdmissibleInputs:
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class AdmissibleInputFamily:
+class AdmissibleInputFamily(Immutable):
     """Admissible inputs of several plants; filter i takes state i.
 
     Parameters
@@ -151,7 +151,7 @@ class AdmissibleInputFamily:
         shapes = {(one.rows.after.shape[1], one.U.dim) for one in filters}
         if len(shapes) > 1:
             raise InputError("filters", f"(nx, nu) of {sorted(shapes)}", "the same in all")
-        object.__setattr__(self, "filters", filters)
+        self._set(filters=filters)
         most = max(len(one.rows.room) for one in filters)
         slope = np.zeros((len(filters), most))
         after = np.zeros((len(filters), most, next(iter(shapes))[0]))
@@ -161,8 +161,7 @@ class AdmissibleInputFamily:
             slope[i, :count] = one.rows.slope[:, 0] if one.rows.slope.shape[1] else 0.0
             room[i, :count] = one.rows.room
             after[i, :count] = one.rows.after
-        for name, array in (("_slope", slope), ("_room", room), ("_after", after)):
-            object.__setattr__(self, name, frozen(array))
+        self._set(_slope=slope, _room=room, _after=after)
 
     def __repr__(self) -> str:
         return f"AdmissibleInputFamily({len(self.filters)} filters, nx={self._after.shape[2]})"
@@ -198,7 +197,7 @@ class AdmissibleInputFamily:
 
 
 @dataclass(frozen=True)
-class _LocalRows:
+class _LocalRows(Immutable):
     """Rows on v, u = middle + size v: slope v <= room + after x, H v <= h."""
 
     middle: Array
@@ -235,7 +234,7 @@ def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
     F, g = tightened_rows(S, system.disturbances)
     after = -F @ system.A
     push = F @ system.B
-    arrays = (
+    return _LocalRows(
         body.centre,
         body.basis,
         left_inverse(body.basis),
@@ -245,7 +244,6 @@ def _local_rows(system: LinearSystem, S: Polytope, U: Polytope) -> _LocalRows:
         body.F,
         body.g,
     )
-    return _LocalRows(*(frozen(np.array(array)) for array in arrays))
 
 
 def _proposals(value: Any, nu: int, count: int) -> Array:

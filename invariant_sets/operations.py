@@ -47,9 +47,11 @@ class SetOperations(Polyhedron):
 
     def cartesian_product(self, other: Polyhedron) -> Self:
         """Product P × Q = {(x, y) : x in P, y in Q}."""
+        from scipy.linalg import block_diag
+
         other = _checked_set(other)
         pairs = zip(self.stated, other.stated)
-        return set_of(type(self), Stated(*(np.append(P, Q) if P.ndim == 1 else _diagonal(P, Q) for P, Q in pairs)))
+        return set_of(type(self), Stated(*(np.append(P, Q) if P.ndim == 1 else block_diag(P, Q) for P, Q in pairs)))
 
     def minkowski_sum(self, other: Polyhedron, *, time_limit: float | None = None) -> Self:
         """Minkowski sum P ⊕ Q = {x + y : x in P, y in Q}.
@@ -262,11 +264,6 @@ def _moved(kind: type[AnySet], P: Polyhedron, point: Body) -> AnySet:
     body = nonempty_body(P, "minkowski_sum")
     body = replace(body, centre=body.centre + c, terms=body.terms + point.terms)
     return set_of(kind, rows, None if P.given_vertices is None else P.given_vertices + c, body)
-
-
-def _diagonal(P: Array, Q: Array) -> Array:
-    """Block diagonal matrix of P and Q."""
-    return np.block([[P, np.zeros((len(P), Q.shape[1]))], [np.zeros((len(Q), P.shape[1])), Q]])
 
 
 def _touching(kind: type[AnySet], D: Array, values: Array) -> AnySet:

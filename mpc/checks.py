@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from functools import partial
 from numbers import Real
 from typing import Any
@@ -11,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccdtools_ground import door
-from ccdtools_ground.door import as_floats as as_floats, check_finite, frozen, shown, weight_faults
+from ccdtools_ground.door import (
+    Immutable as Immutable,
+    as_floats as as_floats,
+    check_finite,
+    frozen,
+    shown,
+    weight_faults,
+)
 from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 from mpc.exceptions import InputError, NotConvexError
 
@@ -20,29 +26,6 @@ Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
 _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
-
-
-def array_fields(kind: type) -> dict[str, type]:
-    """Names of a dataclass's fields that are arrays, and their types."""
-    kinds: dict[Any, type] = {"Array": np.float64, "Ints": np.int64}
-    return {field.name: kinds[field.type] for field in fields(kind) if field.type in kinds}
-
-
-@dataclass(frozen=True, eq=False)
-class ReadOnly:
-    """Dataclass whose arrays are read-only copies, also once it is unpickled; what it has cached is not pickled."""
-
-    def __post_init__(self) -> None:
-        for name, kind in array_fields(type(self)).items():
-            object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=kind, order="C")))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-        self.__post_init__()
 
 
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

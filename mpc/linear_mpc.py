@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -95,7 +95,7 @@ class LinearMPC(MPCProblem):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "uses", _checked_uses(self.uses, self.nw))
+        self._set(uses=_checked_uses(self.uses, self.nw))
         if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InputError("solver", repr(self.solver), f"one of {SOLVERS}")
         self._solver_for(("u_prev",) if self.rate_limit is not None else ())  # builds the QP: fails here
@@ -299,9 +299,6 @@ class LinearMPC(MPCProblem):
     def _sparse(self) -> Callable[[tuple[str, ...]], SparseSolver]:
         """Signals → solver with the states kept."""
         return cache(partial(SparseSolver, self, solver=self.solver))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {entry.name: getattr(self, entry.name) for entry in fields(self)}  # solvers are built anew
 
 
 def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, ReadOnly, as_array, as_floats
+from mpc.checks import Array, Immutable, as_array, as_floats
 from mpc.exceptions import InputError
 
 
@@ -28,7 +28,7 @@ class Constraint(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ParametricQP(ReadOnly):
+class ParametricQP(Immutable):
     """Minimise ½ z'Hz + (Fθ + f)'z + ½ θ'Yθ + y'θ + c, Gz <= w + Sθ.
 
     Attributes

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ccdtools_ground.door import frozen
 from mpc.checks import (
     Array,
+    Immutable,
     as_array,
     as_blocks,
     as_count,
@@ -31,7 +32,7 @@ from mpc.robust import ADVICE, as_disturbance_set, robust_terminal_rows, tighten
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MPCProblem:
+class MPCProblem(Immutable):
     """Minimise Σ x'Qx + 2 x'Su + u'Ru + x_N'Px_N subject to model and limits.
 
     `LinearMPC` says what every argument is. `condense` turns it into a `ParametricQP`, `LinearMPC` solves it.
@@ -149,13 +150,6 @@ class MPCProblem:
         """Half-spaces of a kind of limit at a step, tightened."""
         H = {"state": self.state_rows, "input": self.input_rows, "terminal": self.terminal_rows}[kind][0]
         return H, self.bounds[kind][step]
-
-    def _set(self, **values: Any) -> None:
-        """Store checked values, before the object is complete."""
-        for name, value in values.items():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-            object.__setattr__(self, name, value)
 
     @property
     def nx(self) -> int:

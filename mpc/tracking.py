@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, null_space
 
-from mpc.checks import Array, ReadOnly, as_array, as_count, as_floats
+from mpc.checks import Array, Immutable, as_array, as_count, as_floats
 from mpc.dense_qp import DenseQP, QPResult
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
@@ -229,7 +229,7 @@ class OffsetFreeLoop:
 
 
 @dataclass(frozen=True, eq=False)
-class Target(ReadOnly):
+class Target(Immutable):
     """State and input to aim at.
 
     Attributes

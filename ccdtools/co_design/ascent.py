@@ -59,20 +59,11 @@ from learning.training import decay_exploration, first_exploration
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Objective of a co-design, with its settings.
+    """Objective of a co-design, with its settings."""
 
-    Attributes
-    ----------
-    problem, judge : CoDesignProblem
-        What the gradients come from, and what iterates are scored on.
-    method : {"pathwise", "ppo", "pathwise+ppo"}
-    config : CoDesignConfig
-    limits : StateLimitPenalty or None
-    """
-
-    problem: CoDesignProblem
-    judge: CoDesignProblem
-    method: str
+    problem: CoDesignProblem  # what the gradients come from
+    judge: CoDesignProblem  # what iterates are scored on
+    method: str  # "pathwise", "ppo" or "pathwise+ppo"
     config: CoDesignConfig
     limits: StateLimitPenalty | None = None
 

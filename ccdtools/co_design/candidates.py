@@ -38,19 +38,10 @@ USABLE = (Status.CONVERGED, Status.EMPTY)
 
 @dataclass(frozen=True)
 class SetBudget:
-    """Budget of sets, and whether bars are shown.
+    """Budget of sets, and whether bars are shown."""
 
-    Attributes
-    ----------
-    option : {"auto", "lqr", "none"}
-    seconds : float
-        For all sets, as work of a usual processor [s].
-    progress : bool
-        Show progress bars.
-    """
-
-    option: str
-    seconds: float = np.inf
+    option: str  # "auto", "lqr" or "none"
+    seconds: float = np.inf  # for all sets, as work of a usual processor [s]
     progress: bool = False
 
 
@@ -100,36 +91,18 @@ class SetCounts:
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Starts of the expert's loops, with the set of each.
+    """Starts of the expert's loops, with the set of each."""
 
-    Attributes
-    ----------
-    x, p : (n, nx) and (n, np) arrays
-        States and designs; the accepted candidates first.
-    sets : list of Polytope or None
-        X_fea of each design; None where it is not known: the region of LQR or X stands for it, and nothing is filtered.
-    regions : LQRRegions
-        Model and LQR of each design.
-    X : Limits
-    by_region : bool
-        Whether a design without a set is limited to the region of LQR.
-    counts : SetCounts
-        How many designs got which set.
-    candidates : int
-        How many of them are accepted candidates.
-    acceptance : float
-        Fraction of the candidates that lay in their set.
-    """
-
-    x: Array
-    p: Array
+    x: Array  # (n, nx): states; the accepted candidates first
+    p: Array  # (n, np): their designs
+    # X_fea of each design; None where it is not known: the region of LQR or X stands for it, and nothing is filtered
     sets: list[Polytope | None]
-    regions: LQRRegions
+    regions: LQRRegions  # model and LQR of each design
     X: Limits
-    by_region: bool
-    counts: SetCounts
-    candidates: int = 0
-    acceptance: float = 0.0
+    by_region: bool  # whether a design without a set is limited to the region of LQR
+    counts: SetCounts  # how many designs got which set
+    candidates: int = 0  # how many of them are accepted candidates
+    acceptance: float = 0.0  # fraction of the candidates that lay in their set
 
     @classmethod
     def of(

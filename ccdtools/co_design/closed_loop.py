@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from ccdtools.arrays import Array, Immutable, Indices, Mask, frozen
+from ccdtools.arrays import Array, Immutable, Indices, Mask
 from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, in_double, scenario_tensors, simulated
 from ccdtools.co_design.limits import measured, measurement_errors
@@ -54,10 +54,6 @@ class ClosedLoopReturns(Immutable):
     risk: Risk = MEAN
     limit_errors: tuple[float, float] = (0.0, 0.0)
     beyond_inputs: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", frozen(np.array(self.values, dtype=float)))
-        object.__setattr__(self, "lost", frozen(np.array(self.lost, dtype=bool)))
 
     def __repr__(self) -> str:
         return f"ClosedLoopReturns({self})"

@@ -48,14 +48,14 @@ class CustomObjective(Objective):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "stage_cost", as_symbolic("stage_cost", self.stage_cost, ("x", "u", "p")))
+        self._set(stage_cost=as_symbolic("stage_cost", self.stage_cost, ("x", "u", "p")))
         if self.terminal_cost is not None:
-            object.__setattr__(self, "terminal_cost", as_symbolic("terminal_cost", self.terminal_cost, ("x", "p")))
+            self._set(terminal_cost=as_symbolic("terminal_cost", self.terminal_cost, ("x", "p")))
         if (self.Q is None) != (self.R is None):
             raise InputError("Q, R", "one of them", "both weights, or neither")
         if self.Q is not None:
-            object.__setattr__(self, "Q", as_weight("Q", self.Q))
-            object.__setattr__(self, "R", as_weight("R", self.R))
+            self._set(Q=as_weight("Q", self.Q))
+            self._set(R=as_weight("R", self.R))
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.stage_cost})"

@@ -30,36 +30,17 @@ Cost = Callable[[Array], tuple[float, Callable[[], Array]]]
 
 @dataclass(frozen=True, eq=False)
 class DesignPoint:
-    """Best feasible point of the unit box that a search has found.
+    """Best feasible point of the unit box that a search has found."""
 
-    Attributes
-    ----------
-    v : (np,) array
-    cost : float
-    slope : (np,) array
-        Of the cost, per unit-box length.
-    size : float
-        Part of the return that control makes: what gains are compared with.
-    spent : bool
-        Whether the evaluations ran out.
-    violation : float
-        Excess over the tolerance of the limits.
-    penalty : StateLimitPenalty or None
-        What leaving the limits cost.
-    limits : LimitsOutcome or None
-    active : mapping
-        Slopes (np,) of the violations of active limits, by name.
-    """
-
-    v: Array
+    v: Array  # (np,)
     cost: float
-    slope: Array
-    size: float = 1.0
-    spent: bool = False
-    violation: float = 0.0
-    penalty: StateLimitPenalty | None = None
+    slope: Array  # (np,): of the cost, per unit-box length
+    size: float = 1.0  # part of the return that control makes: what gains are compared with
+    spent: bool = False  # whether the evaluations ran out
+    violation: float = 0.0  # excess over the tolerance of the limits
+    penalty: StateLimitPenalty | None = None  # what leaving the limits cost
     limits: LimitsOutcome | None = None
-    active: Mapping[str, Array] = field(default_factory=dict)
+    active: Mapping[str, Array] = field(default_factory=dict)  # slopes (np,) of violations of active limits
 
     @property
     def order(self) -> tuple[float, float]:

@@ -143,20 +143,12 @@ def undisturbed_step(model: Model) -> ca.Function:
 
 @dataclass(frozen=True, eq=False)
 class DesignLaw:
-    """Control law for every design.
-
-    Attributes
-    ----------
-    words : str
-    controller : callable
-        Problem and design (np,) → controller.
-    exact : callable, optional
-        Problem and design tensor (np,) → the same law, differentiable by state and design; by default the controller is
-        made anew at every design and asked at every state.
-    """
+    """Control law for every design."""
 
     words: str
-    controller: Callable[[CoDesignProblem, Array], Controller]
+    controller: Callable[[CoDesignProblem, Array], Controller]  # problem and design (np,) → controller
+    # problem and design tensor (np,) → the same law, differentiable by state and design; by default the controller is
+    # made anew at every design and asked at every state
     exact: Callable[[CoDesignProblem, Tensor], Callable[[Tensor], Tensor]] | None = None
 
     def on_line(self, problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:

@@ -41,20 +41,12 @@ class Differences:
     """Central differences of every run's return under common random numbers.
 
     They are taken in the unit box and in double precision.
-
-    Attributes
-    ----------
-    problem, agent
-        Taken over in double precision.
-    scenarios : tensors (n, nx) and (n, T, nw)
-    prices : function, optional
-        Of leaving X, which then counts as lost return.
     """
 
     problem: CoDesignProblem
     agent: ActorCritic
-    scenarios: ScenarioTensors
-    prices: Prices | None = None
+    scenarios: ScenarioTensors  # (n, nx) and (n, T, nw)
+    prices: Prices | None = None  # of leaving X, which then counts as lost return
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "problem", in_double(self.problem))

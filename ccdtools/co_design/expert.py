@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
 from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
@@ -56,10 +56,6 @@ class ExpertData(Immutable):
     acceptance: float
     diverged: float
     sets: SetCounts | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("inputs", "actions", "values"):
-            object.__setattr__(self, name, frozen(np.array(getattr(self, name), dtype=float)))
 
     def __repr__(self) -> str:
         return f"ExpertData({len(self.inputs)} samples, {self.acceptance:.0%} feasible, {self.diverged:.1%} diverged)"

@@ -18,6 +18,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.progress import counted
+from ccdtools_ground.user_functions import stopped
 from invariant_sets import AdmissibleInputs, Polytope
 
 Law = Callable[[Array], Array]
@@ -123,9 +124,8 @@ def _asked(controller: Law, x: Array, nu: int) -> Array:
     except CCDError:
         raise
     except (TypeError, ValueError, IndexError) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        got = f"a controller that stops with {reason[:120]} for a state of shape {x.shape}"
-        raise InputError("expert", got, f"one that returns ({nu},)") from error
+        at = f" for a state of shape {x.shape}"
+        raise stopped("expert", controller, error, f"one that returns ({nu},)", at=at) from error
     u = as_floats("expert", given)
     if u.size != nu or not np.isfinite(u).all():
         raise InputError("expert", f"a controller that returns {shown(given)}", f"({nu},) finite numbers")

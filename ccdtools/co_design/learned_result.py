@@ -136,7 +136,7 @@ class Convergence(Immutable):
 
     def __post_init__(self) -> None:
         for name in ("slope", "slope_error"):
-            object.__setattr__(self, name, as_vector(name, np.nan_to_num(getattr(self, name))))
+            self._set(**{name: as_vector(name, np.nan_to_num(getattr(self, name)))})
 
     def __repr__(self) -> str:
         return f"Convergence({self.iterations} iterations, last block {self.gain.mean:+.3g})"
@@ -171,7 +171,7 @@ class LearnedCoDesign(CoDesignResult):
     def __post_init__(self) -> None:
         super().__post_init__()
         policy = LearnedPolicy(self.agent, self.design)
-        object.__setattr__(self, "controller", History(policy, self.output_history) if self.output_history else policy)
+        self._set(controller=History(policy, self.output_history) if self.output_history else policy)
 
     @property
     def policy(self) -> LearnedPolicy:

@@ -62,24 +62,12 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Tolerance:
-    """Tolerance at designs of the unit box.
+    """Tolerance at designs of the unit box."""
 
-    Attributes
-    ----------
-    allowed : Pair
-        At the design `v`.
-    source : str
-        Where it comes from.
-    v : (np,) tensor or None
-        Where MPC was measured; None where the design does not matter.
-    slopes : (2, np) tensor or None
-        Of the logarithms of both measures with the design.
-    """
-
-    allowed: Pair
-    source: str
-    v: Tensor | None = None
-    slopes: Tensor | None = None
+    allowed: Pair  # at the design `v`
+    source: str  # where it comes from
+    v: Tensor | None = None  # (np,): where MPC was measured; None where the design does not matter
+    slopes: Tensor | None = None  # (2, np): of the logarithms of both measures with the design
 
     def at(self, v: Tensor) -> Tensor:
         """Fraction and depth allowed at a design, (2,), differentiable."""
@@ -212,27 +200,14 @@ class LimitsOutcome:
 
 @dataclass(frozen=True, eq=False)
 class StateLimitPenalty:
-    """Augmented Lagrangian at one iterate; `updated` gives the next.
+    """Augmented Lagrangian at one iterate; `updated` gives the next."""
 
-    Attributes
-    ----------
-    judge : CoDesignProblem
-        What iterates are evaluated on; its `limit_tolerance` says how far X may be left.
-    tolerance : Tolerance
-    v : (np,) tensor or None
-        The present design, in the unit box.
-    seen : Pair
-        The measures at the last evaluation.
-    multipliers : Pair
-    spread : float
-        Mean depth of the states outside X at the last evaluation: what turns the mean depth into a fraction.
-    """
-
-    judge: CoDesignProblem
+    judge: CoDesignProblem  # what iterates are evaluated on; its `limit_tolerance` says how far X may be left
     tolerance: Tolerance = UNTIL_LEFT
-    v: Tensor | None = None
-    seen: Pair = NOTHING
+    v: Tensor | None = None  # (np,): the present design, in the unit box
+    seen: Pair = NOTHING  # the measures at the last evaluation
     multipliers: Pair = NOTHING
+    # mean depth of the states outside X at the last evaluation: what turns the mean depth into a fraction
     spread: float = 0.01  # until X is left for the first time
 
     @property

@@ -30,36 +30,20 @@ from ccdtools.tolerances import ON_LIMIT
 
 @dataclass(frozen=True, eq=False)
 class LQRRegions:
-    """Regions of n designs.
+    """Regions of n designs."""
 
-    Attributes
-    ----------
-    A, B, E : (n, nx, nx), (n, nx, nu) and (n, nx, nw) arrays
-        Model of each design.
-    K : (n, nu, nx) array
-        LQR gains, u = −K x; NaN where a design cannot be stabilised.
-    lower, upper : (n, nu) arrays
-        Input bounds.
-    rows : (n, m, nx) array or None
-        X as {x : rows x <= 1}; None where 0 is not inside X or U, so that no region is known.
-    shapes : (n, nx, nx) array
-        M with x'Mx <= 1 inside X and without clipping, invariant under LQR. Of a model that is not linear, a tenth
-        of the ellipsoid of its linearisation in every direction: there it is as good as linear.
-    designs : (n, np) array
-    sampled : SampledModel, optional
-        The model where it is not linear; A, B and E are then its linearisation.
-    """
-
-    A: Array
-    B: Array
-    E: Array
-    K: Array
-    lower: Array
-    upper: Array
-    rows: Array | None
+    A: Array  # (n, nx, nx): of each design's model
+    B: Array  # (n, nx, nu)
+    E: Array  # (n, nx, nw)
+    K: Array  # (n, nu, nx): LQR gains, u = −K x; NaN where a design cannot be stabilised
+    lower: Array  # (n, nu): input bounds
+    upper: Array  # (n, nu)
+    rows: Array | None  # (n, m, nx): X as {x : rows x <= 1}; None where 0 is not inside X or U, so no region is known
+    # (n, nx, nx): M with x'Mx <= 1 inside X and without clipping, invariant under LQR. Of a model that is not linear, a
+    # tenth of the ellipsoid of its linearisation in every direction: there it is as good as linear
     shapes: Array
-    designs: Array
-    sampled: SampledModel | None = None
+    designs: Array  # (n, np)
+    sampled: SampledModel | None = None  # the model where it is not linear; A, B and E are then its linearisation
 
     @classmethod
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:

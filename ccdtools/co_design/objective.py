@@ -48,9 +48,9 @@ class Objective(Immutable):
 
     def __post_init__(self) -> None:
         if self.design_cost is not None:
-            object.__setattr__(self, "design_cost", as_symbolic("design_cost", self.design_cost, ("p",)))
+            self._set(design_cost=as_symbolic("design_cost", self.design_cost, ("p",)))
         if self.episode is not None:
-            object.__setattr__(self, "episode", as_count("episode", self.episode))
+            self._set(episode=as_count("episode", self.episode))
 
     @property
     def looks_back(self) -> bool:
@@ -144,10 +144,10 @@ class QuadraticObjective(Objective):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "Q", as_weight("Q", self.Q))
-        object.__setattr__(self, "R", as_weight("R", self.R))
+        self._set(Q=as_weight("Q", self.Q))
+        self._set(R=as_weight("R", self.R))
         if self.S is not None:
-            object.__setattr__(self, "S", as_array("S", self.S, (len(self.Q), len(self.R))))
+            self._set(S=as_array("S", self.S, (len(self.Q), len(self.R))))
             whole = np.block([[self.Q, self.S], [self.S.T, self.R]])
             if not is_semidefinite(whole):
                 got = "a cross weight that makes some steps cost less than nothing"

@@ -71,20 +71,11 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
 
 @dataclass(frozen=True, eq=False)
 class HistoryScenarios(Immutable):
-    """Scenarios of a model with a history.
-
-    Attributes
-    ----------
-    own : Scenarios
-    measurement : Measurement
-    model : Model
-        Without the history.
-    length : int
-    """
+    """Scenarios of a model with a history."""
 
     own: Scenarios
     measurement: Measurement
-    model: Model
+    model: Model  # without the history
     length: int
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:

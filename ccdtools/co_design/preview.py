@@ -107,17 +107,10 @@ def previewed_objective(objective: Objective, steps: int, *, channels: int = 1) 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PreviewedObjective(Objective):
-    """Rewards of another objective, without the register's states.
-
-    Attributes
-    ----------
-    own : Objective
-    length : int
-        Of the register.
-    """
+    """Rewards of another objective, without the register's states."""
 
     own: Objective
-    length: int
+    length: int  # of the register
 
     def __repr__(self) -> str:
         return f"{self.own!r} before a register of {self.length}"
@@ -173,21 +166,11 @@ def previewed_output_limits(limits: OutputLimits | None, nx: int) -> OutputLimit
 
 @dataclass(frozen=True, eq=False)
 class PreviewedScenarios(Immutable):
-    """Scenarios of a model with register: its content, then its disturbance.
+    """Scenarios of a model with register: its content, then its disturbance."""
 
-    Attributes
-    ----------
-    own : Scenarios
-        Of the model without the register; they must draw N samples more than an episode has.
-    steps : int
-        N.
-    channels : tuple of int
-        Disturbances that are known ahead.
-    """
-
-    own: Scenarios
-    steps: int
-    channels: tuple[int, ...]
+    own: Scenarios  # of the model without the register; they must draw N samples more than an episode has
+    steps: int  # N
+    channels: tuple[int, ...]  # disturbances that are known ahead
 
     def __post_init__(self) -> None:
         has_method("own", self.own, "sample", "scenarios, such as FixedStart(x0, disturbance)")

@@ -56,7 +56,7 @@ class FixedStart(Immutable):
     disturbance: Disturbance
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x0", as_vector("x0", self.x0))
+        self._set(x0=as_vector("x0", self.x0))
         has_method("disturbance", self.disturbance, "sample", "a disturbance, such as Gaussian([0.1])")
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -161,8 +161,8 @@ class CoDesignProblem(Immutable):
                 "To keep a design that could be changed, set CoDesignConfig.design_rate to 0.",
             )  # fmt: skip
         _check_widths(model.design)
-        object.__setattr__(self, "X", _bounded_limits("X", self.X, model.nx, "one per state", model.design))
-        object.__setattr__(self, "U", _bounded_limits("U", self.U, model.nu, "one per input", model.design))
+        self._set(X=_bounded_limits("X", self.X, model.nx, "one per state", model.design))
+        self._set(U=_bounded_limits("U", self.U, model.nu, "one per input", model.design))
         if not widest(self.X).contains(np.zeros(model.nx)):
             raise InputError("X", "a set without the origin", "one that holds the state 0, which is regulated to")
         U = widest(self.U)
@@ -177,21 +177,21 @@ class CoDesignProblem(Immutable):
                 "objective", "one that costs the same whatever is done", "a cost of states, inputs or the design",
                 "Set Q or R, a stage cost that depends on its arguments, or a design_cost.",
             )  # fmt: skip
-        object.__setattr__(self, "steps", as_count("steps", self.steps))
-        object.__setattr__(self, "objective", self.objective.over(self.steps))
+        self._set(steps=as_count("steps", self.steps))
+        self._set(objective=self.objective.over(self.steps))
         as_risk("risk", self.risk)
         if isinstance(self.risk, WorstCase):
             risk = self.risk.over(self.scenarios) if self.discrepancy is None else of_logged_runs(self.risk)
-            object.__setattr__(self, "risk", risk)
+            self._set(risk=risk)
         if self.output_limits is not None:
             as_instance("output_limits", self.output_limits, OutputLimits, "OutputLimits(h, lower, upper) or None")
             self.output_limits.check(model.nx, model.nu, model.design.dim)
         self._check_over_designs()
-        object.__setattr__(self, "warm_up", as_count("warm_up", self.warm_up, least=0))
+        self._set(warm_up=as_count("warm_up", self.warm_up, least=0))
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
-        object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
-        object.__setattr__(self, "divergence", as_positive("divergence", self.divergence))
+        self._set(limit_tolerance=as_limit_tolerance("limit_tolerance", self.limit_tolerance))
+        self._set(divergence=as_positive("divergence", self.divergence))
         self._check_discrepancy()
         self._check_scenarios()
         self._check_measurement()

@@ -58,9 +58,9 @@ class RandomStarts(Immutable):
                 cure = "One state is a FixedStart." if states.ndim < 2 else ""
                 raise InputError("x0", f"shape {states.shape}", KINDS, cure)
             states = as_array("x0", states, ("n", "nx"))
-            object.__setattr__(self, "x0", states)
+            self._set(x0=states)
             chances = as_chances("weights", self.weights, len(states), of="one per state")
-            object.__setattr__(self, "weights", chances)
+            self._set(weights=chances)
             return
         elif isinstance(self.x0, type):
             raise InputError("x0", shown(self.x0), "an object of it")

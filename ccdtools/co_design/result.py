@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen, jsonable
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices, jsonable
 from ccdtools.checks import as_vector
 from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
 from ccdtools_ground.outcome import Outcome
@@ -83,16 +83,12 @@ class History(Immutable):
         Of the mean policy on the evaluation scenarios; mean over the runs that did not diverge.
     """
 
-    iteration: Array
-    env_steps: Array
+    iteration: Indices
+    env_steps: Indices
     design: Array
     model_return: Array
     std: Array
     diverged: Array
-
-    def __post_init__(self) -> None:
-        for column in fields(self):
-            object.__setattr__(self, column.name, frozen(np.array(getattr(self, column.name))))
 
     @classmethod
     def of(cls, rows: Sequence[HistoryRow]) -> History:
@@ -130,9 +126,9 @@ class Valley(Immutable):
     given: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "design", as_vector("design", self.design))
+        self._set(design=as_vector("design", self.design))
         if self.found is not None:
-            object.__setattr__(self, "found", as_vector("found", self.found))
+            self._set(found=as_vector("found", self.found))
 
     def __repr__(self) -> str:
         ended = "" if self.found is None else f", co-design {self.found_return:.5g} at {_short(self.found)}"
@@ -160,7 +156,7 @@ class Baseline(Immutable):
     measure: str = "mean"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "design", as_vector("design", self.design))
+        self._set(design=as_vector("design", self.design))
 
     def __repr__(self) -> str:
         low, high = self.gain.ci95
@@ -234,9 +230,9 @@ class CoDesignResult(Immutable):
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "design", frozen(np.array(self.design, dtype=float)))
+        super().__post_init__()
         if self.history is None:
-            object.__setattr__(self, "history", History.of([(1, 1, self.design, self.objective, 0.0, 0.0)]))
+            self._set(history=History.of([(1, 1, self.design, self.objective, 0.0, 0.0)]))
 
     def __repr__(self) -> str:
         bounds = ", ".join(f"{name} at its {side} bound" for name, side in self.active_bounds.items()) or "none"

@@ -38,25 +38,14 @@ from mpc import NotStabilisableError, lqr
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Immutable):
-    """Linearisation x⁺ ≈ A x + B u over visited states, and LQR.
+    """Linearisation x⁺ ≈ A x + B u over visited states, and LQR."""
 
-    Attributes
-    ----------
-    A, B : (nx, nx) and (nx, nu) arrays
-    controller : LinearFeedback
-        Saturated LQR of A and B.
-    mean_return, tangent_return : float
-        Of that LQR, and of LQR of the tangent at rest, on the scenarios of the fit; NaN where there is none.
-    size : float
-        Of the mean return, without the cost of the design.
-    """
-
-    A: Array
-    B: Array
-    controller: LinearFeedback
-    mean_return: float
-    tangent_return: float
-    size: float
+    A: Array  # (nx, nx)
+    B: Array  # (nx, nu)
+    controller: LinearFeedback  # saturated LQR of A and B
+    mean_return: float  # of that LQR, on the scenarios of the fit; NaN where there is none
+    tangent_return: float  # of LQR of the tangent at rest
+    size: float  # of the mean return, without the cost of the design
 
     @property
     def better(self) -> bool:

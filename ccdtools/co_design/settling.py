@@ -50,21 +50,11 @@ POLICIES = (LearnedPolicy, History)
 
 @dataclass(frozen=True, eq=False)
 class Settling:
-    """Check of results on one set of fresh scenarios.
+    """Check of results on one set of fresh scenarios."""
 
-    Parameters
-    ----------
-    problem : CoDesignProblem
-        What results are measured on.
-    scenarios : numpy.random.Generator
-        Draws the scenarios; it is copied, so that all controllers meet the same.
-    designing : bool
-        Whether another design might be handed out, so that nested LQR is a baseline.
-    """
-
-    problem: CoDesignProblem
-    scenarios: np.random.Generator
-    designing: bool = True
+    problem: CoDesignProblem  # what results are measured on
+    scenarios: np.random.Generator  # draws the scenarios; it is copied, so that all controllers meet the same
+    designing: bool = True  # whether another design might be handed out, so that nested LQR is a baseline
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
         """Result with closed loop, limits, baselines and the status they leave."""

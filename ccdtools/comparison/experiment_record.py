@@ -22,71 +22,34 @@ WORDS = ("scenario", "plant", "exceeded", "single", "design_cost", "metrics")
 
 @dataclass(frozen=True, eq=False)
 class Cell(Immutable):
-    """One controller, design and seed on one scenario and plant.
-
-    Attributes
-    ----------
-    scenario, plant : str
-    returns, lost : (N,) arrays
-        Of the runs.
-    fraction, peak : (n,) arrays
-        Part of the states outside the limits, and largest depth in half-widths: of the runs, or of the stretches of a
-        single one.
-    exceeded : str
-        The limit that is exceeded most.
-    single : bool
-        Whether there is one run.
-    times : (k,) array
-        Of single calls of the controller [s].
-    series : (T,) array
-        Rewards of a single run with a disturbance; empty otherwise.
-    design_cost : float
-        Part of every return that the design costs.
-    metrics : dict of str to float
-    """
+    """One controller, design and seed on one scenario and plant."""
 
     scenario: str
     plant: str
-    returns: Array
-    lost: Mask
-    fraction: Array
-    peak: Array
-    exceeded: str
-    single: bool
-    times: Array
-    series: Array
-    design_cost: float
+    returns: Array  # (N,): of the runs
+    lost: Mask  # (N,)
+    fraction: Array  # (n,): part of the states outside the limits, of the runs or of the stretches of a single one
+    peak: Array  # (n,): largest depth in half-widths
+    exceeded: str  # the limit that is exceeded most
+    single: bool  # whether there is one run
+    times: Array  # (k,): of single calls of the controller [s]
+    series: Array  # (T,): rewards of a single run with a disturbance; empty otherwise
+    design_cost: float  # part of every return that the design costs
     metrics: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One controller made for one design with one seed.
-
-    Attributes
-    ----------
-    controller, design : str
-    seed : int
-    cells : tuple of Cell
-        Empty where the controller was refused.
-    seconds : float
-        That it took to be made.
-    steps : int
-        Samples of the environment that it was trained on.
-    refused : str
-        Why there is no controller; empty where there is one.
-    remark : str
-        What the controller says of itself.
-    """
+    """One controller made for one design with one seed."""
 
     controller: str
     design: str
     seed: int
-    cells: tuple[Cell, ...] = field(default=())
-    seconds: float = float("nan")
-    steps: int = 0
-    refused: str = ""
-    remark: str = ""
+    cells: tuple[Cell, ...] = field(default=())  # empty where the controller was refused
+    seconds: float = float("nan")  # that it took to be made
+    steps: int = 0  # samples of the environment that it was trained on
+    refused: str = ""  # why there is no controller; empty where there is one
+    remark: str = ""  # what the controller says of itself
 
 
 def digest(*parts: Any) -> str:

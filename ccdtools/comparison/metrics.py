@@ -16,6 +16,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.user_functions import stopped
 
 Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]
 
@@ -46,8 +47,7 @@ def try_metrics(metrics: Metrics, plant: Any) -> None:
             raise
         raise InputError("metrics", f"a function that stops with {error}".rstrip("."), EXPECTED) from error
     except Exception as error:
-        got = f"a function that stops with {type(error).__name__}: {' '.join(str(error).split())}"
-        raise InputError("metrics", got, EXPECTED) from error
+        raise stopped("metrics", metrics, error, EXPECTED) from error
 
 
 def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:

@@ -87,9 +87,9 @@ class LinearFeedback(Immutable):
         K = np.atleast_2d(as_floats("K", self.K))
         if K.ndim != 2 or K.size == 0:
             raise InputError("K", f"shape {K.shape}", "a gain (nu, nx)")
-        object.__setattr__(self, "K", frozen(finite("K", K)))
+        self._set(K=finite("K", K))
         offset = as_array("offset", self.offset, (), (len(K),))
-        object.__setattr__(self, "offset", frozen(np.broadcast_to(finite("offset", offset), (len(K),)).copy()))
+        self._set(offset=np.broadcast_to(finite("offset", offset), (len(K),)).copy())
         _set_bounds(self, len(K))
 
     def __call__(self, x: ArrayLike) -> Array:
@@ -127,14 +127,13 @@ class PID(Immutable):
     remark: str = field(default="", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "C", as_array("C", np.atleast_2d(as_floats("C", self.C)), ("ny", "nx")))
+        self._set(C=as_array("C", np.atleast_2d(as_floats("C", self.C)), ("ny", "nx")))
         for name in ("kp", "ki", "kd"):
-            set_(self, name, as_vector(name, getattr(self, name), len(self.C), of="one per output"))
-        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+            self._set(**{name: as_vector(name, getattr(self, name), len(self.C), of="one per output")})
+        self._set(dt=as_positive("dt", self.dt, unit="s"))
         _set_bounds(self, len(self.C))
         if not np.any([self.kp, self.ki, self.kd]):
-            set_(self, "remark", NO_GAINS)
+            self._set(remark=NO_GAINS)
 
     @cached_property
     def _memory(self) -> dict[str, Any]:

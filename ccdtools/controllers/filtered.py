@@ -87,7 +87,7 @@ class Filtered(Around):
     _counts: FilterCounts = field(default_factory=FilterCounts, kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "controller", as_controller(self.controller))
+        self._set(controller=as_controller(self.controller))
         needs_of(self.controller)
         cure = "Use admissible_inputs(problem, design)."
         as_instance("admissible", self.admissible, AdmissibleInputs, "an AdmissibleInputs", cure)

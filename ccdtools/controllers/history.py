@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,7 +46,7 @@ class History(Around):
     length: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "length", as_count("length", self.length))
+        self._set(length=as_count("length", self.length))
         if needs_of(self.controller):
             raise InputError(
                 "controller", f"one that needs {', '.join(needs_of(self.controller))}", "u = controller(z)"
@@ -55,11 +54,6 @@ class History(Around):
 
     def __repr__(self) -> str:
         return f"History({self.controller!r}, {self.length} samples)"
-
-    @cached_property
-    def _memory(self) -> dict[str, Any]:
-        """Histories kept from sample to sample; copies begin without any."""
-        return {}
 
     def reset(self, n: int) -> None:
         """Start afresh with `n` runs."""

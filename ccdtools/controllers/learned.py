@@ -54,18 +54,17 @@ class LearnedPolicy(Immutable):
     _range: tuple[Array, Array] = field(init=False)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
         as_instance("agent", self.agent, ActorCritic, "an ActorCritic", "fit_actor_critic makes one.")
         if self.rng is not None:
             as_generator("rng", self.rng)
-        set_(self, "design", as_vector("design", self.design))
-        set_(self, "agent", copy.deepcopy(self.agent))
+        self._set(design=as_vector("design", self.design))
+        self._set(agent=copy.deepcopy(self.agent))
         self._check_design()
         std = self.agent.std_network
         at = (torch.tensor(self.design), self.agent.observation_offset, self.agent.observation_scale)
-        set_(self, "_mean", self.agent.mean_network.at(*at).of(_array))
-        set_(self, "_std", None if std is None else std.at(*at).of(_array))
-        set_(self, "_range", tuple(map(_array, self.agent.action_range(at[0]))))
+        self._set(_mean=self.agent.mean_network.at(*at).of(_array))
+        self._set(_std=None if std is None else std.at(*at).of(_array))
+        self._set(_range=tuple(map(_array, self.agent.action_range(at[0]))))
 
     def _check_design(self) -> None:
         size = len(self.design)

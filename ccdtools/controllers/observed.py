@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,11 +66,6 @@ class Observed(Around):
     def needs(self) -> frozenset[str]:
         """Names of the signals needed besides the state."""
         return needs_in_loop(self.controller) | {"output", "last_input"}
-
-    @cached_property
-    def _memory(self) -> dict[str, Any]:
-        """Values kept from sample to sample; copies begin without any."""
-        return {}
 
     @property
     def estimate(self) -> Array | None:

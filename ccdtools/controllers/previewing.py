@@ -51,14 +51,14 @@ class Previewing(Around):
     channels: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "controller", as_controller(self.controller))
+        self._set(controller=as_controller(self.controller))
         taken = sorted(needs_of(self.controller) & set(TAKEN))
         if taken:
             raise InputError("controller", f"one that needs {' and '.join(taken)} itself", "one of the state (x, w)")
-        object.__setattr__(self, "steps", as_count("steps", self.steps))
+        self._set(steps=as_count("steps", self.steps))
         if self.channels is not None:
             largest = max(map(int, self.channels), default=0)
-            object.__setattr__(self, "channels", as_channels(self.channels, largest + 1))
+            self._set(channels=as_channels(self.channels, largest + 1))
 
     def __repr__(self) -> str:
         return f"Previewing({self.controller!r}, {self.steps} samples ahead)"

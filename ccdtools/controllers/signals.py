@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_count, as_floats, finite, shown
 from ccdtools.controllers.controllers import SIGNALS, Controller
 from ccdtools.estimation.measurement import Sensor
@@ -42,7 +42,7 @@ class Reference(Immutable):
             rows = np.atleast_2d(as_floats(f"reference.{name}", value))
             if rows.ndim != 2 or rows.size == 0:
                 raise InputError(f"reference.{name}", f"shape {rows.shape}", "one row, or one row per sample")
-            object.__setattr__(self, name, frozen(finite(f"reference.{name}", rows)))
+            self._set(**{name: finite(f"reference.{name}", rows)})
 
     def check(self, nx: int, nu: int) -> None:
         """Raise an `InputError` unless sizes are `nx` and `nu`."""
@@ -138,7 +138,12 @@ class Around(Immutable):
         if inner is None or name not in self.passed_on:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         found = getattr(inner, name)
-        return found if name != "loop" else lambda n: replace(self, controller=found(n))  # type: ignore[type-var]
+        return found if name != "loop" else lambda n: replace(self, controller=found(n))  # type: ignore[call-arg]
+
+    @functools.cached_property
+    def _memory(self) -> dict[str, Any]:
+        """Values kept from sample to sample; copies begin without any."""
+        return {}
 
 
 def _predicted(model: Any, deterministic: bool, x: ArrayLike) -> Array:

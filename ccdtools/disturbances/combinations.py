@@ -23,7 +23,7 @@ class Combination(Immutable):
     terms: tuple[Disturbance, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", _checked("terms", self.terms))
+        self._set(terms=_checked("terms", self.terms))
         _check_alike(self._known)
 
     @property
@@ -69,7 +69,7 @@ class Stacked(Combination):
     terms: tuple[Disturbance, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "terms", _checked("terms", self.terms))
+        self._set(terms=_checked("terms", self.terms))
 
     @property
     def nw(self) -> int | None:
@@ -124,7 +124,7 @@ class Mixture(Combination):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "weights", as_chances("weights", self.weights, len(self.terms), of="one per term"))
+        self._set(weights=as_chances("weights", self.weights, len(self.terms), of="one per term"))
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ccdtools.arrays import Array, ArrayField, Immutable, frozen
+from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.checks import as_array, as_count, as_floats, as_generator, as_vector, finite, shown
 from ccdtools.exceptions import InputError
 
@@ -32,8 +32,7 @@ class Gaussian(Immutable):
         if (std < 0).any():
             raise InputError("std", shown(std), "standard deviations ≥ 0")
         mean = as_array("mean", self.mean, (), (1,), std.shape)
-        object.__setattr__(self, "std", std)
-        object.__setattr__(self, "mean", frozen(np.broadcast_to(mean, std.shape).copy()))
+        self._set(std=std, mean=np.broadcast_to(mean, std.shape).copy())
 
     @property
     def nw(self) -> int:
@@ -58,8 +57,7 @@ class Uniform(Immutable):
         upper = as_vector("upper", self.upper, len(lower), of="as many as lower bounds")
         if not (lower <= upper).all():
             raise InputError("lower, upper", f"{shown(lower)} and {shown(upper)}", "lower ≤ upper")
-        object.__setattr__(self, "lower", lower)
-        object.__setattr__(self, "upper", upper)
+        self._set(lower=lower, upper=upper)
 
     @property
     def nw(self) -> int:
@@ -83,7 +81,7 @@ class Recorded(Immutable):
         signal = signal[:, None] if signal.ndim == 1 else signal
         if signal.ndim != 2 or signal.size == 0:
             raise InputError("signal", f"shape {signal.shape}", "samples (T,) or (T, nw)")
-        object.__setattr__(self, "signal", frozen(finite("signal", signal)))
+        self._set(signal=finite("signal", signal))
 
     def __repr__(self) -> str:
         return f"Recorded({len(self.signal)} samples, {self.nw} channels)"

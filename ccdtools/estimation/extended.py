@@ -81,22 +81,19 @@ class ExtendedKalmanFilter(Filter):
     detectability: Detectability = field(init=False)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
         as_instance("model", self.model, (Plant, SampledModel, LinearModel), "a Plant, a SampledModel or a LinearModel")
         own = self.model if isinstance(self.model, Plant) else getattr(self.model, "plant", None)
         if self.output is None and own is None:
             cure = "A LinearModel has no outputs of its own."
             raise InputError("output", "nothing", "what is measured, such as a matrix C (ny, nx)", cure)
-        set_(self, "output", as_measurement(own if self.output is None else self.output))
-        set_(self, "design", self._checked_design())
+        self._set(output=as_measurement(own if self.output is None else self.output))
+        self._set(design=self._checked_design())
         x0, P0 = as_start(self.x0, self.P0, self.model.nx)
-        set_(self, "x0", x0)
-        set_(self, "P0", P0)
+        self._set(x0=x0, P0=P0)
         ny = self._h.of(x0[None], np.zeros((1, self.nu))).shape[1]
         W, V = as_noise_covariances(self.W, self.V, self.nx, ny)
-        set_(self, "W", W)
-        set_(self, "V", V)
-        set_(self, "detectability", detectability(self._slopes, self.x0, self.P0))
+        self._set(W=W, V=V)
+        self._set(detectability=detectability(self._slopes, self.x0, self.P0))
 
     def _slopes(self, x: Array) -> tuple[Array, Array]:
         """Slopes ∂x⁺/∂x (n, nx, nx) and ∂h/∂x (n, ny, nx) without input."""

@@ -92,7 +92,6 @@ class KalmanFilter(Filter):
     P0: ArrayField = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
         A = as_array("A", np.atleast_2d(as_floats("A", self.A)), ("nx", "nx"))
         nx = len(A)
         if A.shape != (nx, nx):
@@ -103,16 +102,14 @@ class KalmanFilter(Filter):
         C = as_array("C", self.C, ("ny", nx))
         ny = len(C)
         D = np.zeros((ny, B.shape[1])) if self.D is None else as_array("D", self.D, (ny, B.shape[1]))
-        y0 = frozen(np.zeros(ny)) if self.y0 is None else as_vector("y0", self.y0, ny, of="one per output")
+        y0 = np.zeros(ny) if self.y0 is None else as_vector("y0", self.y0, ny, of="one per output")
         W, V = as_noise_covariances(self.W, self.V, nx, ny)
-        set_(self, "steady", as_flag("steady", self.steady))
+        self._set(steady=as_flag("steady", self.steady))
         if self.steady and self.P0 is not None:
             raise InputError("P0", "a covariance", "nothing with steady=True", "Pass steady=False to start from it.")
-        for name, value in (("A", A), ("B", frozen(B)), ("C", C), ("D", frozen(D)), ("y0", y0), ("W", W), ("V", V)):
-            set_(self, name, value)
+        self._set(A=A, B=B, C=C, D=D, y0=y0, W=W, V=V)
         x0, P0 = as_start(self.x0, self.predicted if self.steady else self.P0, nx)
-        set_(self, "x0", x0)
-        set_(self, "P0", None if self.steady else P0)
+        self._set(x0=x0, P0=None if self.steady else P0)
 
     @classmethod
     def of(

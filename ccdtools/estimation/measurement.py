@@ -49,8 +49,8 @@ class Measurement(Immutable):
     noise: Any = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "output", as_stated_output(self.output))
-        object.__setattr__(self, "noise", _as_noise(self.noise))
+        self._set(output=as_stated_output(self.output))
+        self._set(noise=_as_noise(self.noise))
 
     def __repr__(self) -> str:
         what = "a matrix" if isinstance(self.output, np.ndarray) else type(self.output).__name__

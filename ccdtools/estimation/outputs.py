@@ -25,17 +25,10 @@ EXPECTED = "a matrix C (ny, nx), a Plant with outputs, or a function h(x), which
 
 @dataclass(frozen=True, eq=False)
 class Output:
-    """Output y = h(x, u) at one design, with its slope.
+    """Output y = h(x, u) at one design, with its slope."""
 
-    Attributes
-    ----------
-    of : callable
-        Outputs (n, ny) of states (n, nx) and inputs (n, nu).
-    slope : callable
-        Slope ∂h/∂x (ny, nx) or (n, ny, nx) there, with standard deviations (n, nx) of x.
-    """
-
-    of: Callable[[Array, Array], Array]
+    of: Callable[[Array, Array], Array]  # outputs (n, ny) of states (n, nx) and inputs (n, nu)
+    # ∂h/∂x (ny, nx) or (n, ny, nx) there, with standard deviations (n, nx) of x
     slope: Callable[[Array, Array, Array], Array]
 
 

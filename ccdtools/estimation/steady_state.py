@@ -11,8 +11,7 @@ from ccdtools.estimation.tolerances import FLAT_OUTPUT, MAIN_STATES
 from ccdtools.exceptions import NotDetectableError
 from ccdtools_ground.outcome import Outcome
 from mpc import NotStabilisableError, lqr
-from mpc.modes import Mode, least_reached
-from mpc.riccati import cost_units
+from mpc.riccati import Mode, cost_units, least_reached
 from mpc.tolerances import NEAR_CIRCLE, REACH
 
 Slopes = Callable[[Array], tuple[Array, Array]]  # x (n, nx) → F (n, nx, nx) and H (n, ny, nx)

@@ -1,6 +1,7 @@
 from ccdtools.plants.black_box import BlackBox as BlackBox, from_gymnasium as from_gymnasium
 from ccdtools.plants.design_space import DesignSpace as DesignSpace
 from ccdtools.plants.discretisation import discretise as discretise
+from ccdtools.plants.fmu import from_fmu as from_fmu
 from ccdtools.plants.holds import first_order_hold as first_order_hold, noise_covariance as noise_covariance
 from ccdtools.plants.linear_model import LinearModel as LinearModel
 from ccdtools.plants.linear_plants import (

@@ -13,6 +13,7 @@ from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools_ground.user_functions import stopped
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,11 +95,8 @@ class BlackBox(Immutable):
         except CCDError:
             raise
         except Exception as error:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
-            at = f"x = {shown(x)}, u = {shown(u)}"
-            raise InputError(
-                "advance", f"a function that stops with {reason[:120]} at {at}", f"x⁺ {x.shape}"
-            ) from error
+            at = f" at x = {shown(x)}, u = {shown(u)}"
+            raise stopped("advance", self.advance, error, f"x⁺ {x.shape}", at=at) from error
         if found.shape != x.shape:
             raise InputError("advance", f"a state of shape {found.shape}", f"{x.shape}")
         return found

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, frozen
+from ccdtools.arrays import Array, Immutable, Mask, frozen
 from ccdtools.checks import as_floats, as_instance, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
@@ -42,7 +42,7 @@ class Equilibrium(Immutable):
     u: Array
     w: Array
     p: Array
-    free: Array
+    free: Mask
     unique: bool
 
     def __repr__(self) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_floats, as_number, as_positive
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_number, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.ride_comfort import as_signal, comfort, root_mean_square
 
@@ -50,10 +50,6 @@ class SuspensionMetrics(Immutable):
     load_rms: Array
     lift_off: Array
     energy: Array
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, frozen(as_floats(field.name, getattr(self, field.name))))
 
     def __repr__(self) -> str:
         if not self.comfort.size:

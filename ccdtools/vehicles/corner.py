@@ -53,31 +53,15 @@ class RealStrut(Parameters):
 
 @dataclass(frozen=True)
 class Corner:
-    """One wheel and its strut, with forces beyond the static ones.
+    """One wheel and its strut, with forces beyond the static ones."""
 
-    Attributes
-    ----------
-    spring, damper : casadi.SX
-        Of the strut [N/m], [N·s/m].
-    tyre : float
-        Stiffness [N/m].
-    load : float
-        Static load of the tyre [N].
-    strut : RealStrut
-        What is not linear.
-    nonlinear : bool
-        Whether the spring hardens, the damper is asymmetric and there are bump stops.
-    real : bool
-        Whether there is dry friction, too, a largest active force, and a tyre that cannot pull.
-    """
-
-    spring: ca.SX
-    damper: ca.SX
-    tyre: float
-    load: float
-    strut: RealStrut
-    nonlinear: bool
-    real: bool
+    spring: ca.SX  # of the strut [N/m]
+    damper: ca.SX  # of the strut [N·s/m]
+    tyre: float  # stiffness [N/m]
+    load: float  # static load of the tyre [N]
+    strut: RealStrut  # what is not linear
+    nonlinear: bool  # whether the spring hardens, the damper is asymmetric and there are bump stops
+    real: bool  # whether there is dry friction, too, a largest active force, and a tyre that cannot pull
 
     def passive(self, travel: ca.SX, rate: ca.SX) -> ca.SX:
         """Force [N] that pulls body and wheel together, by distance [m] and rate [m/s]."""

@@ -53,21 +53,20 @@ class Ride(Immutable):
     forces: Sequence[int] | None = None
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "body", _indices("body", [self.body])[0])
-        set_(self, "travels", _indices("travels", self.travels))
+        self._set(body=_indices("body", [self.body])[0])
+        self._set(travels=_indices("travels", self.travels))
         wheels = len(self.travels)
         for name in ("tyres",) if self.forces is None else ("tyres", "forces"):
             found = _indices(name, getattr(self, name))
             if len(found) != wheels:
                 raise InputError(name, f"{len(found)} states", f"{wheels}, one per travel")
-            set_(self, name, found)
-        set_(self, "stiffness", as_positive("stiffness", self.stiffness, unit="N/m"))
+            self._set(**{name: found})
+        self._set(stiffness=as_positive("stiffness", self.stiffness, unit="N/m"))
         loads = as_vector("loads", self.loads, wheels, of="one per travel")
         if not (loads > 0).all():
             raise InputError("loads", shown(loads), "static loads above 0 [N]")
-        set_(self, "loads", loads)
-        set_(self, "stop", as_positive("stop", self.stop, unit="m"))
+        self._set(loads=loads)
+        self._set(stop=as_positive("stop", self.stop, unit="m"))
 
     def __call__(self, run: Trajectory) -> dict[str, float]:
         """Means over runs and wheels, by metric name.

@@ -163,8 +163,7 @@ def outside(C: Polytope, X: Polytope, *, by_vertices: bool = True) -> float:
 
     Without `by_vertices`, by linear programs: for a set in so many dimensions that vertices take too long.
     """
-    F = np.concatenate([X.A, X.A_eq, -X.A_eq])
-    g = np.concatenate([X.b, X.b_eq, -X.b_eq])
+    F, g = X.one_sided
     if not len(g):
         return 0.0
     if by_vertices and C.is_bounded:

@@ -43,6 +43,9 @@ from invariant_sets.tolerances import FLAT, MEMBERSHIP
 Array = np.ndarray
 
 
+Inner = tuple[Polytope, Certificate, Array]  # a certified inner set and its equilibrium
+
+
 @dataclass(frozen=True)
 class Task:
     """Task of finding the largest invariant set in X within limits."""
@@ -92,7 +95,7 @@ def _largest(task: Task, guess: Polytope | None = None) -> SetResult:
     nx = X.dim
     iterations = 0
     widest = _extent(X)
-    reserve: _Inner | None = None
+    reserve: Inner | None = None
     searched = not np.isfinite(limits.deadline.end)
     deadline = limits.deadline.part(0.4)  # a recursion that ends within it needs no inner set in reserve
     for _ in range(4 * nx + 8):
@@ -181,7 +184,7 @@ def _bounded_modes(problem: LocalProblem, region: Region) -> Region:
     return region.cut(D[cutting], d[cutting]) if cutting.any() else region
 
 
-def _feedback_set(task: Task, problem: LocalProblem, start: Region) -> _Inner | None:
+def _feedback_set(task: Task, problem: LocalProblem, start: Region) -> Inner | None:
     """First feedback set in `start` that is certified in part of the time left, or None."""
     if not problem.bounded or not problem.at_equilibrium or start.shape is not Shape.SOLID:
         return None
@@ -194,18 +197,18 @@ def _feedback_set(task: Task, problem: LocalProblem, start: Region) -> _Inner | 
     return None
 
 
-def _fallback(task: Task, inner: _Inner | None, outer: Polytope, status: Status, steps: int) -> SetResult:
+def _fallback(task: Task, inner: Inner | None, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Reserve with its gap where it helps, otherwise no set."""
     if inner is None or outer.is_empty or status not in (Status.TIME_LIMIT, Status.FACET_LIMIT):
         return no_set(task.X.dim, steps, outer, status)
-    C = inner.C
+    C, check, centre = inner
     reach = outer.support(C.A)
-    room = C.b - C.A @ inner.centre
-    check = replace(inner.check, gap=float(((reach - C.b) / room).max()))
-    return _with_status(task, replace(inner, check=check), outer, status, steps)
+    room = C.b - C.A @ centre
+    check = replace(check, gap=float(((reach - C.b) / room).max()))
+    return _with_status(task, (C, check, centre), outer, status, steps)
 
 
-def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Inner | None) -> SetResult:
+def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: Inner | None) -> SetResult:
     """Result with an inner set that passes the certificate."""
     region = outcome.region
     limits = task.limits
@@ -226,18 +229,9 @@ def _finish(task: Task, problem: LocalProblem, outcome: Outcome, reserve: _Inner
     return _fallback(task, reserve, outer, status, steps)
 
 
-@dataclass(frozen=True)
-class _Inner:
-    """Certified inner set and its equilibrium."""
-
-    C: Polytope
-    check: Certificate
-    centre: Array
-
-
 def _certified(
     task: Task, problem: LocalProblem, region: Region, candidate: Candidate, deadline: Deadline
-) -> _Inner | None:
+) -> Inner | None:
     """Candidate as a set if certified in time, otherwise None."""
     found = candidate.region
     C = problem.frame.polytope(found.F, found.g, found.V)
@@ -255,23 +249,24 @@ def _certified(
     except LimitReached:
         return None
     check = replace(check, gap=gap(region, found), outside=beyond)
-    return _Inner(C, check, problem.frame.centre) if beyond <= MEMBERSHIP else None
+    return (C, check, problem.frame.centre) if beyond <= MEMBERSHIP else None
 
 
-def _with_status(task: Task, inner: _Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
+def _with_status(task: Task, inner: Inner, outer: Polytope, status: Status, steps: int) -> SetResult:
     """Result with the status that its gap and missing states deserve."""
-    small = inner.check.gap <= task.limits.tol + MEMBERSHIP
-    absent = inner.check.missing
+    C, check, _ = inner
+    small = check.gap <= task.limits.tol + MEMBERSHIP
+    absent = check.missing
     if small:
         try:
-            absent = certificate.missing(task.system, inner.C, task.X, task.U, task.limits.deadline)
+            absent = certificate.missing(task.system, C, task.X, task.U, task.limits.deadline)
         except (LimitReached, NumericalError) as error:
             status = Status.TIME_LIMIT if isinstance(error, TimeLimitReached) else Status.NOT_CERTIFIED
         else:
             status = Status.CONVERGED if absent <= 2 * task.limits.tol + MEMBERSHIP else Status.NOT_MAXIMAL
     elif status is Status.CONVERGED:
         status = Status.ITERATION_LIMIT
-    return SetResult(inner.C, outer, status, steps, replace(inner.check, missing=absent))
+    return SetResult(C, outer, status, steps, replace(check, missing=absent))
 
 
 def _nothing(task: Task, iterations: int) -> SetResult:

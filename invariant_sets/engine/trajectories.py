@@ -76,8 +76,7 @@ def inner_hull(
     rows = [np.hstack([np.zeros((steps * len(inputs.g), first.basis.shape[1])), np.kron(np.eye(steps), inputs.F)])]
     right = [np.tile(inputs.g, steps)]
     for S, M, c in zip(states, maps, offsets):
-        F = np.vstack([S.A, S.A_eq, -S.A_eq])
-        g = np.concatenate([S.b, S.b_eq, -S.b_eq])
+        F, g = S.one_sided
         rows.append(F @ M)
         right.append(g - F @ c)
     R = np.vstack(rows)

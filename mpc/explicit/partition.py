@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, Ints, ReadOnly
+from mpc.checks import Array, Immutable, Ints
 from mpc.parametric_qp import ParametricQP
 from mpc.tolerances import ROUNDED_SUM
 
@@ -27,7 +27,7 @@ class MPQPStatus(Outcome):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Partition(ReadOnly):
+class Partition(Immutable):
     """Solution of a multiparametric QP; its arrays are read-only.
 
     Attributes

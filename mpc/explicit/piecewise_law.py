@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import frozen
-from mpc.checks import Array, Flags, Ints, ReadOnly, as_floats
+from mpc.checks import Array, Flags, Immutable, Ints, as_floats
 from mpc.exceptions import InputError
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.search_tree import SearchTree, is_scan, search
@@ -16,7 +16,7 @@ from mpc.halfspaces import box_of, nearest_points
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PiecewiseLaw(ReadOnly):
+class PiecewiseLaw(Immutable):
     """Piecewise affine control law u(θ) of a partition; `ExplicitMPC` says what its parts are."""
 
     partition: Partition
@@ -28,7 +28,7 @@ class PiecewiseLaw(ReadOnly):
     def __post_init__(self) -> None:
         super().__post_init__()
         H, h = (np.array(rows, dtype=np.float64, order="C") for rows in self.input_rows)
-        object.__setattr__(self, "input_rows", (frozen(H), frozen(h)))
+        self._set(input_rows=(frozen(H), frozen(h)))
 
     @property
     def status(self) -> MPQPStatus:

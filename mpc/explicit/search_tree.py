@@ -10,7 +10,7 @@ import numpy as np
 
 from ccdtools_ground.outcome import Outcome
 from mpc.budgets import LEAF_ENTRIES, POINTS_OF_REGION, TESTS_AT_ONCE
-from mpc.checks import Array, Flags, Ints, ReadOnly, as_seconds
+from mpc.checks import Array, Flags, Immutable, Ints, as_seconds
 from mpc.exceptions import InputError
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.tolerances import CROSSING, SAME_HYPERPLANE_DIGITS
@@ -28,7 +28,7 @@ class TreeStatus(Outcome):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SearchTree(ReadOnly):
+class SearchTree(Immutable):
     """Binary search tree over a partition in scaled parameters; read-only.
 
     Attributes

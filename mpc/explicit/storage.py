@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mpc.checks import Array, Ints, array_fields
+from ccdtools_ground.door import array_fields
+from mpc.checks import Array, Ints
 from mpc.exceptions import InputError
 from mpc.explicit.partition import MPQPStatus, Partition
 from mpc.explicit.piecewise_law import PiecewiseLaw

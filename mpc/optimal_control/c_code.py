@@ -14,7 +14,7 @@ from mpc.halfspaces import box_of
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
-from mpc.optimal_control.planner import gain_at_rest
+from mpc.optimal_control.quadratic_planner import gain_at_rest
 from mpc.tolerances import VIOLATION_PRICE
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from mpc.checks import Array, Flags
+from mpc.checks import Array, Flags, Immutable
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF
 from mpc.optimal_control.functions import wanted
@@ -22,7 +22,7 @@ from mpc.optimal_control.transcription import build
 
 
 @dataclass(frozen=True, eq=False)
-class LoopPhase:
+class LoopPhase(Immutable):
     """Phase with inputs held over each of N = `horizon` samples.
 
     The states of its program are (x, w, the input before), where w and the input before are asked for, and its
@@ -34,9 +34,6 @@ class LoopPhase:
     p: Array
     rate_limit: Array | None
     sizes: Array | None = None  # (nx,): of states, where they are known
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @cached_property
     def functions(self) -> PhaseFunctions:

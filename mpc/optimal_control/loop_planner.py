@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
@@ -112,19 +113,18 @@ class LoopPlanner:
 
     def each(self, stated: dict[str, Any], n: int) -> list[Given]:
         """Signals of n states, common or one entry for each."""
-        more = {"u_prev": 2, "t": 1, "w": 3}
-        rows = [name for name, value in stated.items() if value is not None and np.ndim(value) == more.get(name)]
-        short = next((name for name in rows if len(stated[name]) != n), None)
-        if short is not None:
-            raise InputError(short, f"{len(stated[short])} of them", f"{n}, one for each state")
-        return [self.signals(stated | {name: stated[name][i] for name in rows}) for i in range(n)]
+        own = {"u_prev": (n, self.loop.phase.inputs), "t": (n,), "w": (n, None, self.loop.functions.nw)}
+        given = {name: value for name, value in stated.items() if value is not None and name in own}
+        rows = {name: as_array(name, v, own[name]) for name, v in given.items() if np.ndim(v) == len(own[name])}
+        return [self.signals(stated | {name: row[i] for name, row in rows.items()}) for i in range(n)]
 
     def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan from a state, begun at another or at several places."""
+        clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
-            return self._planned(x, given, before)
+            return clock.stamped(self._planned(x, given, before, clock))
 
-    def _planned(self, x: Array, given: Given, before: Plan | None) -> Plan:
+    def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
         program = self._sample(x, given)
         run = Run(program, self._settings)
@@ -135,17 +135,17 @@ class LoopPlanner:
             tried.append(self._solved(run, program, v, PRICE, warm=True))
         if not tried or tried[0].status not in RANKS[: 1 + softened]:
             guesses = [self._unknowns(program, *guess, given) for guess in self._guesses(x, given)]
-            tried += self._from_starts(run, program, guesses, 0.0)
-            if not run.late and all(one.status is not Status.SOLVED for one in tried):
-                tried += self._from_starts(run, program, guesses, PRICE)
+            tried += self._from_starts(run, program, guesses, 0.0, clock)
+            if not clock.late and all(one.status is not Status.SOLVED for one in tried):
+                tried += self._from_starts(run, program, guesses, PRICE, clock)
         best = min(tried, key=lambda one: one.rank)
-        if best.violation > KKT and best.status in RANKS[:2] and not run.late:  # the price may be too low
+        if best.violation > KKT and best.status in RANKS[:2] and not clock.late:  # the price may be too low
             dearer = self._solved(run, program, best.found.v, PRICE**2, warm=True)
             best = dearer if dearer.rank[0] <= best.rank[0] and dearer.violation < best.violation else best
         if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
-        return self._packed(best, run, x, given, before)
+        return self._packed(best, run.program, x, given, before)
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to, or None.
@@ -162,15 +162,21 @@ class LoopPlanner:
 
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""
-        last = self._next(plan.states[-1], plan.inputs[-1], given, self.loop.horizon - 1)
-        return replace(plan, inputs=np.vstack([plan.inputs[1:], plan.inputs[-1]]),
-                       states=np.vstack([plan.states[1:], last]))  # fmt: skip
+        u = plan.inputs[-1]
+        return shifted(plan, u, self._next(plan.states[-1], u, given, self.loop.horizon - 1))
 
-    def _from_starts(self, run: Run, program: NonlinearProgram, guesses: list[Array], price: float) -> Iterator[_Tried]:
+    def _next(self, x: Array, u: Array, given: Given, k: int) -> Array:
+        """Next state after step k of a sample, finite."""
+        t = given["t"] + k * self.loop.dt
+        return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
+
+    def _from_starts(
+        self, run: Run, program: Any, guesses: list[Array], price: float, clock: Clock
+    ) -> Iterator[_Tried]:
         """Results from unknowns, as long as there is time."""
         for v in guesses:
             yield self._solved(run, program, v, price, warm=False)
-            if run.late:
+            if clock.late:
                 return
 
     def _solved(self, run: Run, program: NonlinearProgram, v: Array, price: float, *, warm: bool) -> _Tried:
@@ -196,36 +202,22 @@ class LoopPlanner:
         return float(cost[0]), float(over[self.loop.may_give].max(initial=0.0))
 
     def _guesses(self, x: Array, given: Given) -> Iterator[tuple[Array, Array]]:
-        """States and inputs of the starts.
-
-        The phase's guess, else the state held; the straight way to its end; where inputs by chance lead to.
-        """
+        """States and inputs of the starts: the phase's guess, else the state held; straight to its end; by chance."""
         phase, N, rng = self.loop.phase, self.loop.horizon, np.random.default_rng(0)
         states, inputs = first_guess(phase)(np.linspace(0, 1, N + 1))
         part = self.loop.program.parts[0]
         size = self.loop.program.scale[part.first + part.layout.nx :][: phase.inputs]
-        low, high = np.maximum(phase.u_bounds[0], -size), np.minimum(phase.u_bounds[1], size)
+        box = np.maximum(phase.u_bounds[0], -size), np.minimum(phase.u_bounds[1], size)
         aside = np.clip(inputs[:-1] + rng.uniform(-ASIDE, ASIDE, (N, phase.inputs)) * size, *phase.u_bounds)
-        yield states if phase.guess is not None else np.tile(x, (N + 1, 1)), aside
-        way = np.linspace(0, 1, N + 1)[:, None]
-        if self.starts > 1:
-            yield (1 - way) * x + way * states[-1], aside
-        for _ in range(2, self.starts):
-            pieces = rng.uniform(low, high, (1 + N // 5, phase.inputs))
-            inputs = np.repeat(pieces, 5, axis=0)[:N]
-            yield self._led_to(x, inputs, given), inputs
+        first = states if phase.guess is not None else np.tile(x, (N + 1, 1)), aside
+        return islice(beginnings(first, x, states[-1], lambda u: self._led_to(x, u, given), rng, box), self.starts)
 
-    def _led_to(self, x: Array, inputs: Array, given: Given) -> Array:
-        """States (N + 1, nx) that inputs lead to, finite."""
+    def _led_to(self, x: Array, inputs: Array, given: Given) -> tuple[Array, Array]:
+        """States (N + 1, nx) that inputs lead to, finite, and these."""
         states = np.tile(x, (len(inputs) + 1, 1))
         for k, u in enumerate(inputs):
             states[k + 1] = self._next(states[k], u, given, k)
-        return states
-
-    def _next(self, x: Array, u: Array, given: Given, k: int) -> Array:
-        """Next state after step k of a sample, finite."""
-        t = given["t"] + k * self.loop.dt
-        return finite(self.model.next(x, u, given["w"][k], np.concatenate([self.p, t])))
+        return states, inputs
 
     def _sample(self, x: Array, given: Given) -> NonlinearProgram:
         """Program of one sample."""
@@ -247,29 +239,23 @@ class LoopPlanner:
         v[part.first : part.last] = np.concatenate([np.hstack([z[:-1], inputs]).ravel(), z[-1]])
         return np.clip(v, program.lower, program.upper)
 
-    def _packed(self, best: _Tried, run: Run, x: Array, given: Given, before: Plan | None) -> Plan:
+    def _packed(self, best: _Tried, program: NonlinearProgram, x: Array, given: Given, before: Plan | None) -> Plan:
         """Plan of a result, or the best that was reached instead."""
-        part, nx, name = self.loop.program.parts[0], self.loop.phase.states, "Ipopt"
-        status, cost, violation = Status.LATE if run.late else best.status, best.cost, best.violation
-        nodes, own, _, _ = part.unknowns(best.found.v)
-        states, inputs = nodes[:nx].T.copy(), own.T.copy()
-        if best.status is Status.REPLACED:
-            guess = first_guess(self.loop.phase)(np.linspace(0, 1, len(inputs) + 1))[1][:-1]
-            other = ("guess", guess) if before is None else ("shifted plan", before.inputs)
-            found = [self._simulated(run.program, x, one, given) for one in (other[1], inputs)]
-            chosen = int(np.argmin([part[0] for part in found]))
-            _, cost, violation, states, inputs = found[chosen]
-            name = name if chosen else other[0]
-            status = Status.INACCURATE if chosen and status is Status.REPLACED else status
-        took = time.perf_counter() - run.began
-        return Plan(inputs, finite(states), cost, status, best.found.residuals, violation, took, name)
-
-    def _simulated(self, program: NonlinearProgram, x: Array, inputs: Array,
-                   given: Given) -> tuple[float, float, float, Array, Array]:  # fmt: skip
-        """Total, cost and violation of inputs, with the states that they lead to, and themselves."""
-        if self.loop.rate_limit is not None:
-            inputs = no_faster(inputs, given["u_prev"], self.loop.rate_limit, np.zeros(len(inputs), dtype=bool))
-        states = self._led_to(x, inputs, given)
-        cost, violation = self._worth(program, self._unknowns(program, states, inputs, given))
-        total = cost + PRICE * program.cost_scale * violation
-        return total if np.isfinite(total) else np.inf, cost, violation, states, inputs
+        nodes, own, _, _ = program.parts[0].unknowns(best.found.v)
+        states, inputs = finite(nodes[: len(x)].T.copy()), own.T.copy()
+        found = Plan(inputs, states, best.cost, best.status, best.found.residuals, best.violation, 0.0, "Ipopt")
+        if found.status is not Status.REPLACED:
+            return found
+        guess = first_guess(self.loop.phase)(np.linspace(0, 1, len(inputs) + 1))[1][:-1]
+        name, other = ("guess", guess) if before is None else (SHIFTED, before.inputs)
+        plans = []
+        for plan in (replace(found, inputs=other, solver=name), replace(found, status=Status.INACCURATE)):
+            inputs = plan.inputs
+            if self.loop.rate_limit is not None:
+                inputs = no_faster(inputs, given["u_prev"], self.loop.rate_limit, np.zeros(len(inputs), dtype=bool))
+            states, _ = self._led_to(x, inputs, given)
+            cost, violation = self._worth(program, self._unknowns(program, states, inputs, given))
+            total = cost + PRICE * program.cost_scale * violation
+            simulated = replace(plan, inputs=inputs, states=finite(states), cost=cost, violation=violation)
+            plans.append((total if np.isfinite(total) else np.inf, simulated))
+        return min(plans, key=lambda one: one[0])[1]

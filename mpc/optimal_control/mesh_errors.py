@@ -97,22 +97,12 @@ class Excess(NamedTuple):
 
     What passes a limit by the polynomial of an input alone, as where an input jumps, counts by the part of the time
     that it lasts at most: what inputs do is felt by its integral.
-
-    Attributes
-    ----------
-    value, time : (m,) arrays
-        In the limit's unit, and when.
-    relative : (m,) array
-        Beside how much the limit changes there over the extent of states and inputs.
-    intervals : (N,) array
-        The largest relative excess within every interval.
-    names : tuple of str
     """
 
-    value: Array
-    time: Array
-    relative: Array
-    intervals: Array
+    value: Array  # (m,): in the limit's unit
+    time: Array  # (m,)
+    relative: Array  # (m,): beside how much the limit changes there over the extent of states and inputs
+    intervals: Array  # (N,): the largest relative excess within every interval
     names: tuple[str, ...]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from invariant_sets import Polytope, maximal_positively_invariant_set
-from mpc.checks import Array, as_array, as_count, as_floats, as_rate_limit, as_seconds
+from mpc.checks import Array, Immutable, as_array, as_count, as_floats, as_rate_limit, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
@@ -22,8 +22,8 @@ from mpc.optimal_control.functions import Statement, compiled
 from mpc.optimal_control.loop_phase import LoopPhase, as_loop_phase
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.phase import Phase
-from mpc.optimal_control.planner import Planner
 from mpc.optimal_control.problem import OptimalControlProblem
+from mpc.optimal_control.quadratic_planner import QuadraticPlanner
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
 from mpc.rollout import disturbance, spread_signals
@@ -34,7 +34,7 @@ from mpc.tolerances import STEADY
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NonlinearMPC:
+class NonlinearMPC(Immutable):
     """Model predictive controller u = controller(x) of x⁺ = f(x, u, w, p).
 
     Minimises Σ_{k<N} x_k'Qx_k + 2 x_k'Su_k + u_k'Ru_k + x_N'Px_N subject to the model, x_k in X (k = 1 … N), u_k in U
@@ -121,10 +121,9 @@ class NonlinearMPC:
     _loop: LoopPhase | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "p", as_array("p", self.p, (None,)))
+        self._set(p=as_array("p", self.p, (None,)))
         for name in ("most_iterations", "starts"):
-            set_(self, name, as_count(name, getattr(self, name)))
+            self._set(**{name: as_count(name, getattr(self, name))})
         if isinstance(self.step, Phase):
             self._set_phase(self.step)
             return
@@ -132,13 +131,13 @@ class NonlinearMPC:
             cure = "Give its phase, and its parameters as p=…."
             raise InputError("step", "an OptimalControlProblem", "a Phase, or the next state as a function", cure)
         for name in ("states", "inputs", "horizon"):
-            set_(self, name, as_count(name, getattr(self, name)))
+            self._set(**{name: as_count(name, getattr(self, name))})
         if self.iterations is not None:
-            set_(self, "iterations", as_count("iterations", self.iterations))
+            self._set(iterations=as_count("iterations", self.iterations))
         nw = 0 if self.disturbances == 0 else as_count("disturbances", self.disturbances)
-        set_(self, "disturbances", nw)
+        self._set(disturbances=nw)
         sizes = {"x": self.states, "u": self.inputs, "w": nw, "p": len(self.p)}
-        set_(self, "model", DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
+        self._set(model=DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
         _ = self.planner
 
     def _set_phase(self, phase: Phase) -> None:
@@ -151,11 +150,10 @@ class NonlinearMPC:
             raise InputError("uses", repr(self.uses), '("preview",), which hands w over, or nothing')
         horizon = None if self.horizon is None else as_count("horizon", self.horizon)
         rate_limit = None if self.rate_limit is None else as_rate_limit(self.rate_limit, phase.inputs)
-        set_, loop = object.__setattr__, as_loop_phase(phase, horizon, self.p, rate_limit)
-        values = {"states": phase.states, "inputs": phase.inputs, "horizon": loop.horizon, "_loop": loop}
-        for name, value in (values | {"disturbances": loop.functions.nw}).items():
-            set_(self, name, value)
-        set_(self, "model", self.planner.model)
+        loop = as_loop_phase(phase, horizon, self.p, rate_limit)
+        self._set(states=phase.states, inputs=phase.inputs, horizon=loop.horizon, disturbances=loop.functions.nw)
+        self._set(_loop=loop)
+        self._set(model=self.planner.model)
 
     @cached_property
     def linear(self) -> LinearMPC:
@@ -193,12 +191,14 @@ class NonlinearMPC:
         return isinstance(self.terminal_set, str) and self.terminal_set == "invariant"
 
     @cached_property
-    def planner(self) -> Planner | LoopPlanner:
+    def planner(self) -> QuadraticPlanner | LoopPlanner:
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
         if self._loop is not None:
             return LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
-        return Planner(self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit)
+        return QuadraticPlanner(
+            self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
+        )
 
     def __repr__(self) -> str:
         how = "converged" if self.iterations is None else f"{self.iterations} a sample"

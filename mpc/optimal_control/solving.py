@@ -101,11 +101,6 @@ class Run:
         self.began = time.perf_counter()
         self.iterations = 0
 
-    @property
-    def late(self) -> bool:
-        """Whether the time is up."""
-        return time.perf_counter() - self.began > self.settings.seconds
-
     def _left(self, warm: bool) -> Settings:
         """Settings of the next call."""
         passed = 0.0 if self.settings.each else time.perf_counter() - self.began

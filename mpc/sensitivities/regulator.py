@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_triangular
 
 from ccdtools_ground.tolerances import WEIGHT_ROUNDING
-from mpc.checks import Array, ReadOnly, as_array, as_cross_weight, as_floats, as_pair, as_weight
+from mpc.checks import Array, Immutable, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from mpc.exceptions import InputError
 from mpc.riccati import cost_units, lqr
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LQRSensitivity(ReadOnly):
+class LQRSensitivity(Immutable):
     """Regulator u = -K x with exact derivatives by parameters p (np,).
 
     Attributes

@@ -9,6 +9,7 @@ import pytest
 from joblib import Parallel, delayed
 
 import ccdtools as cc
+from mpc import LinearMPC
 
 P = np.array([2.0])
 
@@ -70,3 +71,16 @@ def test_a_sweep_in_processes_gives_what_a_loop_gives(illustrative, clone):
     jobs = [(problem, policy, seed) for seed in range(3)]
     swept = Parallel(n_jobs=2, backend="loky")(delayed(returned)(*job) for job in jobs)
     assert swept == [returned(*job) for job in jobs]
+
+
+def test_arrays_are_read_only_copies_of_what_was_given_and_stay_so():
+    states, inputs, disturbances = np.zeros((1, 3, 2)), np.zeros((1, 2, 1)), np.zeros((1, 2, 1))
+    run = cc.Trajectory(states, inputs, disturbances, dt=0.1, design=np.zeros(1), diverged_at=[-1])
+    law = LinearMPC([[1, 0.1], [0, 1]], [[0], [0.1]], Q=np.eye(2), R=1.0, horizon=3, U=(-1, 1))
+    states[:] = 7.0
+    assert not run.states.any()
+    assert states.flags.writeable
+    for one in (run, *twice(run)):
+        assert not any(getattr(one, name).flags.writeable for name in ("states", "inputs", "design", "diverged_at"))
+    for one in (law, *twice(law)):
+        assert not any(getattr(one, name).flags.writeable for name in ("A", "B", "Q", "P"))

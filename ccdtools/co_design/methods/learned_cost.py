@@ -29,23 +29,12 @@ from learning.networks import ActorCritic
 
 @dataclass(eq=False)
 class LearnedCost(DesignCost):
-    """Cost (minus mean return) of a policy trained from the last design's.
+    """Cost (minus mean return) of a policy trained from the last design's."""
 
-    Parameters
-    ----------
-    problem : CoDesignProblem
-    agent : ActorCritic
-        Warm start.
-    scenarios : tensors (n, nx) and (n, T, nw)
-    rng : numpy.random.Generator
-    by : {"pathwise", "ppo", "pathwise+ppo"}
-        What moves the policy.
-    """
-
-    agent: ActorCritic
-    scenarios: ScenarioTensors
+    agent: ActorCritic  # warm start
+    scenarios: ScenarioTensors  # (n, nx) and (n, T, nw)
     rng: np.random.Generator
-    by: str = "pathwise"
+    by: str = "pathwise"  # "pathwise", "ppo" or "pathwise+ppo": what moves the policy
     _trained: list[tuple[Array, ActorCritic]] = field(default_factory=list)
     repeatable = False
 

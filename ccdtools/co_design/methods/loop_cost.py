@@ -40,18 +40,12 @@ from mpc import NotStabilisableError
 class LoopCost(DesignCost):
     """Cost (minus mean return) of a law on fixed scenarios, over the unit box.
 
-    Parameters
-    ----------
-    problem : CoDesignProblem
-        Its discrepancy, risk and limits are honoured.
-    law : DesignLaw
-    scenarios : tensors (n, nx) and (n, T, nw)
-    penalty : StateLimitPenalty, optional
-        What leaving the limits costs; `within_limits` raises it until they are kept, where they have a tolerance.
+    The problem's discrepancy, risk and limits are honoured.
     """
 
     law: DesignLaw
-    scenarios: ScenarioTensors
+    scenarios: ScenarioTensors  # (n, nx) and (n, T, nw)
+    # what leaving the limits costs; `within_limits` raises it until they are kept, where they have a tolerance
     penalty: StateLimitPenalty | None = None
     evaluations: int = 0  # closed loops on all scenarios, those of differences included
 

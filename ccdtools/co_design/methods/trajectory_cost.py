@@ -28,20 +28,11 @@ class TrajectoryCost(DesignCost):
 
     The cases of a worst case have programs of their own, as nothing but the design ties them together: their costs are
     then counted, and rounded off where two are alike, as those of closed loops are.
-
-    Parameters
-    ----------
-    problem : CoDesignProblem
-    scenarios : arrays (n, nx) and (n, T, nw)
-    start : (np,) array
-        The design that the program is built at.
-    control : {"lqr", "mpc"}
-        What closes the loop in use.
     """
 
-    scenarios: tuple[Array, Array]
-    start: Array
-    control: str = "lqr"
+    scenarios: tuple[Array, Array]  # (n, nx) and (n, T, nw)
+    start: Array  # (np,): the design that the program is built at
+    control: str = "lqr"  # "lqr" or "mpc": what closes the loop in use
     evaluations: int = 0  # how many designs were looked at
     failed: Solution | None = None  # of the program that looked for a design within the limits and found none
 

@@ -72,7 +72,7 @@ class FinishedRun:
         from ccdtools.co_design.result import History  # loads torch
 
         names = History.__dataclass_fields__
-        stages = [self.folder.read_stage(f"codesign-{g}").arrays for g in range(1, self.last + 1)]
+        stages: list[Any] = [self.folder.read_stage(f"codesign-{g}").arrays for g in range(1, self.last + 1)]
         return [History(**{name: arrays[f"history_{name}"] for name in names}) for arrays in stages]
 
     @cached_property

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools import figure_style as style
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.evidence.percent import share, signed_percent
 from ccdtools.studies.names import SOURCES
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
@@ -91,7 +91,7 @@ def history(run: FinishedRun) -> list[ReportFigure]:
     return [ReportFigure("history", "Return and design", caption, figure)]
 
 
-def _draw_course(ax: style.Axes, steps: Array, values: Array, chosen: int, colour: Any) -> None:
+def _draw_course(ax: style.Axes, steps: Indices, values: Array, chosen: int, colour: Any) -> None:
     ax.plot(steps, values, "-o", color=colour, ms=2.5, lw=1.5)
     ax.plot(steps[chosen], values[chosen], "*", color=style.CHOSEN, mec="k", mew=0.6, ms=13, zorder=5)
 

@@ -28,8 +28,8 @@ from mpc.explicit.kernels.data import (
     QPData,
     RegionData,
 )
-from mpc.explicit.kernels.halfspace import across, interior_point, irredundant, just_behind
-from mpc.explicit.kernels.region import gram_factor, gram_solve, optimal_at, region_rows
+from mpc.explicit.kernels.halfspace import across, gram_solve, interior_point, irredundant, just_behind
+from mpc.explicit.kernels.region import gram_factor, optimal_at, region_rows
 from mpc.tolerances import EXCLUDED, INSIDE, PRIMAL
 
 

@@ -12,6 +12,21 @@ from mpc.tolerances import CROSSING, DEPENDENT_ROW, EPS, INSIDE, PRIMAL, ROUNDED
 
 
 @njit(cache=True)
+def gram_solve(L: Array, k: int, x: Array) -> None:
+    """Solve LL'y = x in place."""
+    for a in range(k):
+        s = x[a]
+        for q in range(a):
+            s -= L[a, q] * x[q]
+        x[a] = s / L[a, a]
+    for a in range(k - 1, -1, -1):
+        s = x[a]
+        for q in range(a + 1, k):
+            s -= L[q, a] * x[q]
+        x[a] = s / L[a, a]
+
+
+@njit(cache=True)
 def project(A: Array, b: Array, m: int, c: Array, tol: float, theta: Array, work: Ints, lam: Array) -> int:
     """Nearest point of {Aθ <= b} to c, by the dual active-set method of Goldfarb and Idnani (1983), unit rows.
 
@@ -41,17 +56,10 @@ def project(A: Array, b: Array, m: int, c: Array, tol: float, theta: Array, work
         for _ in range(n + m + 2):
             # r: coefficients of row p on the active rows; z: what is left of it
             for a in range(k):
-                s = 0.0
+                r[a] = 0.0
                 for j in range(n):
-                    s += A[work[a], j] * A[p, j]
-                for e in range(a):
-                    s -= L[a, e] * r[e]
-                r[a] = s / L[a, a]
-            for a in range(k - 1, -1, -1):
-                s = r[a]
-                for e in range(a + 1, k):
-                    s -= L[e, a] * r[e]
-                r[a] = s / L[a, a]
+                    r[a] += A[work[a], j] * A[p, j]
+            gram_solve(L, k, r)
             zz = 0.0
             for j in range(n):
                 s = A[p, j]

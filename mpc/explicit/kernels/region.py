@@ -21,7 +21,7 @@ from numba import njit
 
 from mpc.checks import Array
 from mpc.explicit.kernels.data import DEPENDENT, FLAT, FULL, Ints, QPData
-from mpc.explicit.kernels.halfspace import project
+from mpc.explicit.kernels.halfspace import gram_solve, project
 from mpc.tolerances import DEPENDENT_ROW, PRIMAL, REFINED_ROW, ROUNDED_SUM
 
 
@@ -44,21 +44,6 @@ def gram_factor(gram: Array, act: Ints, k: int, L: Array) -> bool:
             else:
                 L[a, e] = s / L[e, e]
     return True
-
-
-@njit(cache=True)
-def gram_solve(L: Array, k: int, x: Array) -> None:
-    """Solve LL'y = x in place."""
-    for a in range(k):
-        s = x[a]
-        for q in range(a):
-            s -= L[a, q] * x[q]
-        x[a] = s / L[a, a]
-    for a in range(k - 1, -1, -1):
-        s = x[a]
-        for q in range(a + 1, k):
-            s -= L[q, a] * x[q]
-        x[a] = s / L[a, a]
 
 
 @njit(cache=True)

@@ -22,27 +22,14 @@ from mpc.tolerances import LEAST_INTERVAL, NAMED_SHARE, NEGLIGIBLE, TOLD, TOLD_A
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Sensitivities of whitened residuals by unknowns, parameters before first states.
+    """Sensitivities of whitened residuals by unknowns, parameters before first states."""
 
-    Attributes
-    ----------
-    places : (m,) ints
-        Of the unknowns in the program; those that are given are left out.
-    names : tuple of str
-    values, units : (m,) arrays
-        Estimates and sizes of the unknowns.
-    directions : (m, k) array
-        Orthonormal, in these units: those that limits which act leave free.
-    slopes : (values, m) array
-        Of the residuals, by unknowns in their units.
-    """
-
-    places: NDArray[np.int64]
+    places: NDArray[np.int64]  # (m,): of the unknowns in the program; those that are given are left out
     names: tuple[str, ...]
-    values: Array
-    units: Array
-    directions: Array
-    slopes: Array
+    values: Array  # (m,): estimates of the unknowns
+    units: Array  # (m,): their sizes
+    directions: Array  # (m, k): orthonormal, in these units: those that limits which act leave free
+    slopes: Array  # (values, m): of the residuals, by unknowns in their units
 
     @cached_property
     def modes(self) -> tuple[Array, Array]:

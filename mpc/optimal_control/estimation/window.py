@@ -23,28 +23,15 @@ from mpc.tolerances import KKT_REPORTED
 
 @dataclass(frozen=True, eq=False)
 class NoisyModel:
-    """z⁺ = f(z, u, v), y = h(z, u) with unit noise v, and limits.
-
-    Attributes
-    ----------
-    f, h : casadi.Function
-    V : (ny, ny) array
-    bounds : (lower, upper)
-        Of z, each (nz,).
-    disturbance : (nw, nv) array
-        w of v.
-    disturbance_bounds : (lower, upper)
-    sizes : (nz,) array
-        About how large z is.
-    """
+    """z⁺ = f(z, u, v), y = h(z, u) with unit noise v, and limits."""
 
     f: ca.Function
     h: ca.Function
-    V: Array
-    bounds: tuple[Array, Array]
-    disturbance: Array
+    V: Array  # (ny, ny)
+    bounds: tuple[Array, Array]  # (lower, upper) of z, each (nz,)
+    disturbance: Array  # (nw, nv): w of v
     disturbance_bounds: tuple[Array, Array]
-    sizes: Array
+    sizes: Array  # (nz,): about how large z is
 
     @cached_property
     def linearised(self) -> ca.Function:
@@ -83,27 +70,14 @@ class NoisyModel:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Samples of one run, and what came before them.
+    """Samples of one run, and what came before them."""
 
-    Attributes
-    ----------
-    mean, covariance : (nz,) and (nz, nz) arrays
-        Of z at the first sample, before its outputs.
-    outputs : (k, ny) array
-    inputs : (k, nu) array
-        Held until each sample.
-    course : (k, nz) array
-        Most likely z.
-    last : (nz, nz) array
-        Covariance of z at the last sample.
-    """
-
-    mean: Array
-    covariance: Array
-    outputs: Array
-    inputs: Array
-    course: Array
-    last: Array
+    mean: Array  # (nz,): of z at the first sample, before its outputs
+    covariance: Array  # (nz, nz)
+    outputs: Array  # (k, ny)
+    inputs: Array  # (k, nu): held until each sample
+    course: Array  # (k, nz): most likely z
+    last: Array  # (nz, nz): covariance of z at the last sample
 
     def shortened(self, model: NoisyModel) -> Window:
         """Window without its first sample, which mean and covariance take in."""

@@ -365,7 +365,7 @@ def test_returns_behind_by_a_quarter_are_drawn_at_the_lower_edge():
 def test_a_limit_of_the_closed_loop_is_active_from_four_fifths_of_its_tolerance_on(used, active):
     outcome = LimitsOutcome(Pair(used, 0.0), Pair(1.0, 1.0), "asked for", Pair(1.0, 1.0))
     found = DesignPoint(ONE, 0.0, ONE, penalty=SimpleNamespace(outcome=lambda seen: outcome, active=True))
-    stated = SimpleNamespace(seen=lambda v: None, _differences=lambda *_: (ONE, ONE, ONE), _cost_and_violations=None)
+    stated = SimpleNamespace(seen=lambda v: None, differences=lambda *_: (ONE, ONE, ONE), _cost_and_violations=None)
     assert ("mean violation of the limits" in LoopCost.examined(stated, found).active) == active
 
 
@@ -379,7 +379,7 @@ def test_a_policy_is_not_led_by_a_gradient_that_half_of_its_runs_lack(monkeypatc
     agent = ActorCritic([-1, 0], [1, 1], [-1.0], [1.0], config=NetworkConfig((3,)), seed=0)
     history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 1)), *(np.zeros(1) for _ in range(3)))
     result = LearnedCoDesign(design=0.5 * ONE, agent=agent, history=history, status=CoDesignStatus.CONVERGED)
-    found = Settling._policy_checked(stated, result, None)
+    found = Settling.confirmed(stated, result, result.controller, None)
     assert (found.status is CoDesignStatus.CONVERGED) == led
 
 

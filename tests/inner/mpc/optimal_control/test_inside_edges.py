@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from mpc.optimal_control import Radau, refinement
-from mpc.optimal_control.planner import Planner, _Path
+from mpc.optimal_control.quadratic_planner import QuadraticPlanner, _Path
 from mpc.optimal_control.refinement import _finer_mesh, _Rounds
 from mpc.optimal_control.solution_sensitivity import _acting, _once_each
 
@@ -70,26 +70,22 @@ def test_a_limit_that_a_finer_mesh_leaves_as_passed_is_jumped_over(excess, meshe
     assert len(made) == meshes
 
 
-def followed(inputs):
-    """Path of two states that does nothing but have inputs."""
-    return _Path(np.zeros((2, 1)), np.array([[inputs]]), np.zeros((1, 1, 1)), "path")
-
-
 @pytest.mark.parametrize(("violation", "chosen"), [(0.002, "found"), (0.02, "other")])
 def test_a_violation_costs_a_hundred_times_what_the_other_plan_does(violation, chosen):
-    worth = {1.0: (1.0, violation), 2.0: (2.0, 0.0)}  # inputs: cost and violation
+    found = SimpleNamespace(solver="found", cost=1.0, over=violation)
     planner = SimpleNamespace(
-        _followed=lambda x, path, w, given: path, _worth=lambda path, given: worth[path.inputs[0, 0]]
+        _plan=lambda sample, path, status: SimpleNamespace(solver="other", cost=2.0, over=0.0),
+        _total=lambda plan, given, price: plan.cost + price * plan.over,
     )
-    best, _ = Planner._best(planner, None, followed(1.0), followed(2.0), None, {})
-    assert {1.0: "found", 2.0: "other"}[best.inputs[0, 0]] == chosen
+    sample = SimpleNamespace(first=_Path(np.zeros((2, 1)), np.zeros((1, 1)), np.zeros((1, 1, 1)), "path"), given={})
+    assert QuadraticPlanner._best(planner, sample, found).solver == chosen
 
 
 @pytest.mark.parametrize(("less", "better"), [(3e-7, False), (3e-6, True)])
 def test_a_law_does_better_than_a_plan_by_more_than_rounding(less, better, monkeypatch):
-    monkeypatch.setattr("mpc.optimal_control.planner.rounding_of_cost", lambda law, given: 0.0)
+    monkeypatch.setattr("mpc.optimal_control.quadratic_planner.rounding_of_cost", lambda law, given: 0.0)
     planner = SimpleNamespace(
-        law=None, _linear_law=lambda *a: "law", _total=lambda sample, path: 5.0 - 5 * less * (path == "law")
+        law=None, _linear_law=lambda *a: "law", _total=lambda path, given, price: 5.0 - 5 * less * (path == "law")
     )
-    sample = SimpleNamespace(x=None, w=None, given=None)
-    assert Planner._law_does_better(planner, sample, "plan") == better
+    sample = SimpleNamespace(x=None, given=None, dear=None)
+    assert QuadraticPlanner._law_does_better(planner, sample, "plan") == better

@@ -1,0 +1,191 @@
+"""Plants that another tool exported as an FMU.
+
+References
+----------
+Modelica Association, "Functional mock-up interface for model exchange and co-simulation", version 2.0, 2014.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+from weakref import finalize
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_instance, as_positive, nearest, shown
+from ccdtools.exceptions import InputError
+from ccdtools.plants.black_box import BlackBox
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+
+
+def from_fmu(
+    path: str | Path, *, dt: float, inputs: Sequence[str] | None = None, disturbances: Sequence[str] = (),
+    design: DesignSpace = NO_DESIGN, substeps: int = 10,
+) -> BlackBox:  # fmt: skip
+    """Plant of an FMU for model exchange (FMI 2.0), from any state.
+
+    Its derivatives are integrated by Runge–Kutta steps with inputs held; state events are not located. FMPy
+    (``pip install "ccdtools[fmu]"``) loads it.
+
+    Parameters
+    ----------
+    path : path
+        The .fmu file, with a binary for this platform.
+    dt : float
+        Sampling time [s].
+    inputs, disturbances : sequence of str, optional
+        Inputs of the FMU that are u and w; by default all that are not disturbances are u.
+    design : DesignSpace
+        Its names are those of parameters of the FMU.
+    substeps : int
+        Runge–Kutta steps a sample.
+
+    Returns
+    -------
+    BlackBox
+        Its states are in the order of the FMU's derivatives.
+
+    Raises
+    ------
+    InputError
+        If FMPy is missing, the file is none, of another version or kind or without a binary for this platform, it has
+        no state, or names are not those of its inputs and parameters.
+
+    Examples
+    --------
+    >>> plant = from_fmu("pendulum.fmu", dt=0.02, design=DesignSpace(["m"], [0.5], [2.0], ["kg"]))  # doctest: +SKIP
+    """
+    where = Path(as_instance("path", path, (str, Path), "the path of an .fmu file")).resolve()
+    as_instance("design", design, DesignSpace, "a DesignSpace")
+    described = _described(where)
+    known = {v.name: v for v in described.modelVariables}
+    of_kind = {
+        kind: [v.name for v in described.modelVariables if v.causality == kind] for kind in ("input", "parameter")
+    }
+    given = [name for name in of_kind["input"] if name not in disturbances] if inputs is None else list(inputs)
+    for argument, names, kind in (
+        ("inputs", given, "input"), ("disturbances", disturbances, "input"), ("design", design.names, "parameter")
+    ):  # fmt: skip
+        unknown = next((name for name in names if name not in of_kind[kind]), None)
+        if unknown is not None:
+            among = ", ".join(of_kind[kind]) or "none"
+            raise InputError(argument, shown(unknown), f"{kind}s of the FMU: {among}", nearest(unknown, of_kind[kind]))
+    references = tuple(tuple(known[name].valueReference for name in names) for names in
+                       (given, disturbances, design.names))  # fmt: skip
+    step = FmuStep(where, as_positive("dt", dt, unit="s"), as_count("substeps", substeps), references)
+    x, u, w = (np.zeros(n) for n in (step.nx, len(given), len(disturbances)))
+    step.derivatives(x, u, w, design.project(design.centre))  # what does not load is told here
+    return BlackBox(step, nx=step.nx, nu=len(given), nw=len(disturbances), dt=step.dt, design=design)
+
+
+@dataclass(frozen=True, eq=False)
+class FmuStep:
+    """Sample of an FMU, which is loaded where it is first asked for, in every process anew.
+
+    Attributes
+    ----------
+    path : Path
+    dt : float
+    substeps : int
+    references : tuples of int
+        Value references of inputs, disturbances and design parameters.
+    """
+
+    path: Path
+    dt: float
+    substeps: int
+    references: tuple[tuple[int, ...], ...]
+
+    def __getstate__(self) -> dict[str, Any]:
+        fields = ("path", "dt", "substeps", "references")
+        return {name: self.__dict__[name] for name in fields}
+
+    @cached_property
+    def nx(self) -> int:
+        """Number of states."""
+        return len(_described(self.path).derivatives)
+
+    @cached_property
+    def _loaded(self) -> tuple[Any, dict[str, Any]]:
+        """The FMU, and the design that it stands at."""
+        import fmpy
+        from fmpy.fmi2 import FMU2Model
+
+        described = _described(self.path)
+        name = described.modelExchange.modelIdentifier
+        try:
+            folder = fmpy.extract(str(self.path))
+            model = FMU2Model(guid=described.guid, unzipDirectory=folder, modelIdentifier=name, instanceName=name)
+            finalize(model, rmtree, folder, ignore_errors=True)
+            model.instantiate()
+        except Exception as error:
+            got = f"an FMU that does not load: {' '.join(str(error).split())[:120]}"
+            raise InputError("path", got, f"one with a binary for {fmpy.platform}") from error
+        return model, {}
+
+    def derivatives(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """dx/dt (nx,)."""
+        model, stands = self._loaded
+        if "p" not in stands or not np.array_equal(stands["p"], p):
+            if "p" in stands:
+                model.reset()
+            model.setupExperiment(startTime=0.0)
+            if len(p):
+                model.setReal(self.references[2], p.tolist())
+            model.enterInitializationMode()
+            model.exitInitializationMode()
+            while model.newDiscreteStates()[0]:
+                pass
+            model.enterContinuousTimeMode()
+            stands["p"] = p.copy()
+        for references, values in zip(self.references, (u, w)):
+            if references:
+                model.setReal(references, values.tolist())
+        state, rate = np.array(x, dtype=float), np.empty(self.nx)
+        model.fmi2SetContinuousStates(model.component, _pointer(state), self.nx)
+        model.fmi2GetDerivatives(model.component, _pointer(rate), self.nx)
+        return rate
+
+    def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """State (nx,) a sample later."""
+        h = self.dt / self.substeps
+        for _ in range(self.substeps):
+            first = self.derivatives(x, u, w, p)
+            second = self.derivatives(x + h / 2 * first, u, w, p)
+            third = self.derivatives(x + h / 2 * second, u, w, p)
+            last = self.derivatives(x + h * third, u, w, p)
+            x = x + h / 6 * (first + 2 * second + 2 * third + last)
+        return x
+
+
+def _described(path: Path) -> Any:
+    """Description of an FMU for model exchange."""
+    try:
+        import fmpy
+    except ImportError as error:
+        raise InputError("path", "an FMU, without FMPy", "FMPy", 'pip install "ccdtools[fmu]"') from error
+    try:
+        described = fmpy.read_model_description(str(path))
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InputError("path", f"{path}, which cannot be read: {reason[:120]}", "an .fmu file") from error
+    if not described.fmiVersion.startswith("2.") or described.modelExchange is None:
+        kind = "model exchange" if described.modelExchange is not None else "co-simulation alone"
+        cure = "A co-simulation goes on from where it stands; a BlackBox steps from any state."
+        raise InputError("path", f"FMI {described.fmiVersion} for {kind}", "FMI 2.0 for model exchange", cure)
+    if not described.derivatives:
+        raise InputError("path", "an FMU without a continuous state", "at least one")
+    return described
+
+
+def _pointer(values: Array) -> Any:
+    """Pointer to doubles."""
+    from ctypes import POINTER, c_double
+
+    return values.ctypes.data_as(POINTER(c_double))

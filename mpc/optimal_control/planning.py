@@ -1,0 +1,58 @@
+"""What planning has in common for every statement: time, the plan one sample later, and where to begin."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mpc.checks import Array
+from mpc.plan import Plan, Status
+
+SHIFTED = "shifted plan"
+Path = tuple[Array, Array]  # states (N + 1, nx) and inputs (N, nu)
+
+
+@dataclass
+class Clock:
+    """Time that is left of a sample, which is asked for before every program."""
+
+    limit: float
+    began: float = field(default_factory=time.perf_counter)
+    asked: float = field(default_factory=time.perf_counter)
+    longest: float = 0.0
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return time.perf_counter() - self.began > self.limit
+
+    @property
+    def up(self) -> bool:
+        """Whether one more program would probably end too late."""
+        before, self.asked = self.asked, time.perf_counter()
+        self.longest = max(self.longest, self.asked - before)
+        return self.asked + self.longest - self.began > self.limit
+
+    def stamped(self, plan: Plan) -> Plan:
+        """Plan with its time, LATE where that was up."""
+        status = Status.LATE if self.late else plan.status
+        return replace(plan, status=status, solve_time=time.perf_counter() - self.began)
+
+
+def shifted(plan: Plan, u: Array, after: Array) -> Plan:
+    """Plan one sample later, with one more input and the state that it leads to."""
+    return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
+
+
+def beginnings(first: Path, x: Array, end: Array, led_to: Callable[[Array], Path],
+               rng: np.random.Generator, box: tuple[Array, Array]) -> Iterator[Path]:  # fmt: skip
+    """Paths to begin at: the first; straight to `end`; where inputs of a box lead, without end."""
+    yield first
+    N = len(first[1])
+    way = np.linspace(0, 1, N + 1)[:, None]
+    yield (1 - way) * x + way * end, first[1]
+    while True:
+        yield led_to(np.repeat(rng.uniform(*box, (1 + N // 5, len(box[0]))), 5, axis=0)[:N])

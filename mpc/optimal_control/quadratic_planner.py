@@ -1,0 +1,348 @@
+"""Plans by quadratic programs near an optimum, by an interior-point solver far from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from mpc.budgets import ASIDE, PROGRAMS_TO_GO
+from mpc.checks import Array
+from mpc.exceptions import NotStabilisableError
+from mpc.halfspaces import box_of
+from mpc.linear_mpc import LinearMPC
+from mpc.optimal_control.condensing import gains_along
+from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.loop_planner import LoopPlanner
+from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
+from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
+from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
+from mpc.plan import Plan, Residuals, Status
+from mpc.rollout import (
+    Given,
+    admissible,
+    cost_of,
+    deviations,
+    disturbance,
+    finite,
+    for_each_state,
+    relative_violations,
+    spread_signals,
+    violation_of,
+)
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, OPTIMAL, VIOLATION_PRICE
+
+LINEAR_LAW, REAL_TIME, CONVERGING, INTERIOR = "linear law", "real-time iteration", "SQP", "Ipopt"
+OPTIMA = (Status.SOLVED, Status.SOFTENED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """Path of states (N + 1, nx), inputs (N, nu), gains (N, nu, nx), and the program that it came from or ended at."""
+
+    states: Array
+    inputs: Array
+    gains: Array
+    name: str
+    last: Step | None = None
+
+    @property
+    def error(self) -> float:
+        """Larger of gaps and stationarity, infinite without a program."""
+        return np.inf if self.last is None else max(self.last.defects, self.last.stationarity)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the optimality conditions hold."""
+        return self.error <= OPTIMAL
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Statement of one sample: state, signals, first path, price of what cannot be kept."""
+
+    x: Array
+    given: Given
+    first: _Path
+    size: float  # of the cost
+    dear: float
+    clock: Clock
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticPlanner:
+    """Plans for one set of parameters p (np,).
+
+    A sample takes so many `iterations`, quadratic programs, or where that is None as many as it needs. A first one
+    begins at so many `starts`. No program is begun that would probably end later than `time_limit` [s].
+    """
+
+    law: LinearMPC
+    model: DiscreteModel
+    p: Array
+    iterations: int | None
+    most: int
+    starts: int
+    time_limit: float
+
+    def __post_init__(self) -> None:
+        _ = self.programs, self._gains  # built, and compiled, before a clock runs
+        if np.isfinite(self.time_limit):
+            self._general((1.0, 1.0))
+
+    def _general(self, prices: tuple[float, float]) -> LoopPlanner:
+        """Planner of the same statement as a phase."""
+        p = quadratic_parameters(self.law, self.p, prices)
+        return LoopPlanner(self.model.loop(self.law, self.p), p, self.most, 1, self.time_limit)
+
+    @cached_property
+    def programs(self) -> Sequential:
+        """Quadratic programs along plans."""
+        return Sequential(self.law, self.model)
+
+    @cached_property
+    def _gains(self) -> Array:
+        """Gains (N, nu, nx) of the linear law along a plan."""
+        return np.tile(gain_at_rest(self.law), (self.law.horizon, 1, 1))
+
+    @cached_property
+    def _limits(self) -> tuple[Array, Array, Array] | None:
+        """Least and largest input and its largest change, if U is a box."""
+        box = box_of(*self.law.input_rows)
+        rate = np.full(self.law.nu, np.inf) if self.law.rate_limit is None else self.law.rate_limit
+        return None if box is None else (*box, rate)
+
+    def signals(self, stated: dict[str, Any]) -> Given:
+        """Signals of a sample, checked."""
+        return spread_signals(self.law, stated)
+
+    def each(self, stated: dict[str, Any], n: int) -> list[Given]:
+        """Signals of n states, common or one entry for each."""
+        return for_each_state(self.law, stated, n)
+
+    def plan(self, x: Array, given: Given, before: Plan | None) -> Plan:
+        """Plan from a state, begun at another or where it is best."""
+        clock = Clock(self.time_limit)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if before is None:
+                first = self._linear_law(x, given)
+                held = _held(first, given)
+            else:
+                first = held = _Path(before.states, before.inputs, self._gains, SHIFTED)
+            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in (first, held)), TINY)
+            sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
+            found = clock.stamped(self._found(sample))
+            if found.solver == REAL_TIME or found.status not in OPTIMA:
+                best = self._best(sample, found)
+                found = replace(best, status=Status.LATE) if found.status is Status.LATE else best
+        return clock.stamped(found)
+
+    def shifted(self, plan: Plan, given: Given) -> Plan:
+        """Plan one sample later, with the linear law's last input."""
+        error, effort = deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
+        end = plan.states[-1]
+        u = self._admissible(-effort[-1] - self._gains[-1] @ (end + error[-1]), plan.inputs[-1])
+        return shifted(plan, u, finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p)))
+
+    def _found(self, sample: _Sample) -> Plan:
+        """Plan that programs lead to."""
+        first, follow = sample.first, sample.first.name == SHIFTED
+        if follow and self.iterations is not None:
+            return self._real_time(sample, self.iterations)
+        at = self._contracted(sample, replace(first, name=CONVERGING))
+        if sample.clock.up:
+            return self._plan(sample, first if at.last is None else at, Status.LATE)
+        stayed = at.inputs is first.inputs
+        enough = not self._law_does_better(sample, at) if follow else stayed
+        if stayed and sample.size > TINY:  # it may be a saddle, to which no plan beside it comes back
+            at = self._contracted(sample, self._aside(at))
+        if at.solved and enough:
+            return self._plan(sample, at)
+        plans = [self._plan(sample, one) for one in (at, *self._from_starts(sample)) if one.last is not None]
+        best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
+                   default=None)  # fmt: skip
+        return self._plan(sample, first, Status.REPLACED) if best is None else best
+
+    def _real_time(self, sample: _Sample, iterations: int) -> Plan:
+        """Plan after so many quadratic programs."""
+        done = list(islice(self._programs(sample, replace(sample.first, name=REAL_TIME)), iterations))
+        if not done:
+            return self._plan(sample, sample.first, Status.REPLACED)
+        cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
+        return self._plan(sample, _moved(done[-1]), Status.FOLLOWED if len(done) == iterations else cut_short)
+
+    def _plan(self, sample: _Sample, at: _Path, otherwise: Status = Status.INACCURATE) -> Plan:
+        """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
+        path, status = self._followed(sample.x, at, sample.given), Status.SOLVED if at.solved else otherwise
+        residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
+        if at.last is not None:
+            residuals = Residuals(at.last.stationarity, at.last.defects, 0.0, 0.0)
+            softened = at.last.relaxed and status in (Status.SOLVED, Status.FOLLOWED)
+            if softened and relative_violations(self.law, path.states).max() > FEASIBLE:
+                status = Status.SOFTENED
+        cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
+        return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name)
+
+    def _contracted(self, sample: _Sample, at: _Path) -> _Path:
+        """Best path by quadratic programs with full steps, with the program there.
+
+        They end at the optimum, or where so many more are to be expected that another solver will be sooner there.
+        """
+        best = replace(at, last=None)
+        before: float | None = None
+        for one in self._programs(sample, best):
+            if best.last is None or one.error < best.error:
+                best = one
+            if one.error <= KKT or (before is not None and not _soon(one.error, before)):
+                break
+            before = one.error
+        return best
+
+    def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
+        """Paths, each moved by the program at the one before, and the program there, as long as there is time."""
+        w = disturbance(self.law, sample.given)
+        while at.last is None or not sample.clock.up:
+            relaxed = at.last is not None and at.last.relaxed
+            step = self.programs.step(
+                sample.x, at.states, at.inputs, w, self.p, sample.given, sample.dear, relaxed=relaxed
+            )
+            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
+                return
+            at = replace(at, gains=step.gains, last=step)
+            yield at
+            at = _moved(at)
+
+    def _from_starts(self, sample: _Sample) -> Iterator[_Path]:
+        """Paths that Ipopt comes to from the starts; one where a plan leads to it."""
+        general = self._general(self.law.soft or (sample.dear, sample.dear))
+        for path in self._starting_paths(sample):
+            if sample.clock.up:
+                return
+            more = quadratic_columns(self.law, sample.x, path.states, self._aside(path).inputs, sample.given)
+            shot = general.near(*more, sample.size)
+            if shot is None:
+                continue
+            states, inputs = shot[0][:, : self.law.nx].copy(), shot[1][:, : self.law.nu].copy()
+            at = self._contracted(sample, replace(path, states=states, inputs=inputs, name=INTERIOR))
+            yield at
+            if path.name == SHIFTED and at.solved:
+                return
+
+    def _starting_paths(self, sample: _Sample) -> Iterator[_Path]:
+        """Plan to follow; linear law; state held; straight way to the reference; inputs by chance."""
+        law = sample.first
+        if law.name == SHIFTED:
+            yield law
+            law = self._linear_law(sample.x, sample.given)
+        yield law
+        held, size, rng = _held(law, sample.given), self.programs.input_size, np.random.default_rng(0)
+        error, _ = deviations(np.zeros_like(held.states), held.inputs, sample.given)
+        free = replace(held, gains=np.zeros_like(held.gains))
+
+        def led_to(moves: Array) -> tuple[Array, Array]:
+            """Admissible inputs by chance about the reference, and their states."""
+            path = self._followed(sample.x, replace(free, inputs=held.inputs + moves), sample.given)
+            return path.states, path.inputs
+
+        others = beginnings((held.states, held.inputs), sample.x, -error, led_to, rng, (-size, size))
+        for states, inputs in islice(others, self.starts - 1):
+            yield replace(held, states=states, inputs=inputs)
+
+    def _aside(self, path: _Path) -> _Path:
+        """Path with inputs that break its symmetries, the same every time."""
+        moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, path.inputs.shape)
+        return replace(path, inputs=path.inputs + moves * self.programs.input_size)
+
+    def _law_does_better(self, sample: _Sample, at: _Path) -> bool:
+        """Whether the linear law, simulated, costs less than a plan."""
+        law = self._total(self._linear_law(sample.x, sample.given), sample.given, sample.dear)
+        own = self._total(at, sample.given, sample.dear)
+        return law < own - COST_ROUNDING * abs(own) - rounding_of_cost(self.law, sample.given)
+
+    def _total(self, path: _Path | Plan, given: Given, price: float) -> float:
+        """Cost with violations of hard limits at a price; infinite where it is no number."""
+        total = cost_of(self.law, path.inputs, path.states, given)
+        if self.law.soft is None:
+            over = relative_violations(self.law, path.states, self.law.price_units)
+            total += price * float(over[over > FEASIBLE].sum())
+        return total if np.isfinite(total) else np.inf
+
+    def _linear_law(self, x: Array, given: Given) -> _Path:
+        """Path of the model under the linear law."""
+        states, inputs = np.zeros((self.law.horizon + 1, self.law.nx)), np.zeros((self.law.horizon, self.law.nu))
+        error, effort = deviations(states, inputs, given)
+        return self._followed(x, _Path(-error, -effort, self._gains, LINEAR_LAW), given)
+
+    def _followed(self, x: Array, path: _Path, given: Given) -> _Path:
+        """Path on the model itself from x, within input limits; finite."""
+        N = self.law.horizon
+        last = given.get("u_prev", np.zeros(self.law.nu))
+        w = disturbance(self.law, given)
+        if self._limits is not None:
+            states, inputs = self.model.followed(x, last, path.states, path.inputs, path.gains, self._limits, w, self.p)
+        else:
+            states, inputs = np.empty((N + 1, self.law.nx)), np.empty((N, self.law.nu))
+            states[0] = x
+            for k in range(N):
+                wanted = path.inputs[k] - path.gains[k] @ (states[k] - path.states[k])
+                inputs[k] = self._admissible(wanted, inputs[k - 1] if k else last)
+                states[k + 1] = finite(self.model.next(states[k], inputs[k], w[k], self.p))
+        return replace(path, states=finite(states), inputs=finite(inputs))
+
+    def _admissible(self, wanted: Array, last: Array) -> Array:
+        """Admissible input nearest to `wanted`, after `last`."""
+        if self._limits is None:
+            return np.asarray(admissible(self.law, wanted[None], {"u_prev": last})[0])
+        low, high, rate = self._limits
+        return np.clip(np.clip(wanted, low, high), last - rate, last + rate)
+
+    def _best(self, sample: _Sample, found: Plan) -> Plan:
+        """Cheapest of found plan, start and linear law.
+
+        A real-time iteration is replaced only by one that costs far less: it may pay now for what comes.
+        """
+        first, given = sample.first, sample.given
+        plans = [found, self._plan(sample, first, Status.REPLACED)]
+        if found.solver != REAL_TIME:  # far from rest the gains at rest may do harm
+            plans.append(self._plan(sample, replace(first, gains=np.zeros_like(first.gains)), Status.REPLACED))
+        if first.name != LINEAR_LAW and not np.isfinite(self._total(plans[1], given, 1.0)):
+            plans.append(self._plan(sample, self._linear_law(sample.x, given), Status.REPLACED))
+        price = VIOLATION_PRICE * max((plan.cost for plan in plans[1:] if np.isfinite(plan.cost)), default=1.0)
+        total = [self._total(plan, given, price) for plan in plans]
+        total[0] /= 2.0 if found.solver == REAL_TIME else 1.0
+        return plans[int(np.argmin(total))]
+
+
+def _held(path: _Path, given: Given) -> _Path:
+    """Path that stays where another begins, inputs at their reference."""
+    _, effort = deviations(path.states, np.zeros_like(path.inputs), given)
+    return replace(path, states=np.tile(path.states[0], (len(path.states), 1)), inputs=-effort)
+
+
+def _moved(path: _Path) -> _Path:
+    """Path after the step of its program."""
+    step = path.last
+    return path if step is None else replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs)
+
+
+def _soon(left: float, before: float) -> bool:
+    """Whether errors that fall at this rate will be gone soon."""
+    return left < before and np.log(KKT / left) / np.log(left / before) <= PROGRAMS_TO_GO
+
+
+def gain_at_rest(law: LinearMPC) -> Array:
+    """Gain (nu, nx) of the regulator, else of the horizon's first step.
+
+    Vehicles that cannot move sideways are such: at rest their linearisation cannot be stabilised.
+    """
+    try:
+        return law.gain
+    except NotStabilisableError:
+        A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
+        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, law.cross, law.P))
+        gains, _ = gains_along(A, B, *weights)
+        return np.asarray(gains[0])

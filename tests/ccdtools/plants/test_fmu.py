@@ -1,0 +1,113 @@
+"""Plants exported as an FMU by another tool: here by a few lines of C."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    DesignSpace,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    Plant,
+    QuadraticObjective,
+    Scenario,
+    compare,
+    simulate,
+)
+from ccdtools.plants import from_fmu
+
+fmpy = pytest.importorskip("fmpy")
+CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
+HERE = CC is not None and sys.platform.startswith("linux")
+pytestmark = pytest.mark.skipif(not HERE, reason="needs a C compiler on Linux")
+CASES = Path(__file__).parents[2] / "cases"
+BOX = DesignSpace(["m", "c"], [0.5, 0.05], [2.0, 0.5], ["kg", "N·m·s"])
+
+
+def packed(folder: Path, description: str | None = None, *, binary: bool = True) -> Path:
+    """FMU in a folder."""
+    library, path = folder / "pendulum.so", folder / "pendulum.fmu"
+    if binary:
+        source = str(CASES / "pendulum_fmu.c")
+        subprocess.run([CC, "-shared", "-fPIC", "-O1", source, "-o", str(library), "-lm"], check=True)
+    with zipfile.ZipFile(path, "w") as archive:
+        text = (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8")
+        archive.writestr("modelDescription.xml", text if description is None else description)
+        if binary:
+            archive.write(library, f"binaries/{fmpy.platform}/pendulum.so")
+    return path
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """The pendulum."""
+    return packed(tmp_path_factory.mktemp("fmu"))
+
+
+def stated():
+    """The same pendulum in CasADi."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    rate = (u + w - p[1] * x[1] - p[0] * 9.81 * ca.sin(x[0])) / p[0]
+    return Plant(x, u, w, p, [x[1], rate], BOX, dt=0.05)
+
+
+def test_an_fmu_is_simulated_as_the_plant_that_it_was_made_of(path):
+    plant = from_fmu(path, dt=0.05, disturbances=["push"], design=BOX)
+    assert (plant.nx, plant.nu, plant.nw) == (2, 1, 1)
+    law, x0 = LinearFeedback([[2.0, 1.0]]), np.array([[1.0, 0.0], [-0.5, 2.0]])
+    for design in ([1.0, 0.1], [1.7, 0.3], [1.0, 0.1]):
+        given = {"x0": x0, "steps": 60, "design": design, "disturbance": Gaussian([0.3])}
+        runs = [simulate(one, law, **given, rng=np.random.default_rng(0)) for one in (plant, stated())]
+        np.testing.assert_allclose(runs[0].states, runs[1].states, rtol=1e-9, atol=1e-9)
+
+
+def test_all_inputs_are_inputs_where_none_is_a_disturbance_and_it_is_compared_and_pickled(path):
+    plant = pickle.loads(pickle.dumps(from_fmu(path, dt=0.05)))
+    assert (plant.nu, plant.nw, plant.design.dim) == (2, 0, 0)
+    scenario = Scenario(plant, np.array([[1.0, 0.0]]), np.zeros((1, 30, 0)))
+    laws = {"LQR": LinearFeedback(np.zeros((2, 2))), "pushed": LinearFeedback([[2.0, 1.0], [0.0, 0.0]])}
+    table = compare(laws, scenario, objective=QuadraticObjective(np.eye(2), 0.01 * np.eye(2)), X=([-9, -9], [9, 9]))
+    assert table["pushed"].summary.mean > table["LQR"].summary.mean
+
+
+def test_a_step_that_the_fmu_refuses_is_told(path):
+    plant = from_fmu(path, dt=0.05, disturbances=["push"], design=BOX)
+    with pytest.raises(InputError, match="advance"):
+        plant.step([0.0, 2e3], [0.0], [0.0], [1.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"inputs": ["force"]}, "torque, push"),
+        ({"disturbances": ["wind"]}, "torque, push"),
+        ({"design": DesignSpace(["mass"], [0.5], [2.0])}, "m, c"),
+        ({"dt": -1.0}, "dt"),
+        ({"substeps": 0}, "substeps"),
+    ],
+)
+def test_names_that_it_does_not_have_are_refused(path, given, words):
+    with pytest.raises(InputError, match=words):
+        from_fmu(path, **({"dt": 0.05} | given))
+
+
+def test_files_that_are_no_such_fmu_are_refused(tmp_path):
+    text = (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="cannot be read"):
+        from_fmu(tmp_path / "none.fmu", dt=0.1)
+    other = packed(tmp_path, text.replace("ModelExchange", "CoSimulation"))
+    with pytest.raises(InputError, match="co-simulation alone"):
+        from_fmu(other, dt=0.1)
+    without = packed(tmp_path, binary=False)
+    with pytest.raises(InputError, match="does not load"):
+        from_fmu(without, dt=0.1)
