@@ -68,15 +68,15 @@ class TriedDeployment(Immutable):
 def switchback_on(
     problem: CoDesignProblem, plant: Simulable, current: Controller, candidate: Controller, design: ArrayLike, *,
     x0: ArrayLike, disturbance: ArrayLike, rng: np.random.Generator, config: TrialConfig | None = None,
-    before: Trial | None = None,
+    before: Trial | None = None, model: Simulable | None = None,
 ) -> TriedDeployment:  # fmt: skip
     """Deployment on a real plant with the trial of a candidate, which ends as soon as it is decided.
 
     Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. From
-    every return is subtracted the mean of what the nominal model returns under either law on the same disturbance. That
-    is fixed before the coin falls, so the decision rests on the real plant however wrong the model is; what both laws
-    meet alike goes out. A law with memory begins afresh in every block. Pairs in which the law in service loses the run
-    are left out, and a candidate that loses one is rejected.
+    every return is subtracted the mean of what a model returns under either law on the same disturbance. That is fixed
+    before the coin falls, so the decision rests on the real plant however wrong the model is; the better it is, the
+    more of what both laws meet alike goes out, and the sooner a trial ends. A law with memory begins afresh in every
+    block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
 
     Parameters
     ----------
@@ -87,9 +87,11 @@ def switchback_on(
     design : (np,) array_like
     x0 : (nx,) or (n, nx) array_like
     disturbance : (T, nw) or (n, T, nw) array_like
-        As recorded: the nominal model meets it, too.
+        As recorded: the model meets it, too.
     before : Trial, optional
         An undecided trial that goes on.
+    model : Plant, or anything else that `simulate` takes, optional
+        What predicts the returns; the nominal model by default.
 
     Raises
     ------
@@ -100,11 +102,12 @@ def switchback_on(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_generator("rng", rng)
     blocks = _Blocks(problem, Scenario(plant, x0, disturbance), problem.design.check_one(design), config, rng)
+    predicted = replace(blocks.whole, plant=problem.model if model is None else model)
     pairs = config.pairs(*blocks.whole.disturbance.shape[:2])
     if before is None and pairs < FEWEST_PAIRS:
         raise InputError("disturbance", f"room for {pairs} pairs of blocks", f"at least {FEWEST_PAIRS}")
     laws = (current, candidate)
-    expected = [blocks.expected(law) for law in laws]
+    expected = [blocks.expected(predicted, law) for law in laws]
     common = np.mean(expected, axis=0)
     trial = before
     if trial is None:
@@ -151,9 +154,9 @@ class _Blocks:
         """Steps of a block with its washout."""
         return self.whole.steps if self.several else self.config.block + self.config.washout
 
-    def expected(self, law: Controller) -> Array:
-        """Returns (blocks,) of a law on the nominal model."""
-        run = replace(self.whole, plant=self.problem.model).run(law, design=self.design, limit=self.problem.limit)
+    def expected(self, predicted: Scenario, law: Controller) -> Array:
+        """Returns (blocks,) of a law on a model."""
+        run = predicted.run(law, design=self.design, limit=self.problem.limit)
         rewards = run.rewards(self.problem.objective)
         blocks = rewards[:, : rewards.shape[1] // self.length * self.length].reshape(-1, self.length)
         return np.asarray(blocks[:, -self.counted :].sum(axis=1))
