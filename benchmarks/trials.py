@@ -176,7 +176,7 @@ def drift_table(trials: int, processes: int) -> None:
 class Product:
     """Gains N(mean, spread), measured with a noise N(0, noise); the decision of Bayes in closed form beside ours."""
 
-    def __init__(self, name, mean, spread, noise, cost, serves, logging, first, *, known: bool = True) -> None:
+    def __init__(self, name, mean, spread, noise, cost, serves, logging, first, *, known=("noise", "prior")) -> None:
         self.name, self.mean, self.spread, self.noise, self.first, self.known = name, mean, spread, noise, first, known
         self.terms = RedesignCost(cost, serves, "EUR", worth=1.0, logging=logging)
 
@@ -202,8 +202,8 @@ class Product:
 
     def ours(self, gains) -> str:
         """The library's decision."""
-        known = {"noise": self.noise, "prior": (self.mean, self.spread)} if self.known else {}
-        return decide_redesign(gains, self.terms, **known).status.value
+        known = {"noise": self.noise, "prior": (self.mean, self.spread)}
+        return decide_redesign(gains, self.terms, **{name: known[name] for name in self.known}).status.value
 
     def served(self, seed: int) -> tuple[float, float, float, str, str]:
         """Worth of ours, of Bayes and of knowing the gain; and the first decision of both."""
@@ -232,7 +232,9 @@ class Product:
 PRODUCTS = (
     Product("one log tells", 0.0, 10.0, 3.0, 200.0, 40, 5.0, 1),
     Product("many logs tell", 2.0, 5.0, 20.0, 200.0, 60, 1.0, 2),
-    Product("noise and prior unknown", 0.0, 10.0, 5.0, 200.0, 40, 5.0, 3, known=False),
+    Product("noise estimated", 0.0, 10.0, 5.0, 200.0, 40, 5.0, 3, known=("prior",)),
+    Product("no prior", 0.0, 10.0, 5.0, 200.0, 40, 5.0, 3, known=("noise",)),
+    Product("noise estimated, no prior", 0.0, 10.0, 5.0, 200.0, 40, 5.0, 3, known=()),
 )
 
 

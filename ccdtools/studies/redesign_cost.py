@@ -174,7 +174,7 @@ def of_normal(
         return RedesignDecision(RedesignAction.LOG, np.nan, RedesignAction.STOP, 0.0, (np.nan, np.nan), 1, terms.unit)
     scale = terms.serves * float(terms.worth or 1.0)
     interval = (scale * (mean - NORMAL_95 * error) - terms.cost, scale * (mean + NORMAL_95 * error) - terms.cost)
-    logs = np.arange(1, min(LONGEST_LOG, int(terms.serves / deployment)) + 1)
+    logs: Array = np.arange(min(LONGEST_LOG, int(terms.serves / deployment)), dtype=float) + 1
     logged = _preposterior(mean, error, noise, terms, logs, logs * deployment)
     most = int(logged.argmax()) if len(logs) else -1
     worths = {RedesignAction.STOP: 0.0}

@@ -120,16 +120,16 @@ class LoopStages:
         if best is not None:
             said = proposed(best, verdicts[name], place, held, moved=moved)
         decisions = {name: judge.as_dict(proposals[name], verdict) for name, verdict in verdicts.items()}
+        texts = [described(name, decision) for name, decision in decisions.items()]
+        if worth is not None:
+            texts.append(f"{dearest}: {worth}")
+            said = f"{said}; {worth}" if best is None else said
         redesign = {
             "proposed": space.as_dict(result.design), "accepted": best is not None, "chosen": best,
             "from": space.as_dict(current.design), "decisions": decisions,
-            "texts": [described(name, decision) for name, decision in decisions.items()],
+            "texts": texts,
             "region": {"radius": radius, **asdict(doubt), "text": doubt.describe(), "edges": held},
-        }  # fmt: skip
-        if worth is not None:
-            redesign["worth"] = worth.as_dict()
-            redesign["texts"].append(f"{dearest}: {worth}")
-            said = f"{said}; {worth}" if barred else said
+        } | ({} if worth is None else {"worth": worth.as_dict()})  # fmt: skip
         found = self._co_designed(result, current if best is None else proposals[best], twin, redesign)
         decided = Redesign(best is not None, moved, said)
         return replace(found, values=found.values | {"decided": asdict(decided)})
@@ -233,7 +233,7 @@ class LoopStages:
             f"update {k} on trial, {update.trial}" for k, update in enumerate(deployment.updates, 1) if update.trial
         ]
         watched: dict[str, Any] = {}
-        if config.drift is not None and known and not log.diverged.all():
+        if config.drift is not None and twin is not None and known and not log.diverged.all():
             drift = drift_of_log(twin, log, level=config.drift)
             notes.append(str(drift))
             watched["drift"] = drift.as_dict()

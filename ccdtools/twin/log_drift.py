@@ -35,7 +35,7 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
         As `detect_drift`; also if the twin has learned nothing, or the log is of another plant.
     """
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
-    if twin.discrepancy is None:
+    if twin.discrepancy is None or twin.scale is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
     known = np.concatenate([_in_time(one, one.e_next) for one in twin.innovations()])
     now = carried(twin.model, residuals(twin.model, log), twin.logs[-1].p, twin.scale)

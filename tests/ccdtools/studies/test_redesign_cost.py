@@ -1,5 +1,7 @@
 """Redesign now, log longer or stop: beside the decision of Bayes, and in a study that stops by itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
@@ -83,3 +85,9 @@ def test_wrong_measurements_are_named(gains, options):
 def test_without_a_measurement_the_prior_decides():
     assert decide_redesign([], EUR, noise=1.0, prior=(9.0, 0.1)).status.value == "redesign now"
     assert decide_redesign([], EUR, noise=1.0, prior=(-9.0, 0.1)).status.value == "stop"
+
+
+def test_money_and_a_price_in_return_exclude_each_other(illustrative):
+    terms = RedesignCost(cost=200.0, serves=500, unit="EUR", worth=1.0)
+    with pytest.raises(InputError, match="redesign_price"):
+        replace(illustrative, redesign_cost=terms, redesign_price="3 return")
