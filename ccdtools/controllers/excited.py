@@ -1,4 +1,4 @@
-"""Controllers with a little noise on their inputs, from which more is learned."""
+"""Controllers with a little noise on their inputs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ccdtools.controllers.signals import Around, needs_of
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Excited(Around):
-    """Another controller's inputs plus a signal (T, nu), within the limits of the inputs (nu,)."""
+    """Another controller's inputs plus a signal (T, nu), within limits."""
 
     passed_on: ClassVar[tuple[str, ...]] = ("horizon", "design", "reset", "loop")
     controller: Controller

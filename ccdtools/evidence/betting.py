@@ -1,4 +1,4 @@
-"""Evidence that holds at any time: what bets have won that nothing but an effect makes win.
+"""Evidence at any time: what fair bets have won.
 
 Of bets that are fair whatever came before, the wealth exceeds 1 / level with at most the probability `level`, at any
 time and at all times together.
@@ -17,11 +17,12 @@ from ccdtools.arrays import Array
 
 
 def log_wealth(logs: Array, stakes: Array, dependence: Array | float = 1.0) -> Array:
-    """Log wealth (n, K) of K bets with log factors (n, K), each staked again at every time.
+    """Log wealth (n, K) of bets that are staked again and again.
 
     Parameters
     ----------
     logs : (n, K) array
+        Log factors of K bets.
     stakes : (n,) array
         Logarithm of the part of the money that is staked on every bet before each factor.
     dependence : (n, 1) array or float
@@ -35,7 +36,10 @@ def log_wealth(logs: Array, stakes: Array, dependence: Array | float = 1.0) -> A
 
 
 def dependence(series: Array) -> float:
-    """Number of values of a series (n,) that tell as much as one independent, by the correlation of neighbours."""
+    """Values of a series (n,) that tell as much as one.
+
+    By the correlation of neighbours.
+    """
     away = series - series.mean()
     size = float(away @ away)
     correlation = float(away[1:] @ away[:-1]) / size if size > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Drift: residuals of a twin that are no longer those that it was learned on."""
+"""Drift: residuals that are no longer what they were."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DriftStatus(Outcome):
 
 @dataclass(frozen=True)
 class Drift:
-    """Whether residuals have changed, since when, and when that was known.
+    """Whether and since when residuals have changed.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ def detect_drift(
 
 
 def _features(known: Array, new: Array, length: int) -> tuple[Array, Array]:
-    """Decorrelated features of the blocks (n, 2 nx) that calibrate, and of those that are looked at."""
+    """Decorrelated features (n, 2 nx) of known and new blocks."""
     fitted = len(known) // length // 5
     first = known[: fitted * length]
     centre = first.mean(axis=0)
@@ -133,7 +133,7 @@ def _features(known: Array, new: Array, length: int) -> tuple[Array, Array]:
 
 
 def _alarm(known: Array, new: Array, enough: float) -> tuple[int, int] | None:
-    """Block after which bets on one feature have won enough, and at which the richest began; None if never."""
+    """Block of the alarm, and of the change; None without."""
     count = len(known) + np.arange(len(new))
     series = np.concatenate([known, new])
     before = np.arange(len(series)) < count[:, None]

@@ -1,4 +1,4 @@
-"""Switchback trial: a candidate and the law in service take turns on the real plant."""
+"""Switchback trial: two laws take turns on the real plant."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class TrialStatus(Outcome):
 
 @dataclass(frozen=True, eq=False)
 class Trial(Immutable):
-    """Switchback trial so far, which may be looked at, and ended, after every pair of blocks.
+    """Switchback trial, which may be ended after every pair.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Trial(Immutable):
         return np.array([[dependence(self.gains[: k + 1])] for k in range(len(self.gains))]).reshape(-1, 1)
 
     def _above(self, gains: Array) -> Array:
-        """Log wealth (n,) of bets that gains are above zero, over what is enough."""
+        """Log wealth (n,) of bets on gains above zero."""
         bets = gains[:, None] * (BETS / self.margin)
         stakes = np.where(np.arange(len(gains)), -np.inf, -np.log(len(BETS)))
         wealth = log_wealth(np.log(2) - np.logaddexp(0.0, -2 * bets), stakes, self._dependence)
@@ -99,11 +99,11 @@ class Trial(Immutable):
 
     @cached_property
     def interval(self) -> tuple[float, float]:
-        """Bounds of the mean gain, each of which holds at all times with the probability 1 − level."""
+        """Bounds of the mean gain, each at the level."""
         return self._bound(1.0), self._bound(-1.0)
 
     def _bound(self, side: float) -> float:
-        """Lower bound of the mean gain (side 1), or upper one (side −1); infinite if there is none yet."""
+        """Lower (1) or upper (−1) bound; infinite if none yet."""
         tried = Trial(side * self.gains[: self.pairs], self.margin, self.level)
         if not self.pairs:
             return -side * np.inf
@@ -118,7 +118,7 @@ class Trial(Immutable):
 
     @property
     def pairs_needed(self) -> float:
-        """Pairs that would tell the margin from zero at the spread seen; NaN of fewer than two."""
+        """Pairs that would tell the margin from zero; or NaN."""
         if self.pairs < 2:
             return float("nan")
         spread = float(self.gains[: self.pairs].var(ddof=1)) * float(self._dependence[self.pairs - 1, 0])
@@ -138,7 +138,7 @@ class Trial(Immutable):
 
 
 def switchback(old: ArrayLike, new: ArrayLike, *, margin: float, level: float = 0.05) -> Trial:
-    """Decision on a candidate from the returns of blocks that it and the law in service drove in turn.
+    """Decision on a candidate from returns of blocks, in turn.
 
     The order within each pair has to be drawn by a coin, as `switchback_on` does. Then the difference of a pair is
     symmetric about the candidate's effect in it, however blocks follow from one another and however heavy their tails

@@ -1,4 +1,4 @@
-"""Redesign now, log longer or stop: what each is worth, in money or in return."""
+"""Redesign now, log longer or stop: what each is worth."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class RedesignCost:
 
     @property
     def needed(self) -> float:
-        """Gain in return of an evaluation that pays for a redesign: its price."""
+        """Gain of an evaluation that pays for a redesign."""
         return self.cost / (self.serves * float(self.worth or 1.0))
 
 
@@ -158,7 +158,7 @@ def decide_redesign(
 def of_normal(
     mean: float, error: float, noise: float, terms: RedesignCost, *, deployment: float = 1.0, allowed: bool = True
 ) -> RedesignDecision:
-    """Decision on a gain that is known as normal (mean, error), of which a deployment measures with a noise.
+    """Decision on a gain that is known as normal.
 
     A redesign now is worth its mean gain over all that it serves, less its cost. After k more deployments the mean will
     be normal about today's, and is acted upon if it pays in the time that is left: the preposterior worth of k logs, of
@@ -188,7 +188,7 @@ def of_normal(
 
 
 def _preposterior(mean: float, error: float, noise: float, terms: RedesignCost, logs: Array, taken: Array) -> Array:
-    """Expected worths (n,) of deciding after so many more logs, which take so many evaluations."""
+    """Expected worths (n,) of deciding after more logs."""
     left = (terms.serves - taken) * float(terms.worth or 1.0)
     moves = error**2 / np.sqrt(error**2 + noise**2 / logs) if error > 0 else np.zeros(len(logs))
     excess = mean * left - terms.cost

@@ -292,7 +292,7 @@ def _shares(values: Sequence[float]) -> str:
 
 
 def _waited(history: Sequence[GenerationRecord]) -> int:
-    """Deployments since one could first have been redesigned for, without a redesign in between."""
+    """Deployments that were waited for a redesign."""
     waited = 0
     for record in reversed(history):
         redesign = record.stages["codesign"].values["redesign"] if "codesign" in record.stages else None
@@ -303,7 +303,7 @@ def _waited(history: Sequence[GenerationRecord]) -> int:
 
 
 def stopped(found: Stage) -> dict[str, Any] | None:
-    """Decision by which a run stops after a co-design that is not worth a deployment; None if it goes on."""
+    """Decision by which a run stops; None if it goes on."""
     redesign = found.values["redesign"] or {}
     worth: dict[str, Any] = redesign.get("worth", {})
     stops = worth.get("status") == RedesignAction.STOP.value and not redesign["accepted"]
@@ -316,7 +316,7 @@ def deployable_of(found: Stage) -> Deployable:
 
 
 def changes_of(deployed: Stage) -> tuple[int, ...]:
-    """Samples logged before every change of the policy in a deployment's stage, see `Deployment.changes`."""
+    """Samples logged before every change of the policy."""
     updates = deployed.values["updates"]
     return tuple(
         int(change) for update in updates

@@ -205,7 +205,7 @@ class _DeployedPolicy:
         return sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
 
     def _may_update(self) -> bool:
-        """Whether none is on trial, and what is left of the deployment has room for one."""
+        """Whether there is room for an update and its trial."""
         trial = self.config.trial
         steps = self.whole.steps
         left = len(self.whole.x0) * steps - self._logged
@@ -213,7 +213,7 @@ class _DeployedPolicy:
         return trial is None or (self.candidate is None and trial.pairs(*room) >= FEWEST_PAIRS)
 
     def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
-        """Log of one part, begun where the last ended: of the policy, or of it and a candidate on trial."""
+        """Log of one part, begun where the last ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
         law = self.deployed.controller(self.admissible)
         w = self.whole.disturbance[runs, steps]

@@ -58,7 +58,7 @@ class TrialConfig:
 
 @dataclass(frozen=True, eq=False)
 class TriedDeployment(Immutable):
-    """Deployment that begins with a trial and ends with the law that stays."""
+    """Deployment that begins with a trial."""
 
     trial: Trial
     log: Trajectory
@@ -70,7 +70,7 @@ def switchback_on(
     x0: ArrayLike, disturbance: ArrayLike, rng: np.random.Generator, config: TrialConfig | None = None,
     before: Trial | None = None, model: Simulable | None = None,
 ) -> TriedDeployment:  # fmt: skip
-    """Deployment on a real plant with the trial of a candidate, which ends as soon as it is decided.
+    """Deployment on a real plant with the trial of a candidate.
 
     Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. From
     every return is subtracted the mean of what a model returns under either law on the same disturbance. That is fixed
@@ -174,13 +174,13 @@ class _Blocks:
         return self._driven(law, pieces, slice(len(pieces), len(pieces) + 1), self.length)
 
     def rest(self, law: Controller, pieces: list[Trajectory]) -> list[Trajectory]:
-        """Log of a law over what is left after the blocks, if anything."""
+        """Log of a law after the blocks, if anything is left."""
         runs, steps = self.whole.disturbance.shape[:2]
         left = runs - len(pieces) if self.several else steps - len(pieces) * self.length
         return [self._driven(law, pieces, slice(len(pieces), runs), steps if self.several else left)] if left else []
 
     def _driven(self, law: Controller, pieces: list[Trajectory], runs: slice, steps: int) -> Trajectory:
-        """Log of some of several runs, or of the next steps of the only one; a preview sees beyond them."""
+        """Log of some of several runs, or of next steps."""
         x0 = self.whole.x0[runs] if self.several else pieces[-1].states[:, -1] if pieces else self.whole.x0
         w = self.whole.disturbance[runs] if self.several else self.whole.disturbance[:, len(pieces) * self.length :]
         return simulate(
