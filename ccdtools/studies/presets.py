@@ -44,6 +44,8 @@ class StudyConfig:
         Cap on the length of a deployment.
     held_out_runs, held_out_steps : int
         Fresh runs of each held-out disturbance, and their length.
+    drift : float or None
+        Whether a deployment tells if the twin still describes the plant, with this probability of a false alarm.
     network, cloning, codesign, redesign, online, quantile
         Configurations of the stages; `redesign` is the co-design on the updated model.
     """
@@ -67,6 +69,7 @@ class StudyConfig:
     redesign: CoDesignConfig = field(default_factory=lambda: CoDesignConfig(iterations=200, policy_rate=3e-4))
     online: OnlineConfig = field(default_factory=OnlineConfig)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
+    drift: float | None = None
 
 
 def configuration(

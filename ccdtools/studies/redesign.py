@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from ccdtools.evidence.verdict import Status, Verdict
 from ccdtools.exceptions import InputError
 from ccdtools.plants.tolerances import SAME_DESIGN
 from ccdtools.studies.price import RedesignPrice
+from ccdtools.studies.redesign_cost import NORMAL_95, RedesignDecision, of_normal
 from ccdtools.studies.tolerances import WORTH_A_POLICY
 from ccdtools.twin.distributions import NOMINAL, UPDATED, Distribution
 from ccdtools.twin.updated_plant import UpdatedPlant
@@ -82,6 +83,22 @@ class RedesignJudge:
     def moved(self, candidate: Deployable) -> bool:
         """Whether a candidate's design differs from the deployed one."""
         return not same_design(self.evaluation.problem.design, candidate.design, self.current.design)
+
+    def worth(self, verdict: Verdict, waited: int) -> RedesignDecision | None:
+        """Decision in money on the candidate of a verdict, after so many deployments of waiting; None if not asked."""
+        study = self.evaluation.study
+        if study.redesign_cost is None or not verdict.evidence:
+            return None
+        steps = self.evaluation.deployment_steps
+        deployment = study.real.runs * steps / study.steps
+        gain = verdict.gain
+        error = (gain.ci95[1] - gain.ci95[0]) / (2 * NORMAL_95)
+        left = max(study.redesign_cost.serves - waited * deployment, deployment)
+        return of_normal(
+            gain.mean * study.steps / steps, error * study.steps / steps,
+            error * study.steps / steps * np.sqrt(len(self.twin.logs)), replace(study.redesign_cost, serves=left),
+            deployment=deployment, allowed=verdict.replaces,
+        )  # fmt: skip
 
     def as_dict(self, candidate: Deployable, verdict: Verdict) -> dict[str, Any]:
         """Decision as plain values, for results.json."""

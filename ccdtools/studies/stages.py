@@ -22,6 +22,7 @@ from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, formerly_deployed
 from ccdtools.studies.names import FORMER, POLICY_ALONE
 from ccdtools.studies.redesign import Redesign, RedesignJudge, described, predicted, same_design
+from ccdtools.studies.redesign_cost import RedesignAction
 from ccdtools.studies.service import Deployed, judge_deployment
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.studies.trust_region import Trust, attribute_errors, edges, in_whole_box, within
@@ -31,6 +32,7 @@ from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.limits_kept import violation
+from ccdtools.twin.log_drift import drift_of_log
 from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import DigitalTwin
@@ -103,7 +105,11 @@ class LoopStages:
         for name, proposal in proposals.items():
             if name != POLICY_ALONE or not verdicts["redesign"].replaces:  # a policy is judged alone after a refusal
                 verdicts[name] = judge.verdict(proposal)
-        deployed = [name for name, verdict in verdicts.items() if verdict.replaces]
+        dear = [name for name in verdicts if judge.moved(proposals[name])]
+        dearest = max(dear, key=lambda name: verdicts[name].gain.mean, default=None)
+        worth = None if dearest is None else judge.worth(verdicts[dearest], _waited(history))
+        barred = dear if worth is not None and worth.status is not RedesignAction.REDESIGN else []
+        deployed = [name for name, verdict in verdicts.items() if verdict.replaces and name not in barred]
         best = max(deployed, key=lambda name: verdicts[name].evidence[0].gain.mean, default=None)
         name = "redesign" if best is None else best
         moved = judge.moved(proposals[name])
@@ -114,12 +120,16 @@ class LoopStages:
         if best is not None:
             said = proposed(best, verdicts[name], place, held, moved=moved)
         decisions = {name: judge.as_dict(proposals[name], verdict) for name, verdict in verdicts.items()}
+        texts = [described(name, decision) for name, decision in decisions.items()]
+        if worth is not None:
+            texts.append(f"{dearest}: {worth}")
+            said = f"{said}; {worth}" if best is None else said
         redesign = {
             "proposed": space.as_dict(result.design), "accepted": best is not None, "chosen": best,
             "from": space.as_dict(current.design), "decisions": decisions,
-            "texts": [described(name, decision) for name, decision in decisions.items()],
+            "texts": texts,
             "region": {"radius": radius, **asdict(doubt), "text": doubt.describe(), "edges": held},
-        }  # fmt: skip
+        } | ({} if worth is None else {"worth": worth.as_dict()})  # fmt: skip
         found = self._co_designed(result, current if best is None else proposals[best], twin, redesign)
         decided = Redesign(best is not None, moved, said)
         return replace(found, values=found.values | {"decided": asdict(decided)})
@@ -219,11 +229,19 @@ class LoopStages:
         sentence = account(generation, delivery, deployment.updates, redesign, place)
         report = [f"update {k} refused, {update.verdict.status.value}: {update.verdict.reason}"
                   for k, update in enumerate(deployment.updates, 1) if not update.accepted]  # fmt: skip
-        values = {
+        notes = [
+            f"update {k} on trial, {update.trial}" for k, update in enumerate(deployment.updates, 1) if update.trial
+        ]
+        watched: dict[str, Any] = {}
+        if config.drift is not None and twin is not None and known and not log.diverged.all():
+            drift = drift_of_log(twin, log, level=config.drift)
+            notes.append(str(drift))
+            watched["drift"] = drift.as_dict()
+        values = watched | ({"notes": notes} if notes else {}) | {
             "diverged": log.diverged.mean(), "updates": [update.as_dict() for update in deployment.updates],
             "deployed_return": asdict(summary_of(log, study.objective)),
             "delivery": delivery.as_dict(), "trust": asdict(trust.after(kept)), "account": sentence,
-            "report": [sentence, *report],
+            "report": [sentence, *report, *notes],
         }  # fmt: skip
         return Stage(values, {name: getattr(log, name) for name in LOGGED}, {"agent": deployment.agent})
 
@@ -273,19 +291,42 @@ def _shares(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.0%}" for value in values)
 
 
+def _waited(history: Sequence[GenerationRecord]) -> int:
+    """Deployments that were waited for a redesign."""
+    waited = 0
+    for record in reversed(history):
+        redesign = record.stages["codesign"].values["redesign"] if "codesign" in record.stages else None
+        if redesign is None or redesign.get("worth", {}).get("status") != RedesignAction.LOG.value:
+            break
+        waited += 1
+    return waited
+
+
+def stopped(found: Stage) -> dict[str, Any] | None:
+    """Decision by which a run stops; None if it goes on."""
+    redesign = found.values["redesign"] or {}
+    worth: dict[str, Any] = redesign.get("worth", {})
+    stops = worth.get("status") == RedesignAction.STOP.value and not redesign["accepted"]
+    return worth if stops else None
+
+
 def deployable_of(found: Stage) -> Deployable:
     """Deployable of a co-design's stage."""
     return Deployable(found.networks["agent"], found.arrays["design"], found.values["name"])
 
 
 def changes_of(deployed: Stage) -> tuple[int, ...]:
-    """Samples logged before every accepted update of a deployment's stage."""
-    return tuple(update["after"] for update in deployed.values["updates"] if update["accepted"])
+    """Samples logged before every change of the policy."""
+    updates = deployed.values["updates"]
+    return tuple(
+        int(change) for update in updates
+        for change in update.get("changes", [update["after"]] if update["accepted"] else [])
+    )  # fmt: skip
 
 
 def deployed_of(
     generation: int, designed: Deployable, agent: ActorCritic, log: Trajectory, changes: Sequence[int]
 ) -> Deployed:  # fmt: skip
     """Deployment of a deployable with its kept updates, after so many samples each."""
-    after = replace(designed, agent=agent, name=f"{designed.name}, updated") if changes else designed
-    return Deployed(generation, designed, after, log, tuple(changes))
+    after = replace(designed, agent=agent, name=f"{designed.name}, updated")
+    return Deployed(generation, designed, designed if after.same_as(designed) else after, log, tuple(changes))

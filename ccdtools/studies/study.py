@@ -44,6 +44,7 @@ from ccdtools.studies.options import CHOICES
 from ccdtools.studies.plant_checks import check_finite, check_real_step, check_same_plant, extent_of
 from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, accepted_loss
 from ccdtools.studies.real_plant import RealPlant, check_disturbance
+from ccdtools.studies.redesign_cost import RedesignCost
 from ccdtools.twin.transport import check_disturbance_enters
 from mpc import MPCError, lqr
 
@@ -91,6 +92,9 @@ class Study(Immutable):
     redesign_price : str
         The predicted gain that a redesign needs: "0.5 %" of the deployed return without the cost of the design, or
         "12 return", in units of the return of an evaluation.
+    redesign_cost : RedesignCost, optional
+        What a redesign costs and how long it serves, in money or in return. It takes the place of `redesign_price`: a
+        run redesigns, logs longer or stops as `decide_redesign` says.
     accept_loss : str
         What a redesign or an update may lose, on any distribution that it will serve, for a gain where it was made for:
         "0.5 %" of the return there by default.
@@ -152,6 +156,7 @@ class Study(Immutable):
     metrics: Metrics | None = None
     expert: str = "lqr"
     laws: Mapping[str, Callable[[CoDesignProblem, Array], Controller]] = field(default_factory=dict)
+    redesign_cost: RedesignCost | None = None
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -198,6 +203,10 @@ class Study(Immutable):
 
         RedesignPrice.parse(self.redesign_price)
         accepted_loss(self.accept_loss)
+        if self.redesign_cost is not None:
+            as_instance("redesign_cost", self.redesign_cost, RedesignCost, "a RedesignCost or None")
+            if self.redesign_price != DEFAULT_PRICE:
+                raise InputError("redesign_price", shown(self.redesign_price), "it or redesign_cost, not both")
         object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         as_choice("filter", self.filter, CHOICES["filter"])
         object.__setattr__(self, "accuracy", as_positive("accuracy", self.accuracy))
@@ -275,6 +284,8 @@ class Study(Immutable):
     @property
     def price(self) -> RedesignPrice:
         """Predicted gain that a redesign must exceed."""
+        if self.redesign_cost is not None:
+            return RedesignPrice(self.redesign_cost.needed, relative=False)
         return RedesignPrice.parse(self.redesign_price)
 
     @property

@@ -1,8 +1,12 @@
+from ccdtools.evidence.drift import Drift as Drift, detect_drift as detect_drift
+from ccdtools.evidence.switchback import Trial as Trial, switchback as switchback
 from ccdtools.twin.deployment import deploy as deploy, deploy_and_update as deploy_and_update
 from ccdtools.twin.error_set import disturbance_set as disturbance_set
 from ccdtools.twin.free_running import free_running_bands as free_running_bands
 from ccdtools.twin.identified import identified_lqr as identified_lqr
+from ccdtools.twin.log_drift import drift_of_log as drift_of_log
 from ccdtools.twin.online import OnlineConfig as OnlineConfig
 from ccdtools.twin.replay import replay_problem as replay_problem, updated_problem as updated_problem
 from ccdtools.twin.tightened import RobustMPC as RobustMPC, robust_mpc as robust_mpc
+from ccdtools.twin.trial import TrialConfig as TrialConfig, switchback_on as switchback_on
 from ccdtools.twin.twin import DigitalTwin as DigitalTwin

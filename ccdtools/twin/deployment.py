@@ -18,18 +18,22 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
+from ccdtools.evidence.switchback import TrialStatus
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
+from ccdtools.tolerances import FEWEST_PAIRS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
+from ccdtools.twin.pieces import joined
 from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, block_parts, check_errors, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.trial import switchback_on
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
@@ -45,8 +49,8 @@ class Deployment(Immutable):
 
     @property
     def changes(self) -> tuple[int, ...]:
-        """Samples logged before every accepted update."""
-        return tuple(update.after for update in self.updates if update.accepted)
+        """Samples logged before every accepted update, and before and after every trial."""
+        return tuple(change for update in self.updates for change in update.changes)
 
     def __repr__(self) -> str:
         return f"Deployment({self.log!r}, {len(self.changes)} of {len(self.updates)} updates accepted)"
@@ -175,6 +179,8 @@ class _DeployedPolicy:
 
     def __post_init__(self) -> None:
         config = self.config
+        self.candidate: Deployable | None = None  # on trial
+        self.coins = self.rng if config.trial is None else self.rng.spawn(1)[0]
         self.problem = self.served.problem
         self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
         self.judge = Judge(self.problem, self.whole.plant, lambda _: self.admissible, config.window, config.accept_loss)
@@ -188,18 +194,43 @@ class _DeployedPolicy:
             at(f"part {k + 1} of {count + 1}")
             piece = self._run_part(*part, progress)
             self.pieces.append(piece)
-            if len(self.pieces) <= count and self._learn(piece, part[0].start):
+            if len(self.pieces) <= count and self._learn(piece, part[0].start) and self._may_update():
                 at(f"update {k + 1} of {count}")
                 self._update()
         return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
 
+    @property
+    def _logged(self) -> int:
+        """Samples of all runs so far."""
+        return sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
+
+    def _may_update(self) -> bool:
+        """Whether there is room for an update and its trial."""
+        trial = self.config.trial
+        steps = self.whole.steps
+        left = len(self.whole.x0) * steps - self._logged
+        room = (left // steps, steps) if self._several else (1, left)
+        return trial is None or (self.candidate is None and trial.pairs(*room) >= FEWEST_PAIRS)
+
     def _run_part(self, runs: slice, steps: slice, progress: bool) -> Trajectory:
-        """Log of the policy on one part, begun where the last ended."""
+        """Log of one part, begun where the last ended."""
         x0 = self.pieces[-1].states[:, -1] if self.pieces and steps.start > 0 else self.whole.x0[runs]
-        return deploy(
-            self.whole.plant, self.deployed.controller(self.admissible), self.deployed.design,
-            self.whole.disturbance[runs, steps], x0=x0, limit=self.problem.limit, progress=progress,
+        law = self.deployed.controller(self.admissible)
+        w = self.whole.disturbance[runs, steps]
+        if self.candidate is None:
+            return deploy(
+                self.whole.plant, law, self.deployed.design, w, x0=x0, limit=self.problem.limit, progress=progress
+            )
+        update = self.updates[-1]
+        tried = switchback_on(
+            self.problem, self.whole.plant, law, self.candidate.controller(self.admissible), self.deployed.design,
+            x0=x0, disturbance=w, rng=self.coins, config=self.config.trial, before=update.trial,
         )  # fmt: skip
+        self.updates[-1] = replace(update, trial=tried.trial, ended=self._logged + tried.samples)
+        if tried.trial.status is not TrialStatus.UNDECIDED:
+            self.deployed = self.candidate if self.updates[-1].accepted else self.deployed
+            self.candidate = None
+        return tried.log
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
         """Add the errors of a piece after so many runs; False if too little is left."""
@@ -239,9 +270,11 @@ class _DeployedPolicy:
             candidate, self.deployed, self._held_out(), self.served.nominal(self.judged_by),
             lambda size, _: config.least * size, self._other_distributions,
         )  # fmt: skip
-        after = sum(piece.inputs.shape[0] * piece.inputs.shape[1] for piece in self.pieces)
-        self.updates.append(OnlineUpdate(after, verdict))
-        self.deployed = candidate if verdict.replaces else self.deployed
+        self.updates.append(OnlineUpdate(self._logged, verdict))
+        if verdict.replaces and self.config.trial is not None:
+            self.candidate = candidate
+        elif verdict.replaces:
+            self.deployed = candidate
 
     def _held_out(self) -> Distribution:
         """Held-out parts of the log, and former runs not trained on."""
@@ -278,23 +311,3 @@ def deployment_parts(runs: int, steps: int, pieces: int) -> list[tuple[slice, sl
     edges = np.unique(np.linspace(0, runs if runs > 1 else steps, pieces + 1).round().astype(int))
     parts = [slice(a, b) for a, b in pairwise(edges)]
     return [(part, slice(0, steps)) if runs > 1 else (slice(0, 1), part) for part in parts]
-
-
-def joined(pieces: Sequence[Trajectory], runs: int) -> Trajectory:
-    """One log of all parts."""
-    if len(pieces) == 1:
-        return pieces[0]
-    first = pieces[0]
-    if runs > 1:
-        names = ("states", "inputs", "disturbances", "diverged_at")
-        whole: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in pieces]) for name in names}
-        return replace(first, **whole)
-    states = np.concatenate([first.states, *(p.states[:, 1:] for p in pieces[1:])], axis=1)
-    inputs = np.concatenate([p.inputs for p in pieces], axis=1)
-    disturbances = np.concatenate([p.disturbances for p in pieces], axis=1)
-    starts = np.cumsum([0, *(p.inputs.shape[1] for p in pieces)])
-    lost = [start + int(p.diverged_at[0]) for start, p in zip(starts, pieces) if p.diverged_at[0] >= 0]
-    if lost:  # a stretch after the loss started afresh from where the run was stopped
-        states[:, lost[0] + 1 :] = states[:, lost[0] + 1, None]
-        inputs[:, lost[0] + 1 :] = 0.0
-    return Trajectory(states, inputs, disturbances, np.array([lost[0] if lost else -1]), first.design, first.dt)

@@ -8,10 +8,12 @@ from typing import Any
 from ccdtools.arrays import Immutable
 from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.evidence.switchback import Trial, TrialStatus
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools.twin.distributions import UPDATED
+from ccdtools.twin.trial import TrialConfig
 from learning.quantile import QuantileConfig
 
 ONLINE_TRAINING = CoDesignConfig(
@@ -42,6 +44,9 @@ class OnlineConfig:
         Of the candidate; the design is frozen, whatever its `design_rate`, as the plant is built.
     quantile : QuantileConfig
         Of the discrepancy that a candidate is judged on; its median alone is fitted.
+    trial : TrialConfig, optional
+        A candidate that is accepted on the replayed logs takes turns with the deployed policy on the real plant, and
+        replaces it only if that trial adopts it. By default it replaces it at once.
     """
 
     updates: int = 4
@@ -52,6 +57,7 @@ class OnlineConfig:
     accept_loss: float = NOT_WORSE
     training: CoDesignConfig = field(default_factory=lambda: ONLINE_TRAINING)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
+    trial: TrialConfig | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("updates", 0), ("window", 1), ("judged", 2)):
@@ -61,6 +67,8 @@ class OnlineConfig:
             as_number(name, getattr(self, name), expected="a fraction from 0 to 1", low=0.0, high=1.0)
         as_instance("training", self.training, CoDesignConfig, "a CoDesignConfig")
         as_instance("quantile", self.quantile, QuantileConfig, "a QuantileConfig")
+        if self.trial is not None:
+            as_instance("trial", self.trial, TrialConfig, "a TrialConfig or None")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,15 +81,28 @@ class OnlineUpdate(Immutable):
         Samples logged before it.
     verdict : Verdict
         On the held-out parts of the log, and on every other distribution that the policy serves.
+    trial : Trial, optional
+        Of a candidate that the verdict accepts, on the real plant.
+    ended : int
+        Samples logged before the end of its trial, so far.
     """
 
     after: int
     verdict: Verdict
+    trial: Trial | None = None
+    ended: int = 0
 
     @property
     def accepted(self) -> bool:
         """Whether the candidate replaced the policy."""
-        return self.verdict.replaces
+        return self.verdict.replaces and (self.trial is None or self.trial.status is TrialStatus.ADOPTED)
+
+    @property
+    def changes(self) -> tuple[int, ...]:
+        """Samples logged before the policy changed: before the update, or before and after its trial."""
+        if self.trial is not None:
+            return (self.after, self.ended)
+        return (self.after,) if self.accepted else ()
 
     @property
     def gain(self) -> PairedDifference:
@@ -92,4 +113,5 @@ class OnlineUpdate(Immutable):
         """Plain values, for results.json."""
         updated = self.verdict.on(UPDATED)
         gains = {"gain": vars(self.gain), "updated_gain": None if updated is None else vars(updated.gain)}
-        return {"after": self.after, "accepted": self.accepted} | gains | self.verdict.as_dict()
+        tried = {} if self.trial is None else {"trial": self.trial.as_dict(), "changes": self.changes}
+        return {"after": self.after, "accepted": self.accepted} | gains | self.verdict.as_dict() | tried

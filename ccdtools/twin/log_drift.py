@@ -1,0 +1,47 @@
+"""Drift of a plant from its twin, along a log."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_instance
+from ccdtools.evidence.drift import Drift, detect_drift
+from ccdtools.exceptions import InputError
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.residuals import Residuals, residuals
+from ccdtools.twin.transport import carried
+from ccdtools.twin.twin import DigitalTwin
+
+
+def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, block: int | None = None) -> Drift:
+    """Whether a twin still describes the plant of a fresh log.
+
+    What its median leaves unexplained is compared with what it left unexplained of its own logs. Another law is no
+    drift as far as the twin describes the states that it visits.
+
+    Parameters
+    ----------
+    twin : DigitalTwin
+        After `update`.
+    log : Trajectory
+        Runs that diverged are left out.
+    level, block
+        As in `detect_drift`.
+
+    Raises
+    ------
+    InputError
+        As `detect_drift`; also if the twin has learned nothing, or the log is of another plant.
+    """
+    as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
+    if twin.discrepancy is None or twin.scale is None:
+        raise InputError("twin", "one without a discrepancy", "one after `update`")
+    known = np.concatenate([_in_time(one, one.e_next) for one in twin.innovations()])
+    now = carried(twin.model, residuals(twin.model, log), twin.logs[-1].p, twin.scale)
+    return detect_drift(known, _in_time(now, now.e_next - twin.discrepancy.median(now)), level=level, block=block)
+
+
+def _in_time(log: Residuals, errors: Array) -> Array:
+    """Errors (samples, nx) of all runs, one after the other."""
+    return errors.reshape(-1, log.x.shape[2])

@@ -1,0 +1,188 @@
+"""Switchback trial on a real plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ccdtools.arrays import Array, Immutable
+from ccdtools.checks import as_count, as_generator, as_instance, as_number, as_share
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.excited import Excited
+from ccdtools.evidence.switchback import Trial, TrialStatus
+from ccdtools.exceptions import InputError
+from ccdtools.scenario import Scenario
+from ccdtools.simulation import Simulable, simulate
+from ccdtools.tolerances import FEWEST_PAIRS, NOT_WORSE
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.pieces import joined
+
+
+@dataclass(frozen=True)
+class TrialConfig:
+    """Settings of a switchback trial.
+
+    Attributes
+    ----------
+    block, washout : int
+        Samples of a block that count, and those after each switch that do not, so that the state forgets the other law;
+        of several runs each is a block of its own, all of which counts.
+    margin : float
+        Gain that is worth an update, as a part of the return of a block.
+    level : float
+        Probability of ever adopting a candidate that is not better.
+    excitation : float
+        Standard deviation of noise on the inputs of both laws, as a part of half the range of each input.
+    """
+
+    block: int = 100
+    washout: int = 20
+    margin: float = NOT_WORSE
+    level: float = 0.05
+    excitation: float = 0.0
+
+    def __post_init__(self) -> None:
+        as_count("block", self.block)
+        as_count("washout", self.washout, least=0)
+        as_share("margin", self.margin)
+        as_share("level", self.level)
+        as_number("excitation", self.excitation, expected="a fraction from 0 to 1", low=0.0, high=1.0)
+
+    def pairs(self, runs: int, steps: int) -> int:
+        """Pairs of blocks that a deployment has room for."""
+        return (runs if runs > 1 else steps // (self.block + self.washout)) // 2
+
+
+@dataclass(frozen=True, eq=False)
+class TriedDeployment(Immutable):
+    """Deployment that begins with a trial."""
+
+    trial: Trial
+    log: Trajectory
+    samples: int  # of all runs, that the trial took
+
+
+def switchback_on(
+    problem: CoDesignProblem, plant: Simulable, current: Controller, candidate: Controller, design: ArrayLike, *,
+    x0: ArrayLike, disturbance: ArrayLike, rng: np.random.Generator, config: TrialConfig | None = None,
+    before: Trial | None = None, model: Simulable | None = None,
+) -> TriedDeployment:  # fmt: skip
+    """Deployment on a real plant with the trial of a candidate.
+
+    Both take turns over the blocks of a single run, or over several runs, and a coin draws who begins each pair. From
+    every return is subtracted the mean of what a model returns under either law on the same disturbance. That is fixed
+    before the coin falls, so the decision rests on the real plant however wrong the model is; the better it is, the
+    more of what both laws meet alike goes out, and the sooner a trial ends. A law with memory begins afresh in every
+    block. Pairs in which the law in service loses the run are left out, and a candidate that loses one is rejected.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Gives the nominal model, the objective, and when a run is lost.
+    plant : Plant, or anything else that `simulate` takes
+        The real one.
+    design : (np,) array_like
+    x0 : (nx,) or (n, nx) array_like
+    disturbance : (T, nw) or (n, T, nw) array_like
+        As recorded: the model meets it, too.
+    before : Trial, optional
+        An undecided trial that goes on.
+    model : Plant, or anything else that `simulate` takes, optional
+        What predicts the returns; the nominal model by default.
+
+    Raises
+    ------
+    InputError
+        If a new trial has room for fewer than 20 pairs of blocks; else as `simulate`.
+    """
+    config = TrialConfig() if config is None else as_instance("config", config, TrialConfig, "a TrialConfig")
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_generator("rng", rng)
+    blocks = _Blocks(problem, Scenario(plant, x0, disturbance), problem.design.check_one(design), config, rng)
+    predicted = replace(blocks.whole, plant=problem.model if model is None else model)
+    pairs = config.pairs(*blocks.whole.disturbance.shape[:2])
+    if before is None and pairs < FEWEST_PAIRS:
+        raise InputError("disturbance", f"room for {pairs} pairs of blocks", f"at least {FEWEST_PAIRS}")
+    laws = (current, candidate)
+    expected = [blocks.expected(predicted, law) for law in laws]
+    common = np.mean(expected, axis=0)
+    trial = before
+    if trial is None:
+        size = problem.objective.made_by_control(expected[0].mean(), blocks.design, blocks.counted)
+        trial = Trial([], config.margin * float(size), config.level)
+    pieces: list[Trajectory] = []
+    while len(pieces) < 2 * pairs and trial.status is TrialStatus.UNDECIDED:
+        returns = np.zeros(2)
+        lost: list[int] = []
+        for law in rng.permutation(2):
+            pieces.append(blocks.drive(laws[law], pieces))
+            returns[law] = blocks.returned(pieces[-1]) - common[len(pieces) - 1]
+            lost += [int(law)] * bool(pieces[-1].diverged.any())
+        gains = trial.gains if lost else np.append(trial.gains, returns[1] - returns[0])
+        trial = replace(trial, gains=gains, lost=lost[:1] == [1])
+    samples = len(pieces) * blocks.length
+    stays = candidate if trial.status is TrialStatus.ADOPTED else current
+    log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
+    return TriedDeployment(trial, log, samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Blocks of a deployment, driven one after the other."""
+
+    problem: CoDesignProblem
+    whole: Scenario
+    design: Array
+    config: TrialConfig
+    rng: np.random.Generator
+
+    @property
+    def several(self) -> bool:
+        """Whether each run is a block."""
+        return len(self.whole.x0) > 1
+
+    @property
+    def counted(self) -> int:
+        """Last steps of a block, which count."""
+        return self.whole.steps if self.several else self.config.block
+
+    @property
+    def length(self) -> int:
+        """Steps of a block with its washout."""
+        return self.whole.steps if self.several else self.config.block + self.config.washout
+
+    def expected(self, predicted: Scenario, law: Controller) -> Array:
+        """Returns (blocks,) of a law on a model."""
+        run = predicted.run(law, design=self.design, limit=self.problem.limit)
+        rewards = run.rewards(self.problem.objective)
+        blocks = rewards[:, : rewards.shape[1] // self.length * self.length].reshape(-1, self.length)
+        return np.asarray(blocks[:, -self.counted :].sum(axis=1))
+
+    def returned(self, piece: Trajectory) -> float:
+        """Return of a block, without its washout."""
+        return float(piece.rewards(self.problem.objective)[0, -self.counted :].sum())
+
+    def drive(self, law: Controller, pieces: list[Trajectory]) -> Trajectory:
+        """Log of a law over the next block."""
+        if self.config.excitation:
+            lower, upper = (np.asarray(bound) for bound in self.problem.input_bounds_at(self.design))
+            noise = self.rng.standard_normal((self.length, len(lower)))
+            law = Excited(law, self.config.excitation * (upper - lower) / 2 * noise, lower, upper)
+        return self._driven(law, pieces, slice(len(pieces), len(pieces) + 1), self.length)
+
+    def rest(self, law: Controller, pieces: list[Trajectory]) -> list[Trajectory]:
+        """Log of a law after the blocks, if anything is left."""
+        runs, steps = self.whole.disturbance.shape[:2]
+        left = runs - len(pieces) if self.several else steps - len(pieces) * self.length
+        return [self._driven(law, pieces, slice(len(pieces), runs), steps if self.several else left)] if left else []
+
+    def _driven(self, law: Controller, pieces: list[Trajectory], runs: slice, steps: int) -> Trajectory:
+        """Log of some of several runs, or of next steps."""
+        x0 = self.whole.x0[runs] if self.several else pieces[-1].states[:, -1] if pieces else self.whole.x0
+        w = self.whole.disturbance[runs] if self.several else self.whole.disturbance[:, len(pieces) * self.length :]
+        return simulate(
+            self.whole.plant, law, x0=x0, steps=steps, disturbance=w, design=self.design, limit=self.problem.limit
+        )

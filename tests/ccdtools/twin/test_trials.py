@@ -1,0 +1,233 @@
+"""Updates decided by turns on the real plant, and drift of a plant from its twin."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    DigitalTwin,
+    FixedStart,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    Plant,
+    QuadraticObjective,
+    discretise,
+    simulate,
+)
+from ccdtools.twin import Trial, TrialConfig, detect_drift, drift_of_log, switchback, switchback_on
+
+A = np.array([[0.98, 0.1], [-0.1, 0.9]])
+SERVED, BETTER, UNSTABLE = (LinearFeedback(np.array([gain])) for gain in ([0.0, 0.0], [0.3, 0.9], [0.0, -9.0]))
+X0 = np.zeros(2)
+
+
+def plant(share):
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w", 2), ca.SX.sym("p")
+    after = ca.DM(A) @ x + share * p * ca.vertcat(0, 0.3) * u + w
+    return Plant(x, u, w, p, after, DesignSpace(["p"], [0.5], [1.5]), dt=0.1, continuous=False)
+
+
+@pytest.fixture(scope="module")
+def problem():
+    wide = np.array([1e3, 1e3])
+    return CoDesignProblem(
+        discretise(plant(1.0)), X=(-wide, wide), U=(-1e3, 1e3), objective=QuadraticObjective(np.eye(2), [[0.1]]),
+        scenarios=FixedStart(X0, Gaussian([0.1, 0.1])), steps=100,
+    )  # fmt: skip
+
+
+def tried(problem, candidate, steps=3000, seed=0, served=SERVED, **options):
+    rng = np.random.default_rng(seed)
+    w = Gaussian([0.1, 0.1]).sample(1, steps, rng)[0]
+    return switchback_on(
+        problem, plant(1.1), served, candidate, [1.0], x0=X0, disturbance=w, rng=rng,
+        config=TrialConfig(block=40, washout=10), **options,
+    )  # fmt: skip
+
+
+# ── the decision ──
+
+
+def gains(kind, n, rng):
+    """Differences of pairs about zero."""
+    if kind == "heavy tails":
+        return rng.standard_t(1.5, size=n)
+    if kind == "from one block to the next":
+        noise = rng.standard_normal(n + 1)
+        return (noise[1:] + 0.5 * noise[:-1]) * rng.choice([-1, 1], n)
+    return rng.standard_normal(n)
+
+
+@pytest.mark.parametrize("kind", ["normal", "heavy tails", "from one block to the next"])
+def test_a_candidate_that_is_not_better_is_rarely_adopted_however_often_one_looks(kind):
+    rng = np.random.default_rng(1)
+    trials = [switchback(np.zeros(60), gains(kind, 60, rng), margin=0.3) for _ in range(300)]
+    assert sum(trial.status.value == "adopted" for trial in trials) <= 15 + 2 * 15**0.5
+
+
+def test_one_better_by_the_margin_is_rarely_rejected():
+    rng = np.random.default_rng(2)
+    trials = [switchback(np.zeros(60), 0.5 + gains("normal", 60, rng), margin=0.5) for _ in range(200)]
+    states = [trial.status.value for trial in trials]
+    assert states.count("rejected") <= 10 + 2 * 10**0.5
+    assert states.count("adopted") > 80
+
+
+def test_the_bounds_hold_the_mean_gain_and_narrow():
+    rng = np.random.default_rng(3)
+    few, many = (switchback(np.zeros(n), 0.1 + rng.standard_normal(n), margin=0.05) for n in (40, 400))
+    for trial in (few, many):
+        assert trial.interval[0] < 0.1 < trial.interval[1]
+    assert np.diff(many.interval) < np.diff(few.interval)
+
+
+def test_units_of_the_return_do_not_matter():
+    rng = np.random.default_rng(4)
+    old, new = rng.standard_normal(30), rng.standard_normal(30) + 1
+    one, other = switchback(old, new, margin=0.2), switchback(1e6 * old, 1e6 * new, margin=2e5)
+    assert one.status is other.status
+    np.testing.assert_allclose(np.array(other.interval), 1e6 * np.array(one.interval), rtol=1e-9)
+
+
+def test_an_undecided_trial_says_how_many_pairs_it_needs():
+    trial = switchback(np.zeros(20), np.random.default_rng(5).standard_normal(20), margin=0.1)
+    assert trial.status.value == "undecided"
+    assert 300 < trial.pairs_needed < 5000
+    assert "20 pairs of blocks" in str(trial)
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [
+    (np.zeros(30), np.zeros(29), "29 blocks"),
+    (np.zeros(5), np.zeros(5), "5 pairs of blocks"),
+    (np.full(30, np.nan), np.zeros(30), "old"),
+    (np.zeros((30, 2)), np.zeros(30), "old"),
+])  # fmt: skip
+def test_wrong_blocks_are_named(old, new, said):
+    with pytest.raises(InputError, match=said):
+        switchback(old, new, margin=1.0)
+
+
+@pytest.mark.parametrize("options", [{"margin": 0.0}, {"margin": -1.0}, {"margin": 1.0, "level": 0.0}])
+def test_wrong_margins_and_levels_are_named(options):
+    with pytest.raises(InputError, match=r"margin|level"):
+        switchback(np.zeros(30), np.ones(30), **options)
+
+
+# ── on a plant ──
+
+
+def test_a_better_law_is_adopted_and_drives_what_is_left(problem):
+    found = tried(problem, BETTER)
+    assert found.trial.status.value == "adopted"
+    assert found.samples < 3000
+    assert found.log.inputs.shape == (1, 3000, 1)
+    late = found.log.inputs[0, found.samples :], found.log.states[0, found.samples : -1]
+    np.testing.assert_allclose(late[0], BETTER(late[1]))
+
+
+def test_a_worse_law_is_rejected(problem):
+    found = tried(problem, SERVED, served=BETTER)
+    assert found.trial.status.value == "rejected"
+    assert found.trial.interval[1] < 0
+
+
+def test_a_law_that_loses_the_run_is_rejected_at_once(problem):
+    found = tried(problem, UNSTABLE)
+    assert found.trial.status.value == "rejected"
+    assert found.trial.lost
+    assert found.trial.pairs <= 1
+
+
+def test_a_model_that_is_right_takes_noise_out_of_the_trial(problem):
+    near = LinearFeedback(0.2 * BETTER.K)
+    spread = [tried(problem, near, model=model).trial.gains.std() for model in (None, plant(1.1))]
+    assert spread[1] < spread[0]
+
+
+def test_an_undecided_trial_goes_on(problem):
+    first = switchback(np.zeros(20), 10 * np.random.default_rng(8).standard_normal(20), margin=0.01)
+    assert first.status.value == "undecided"
+    further = tried(problem, BETTER, steps=500, before=first).trial
+    assert len(further.gains) == 25
+    np.testing.assert_array_equal(further.gains[:20], first.gains)
+
+
+def test_too_short_a_deployment_is_refused(problem):
+    with pytest.raises(InputError, match="room for 4 pairs of blocks"):
+        tried(problem, BETTER, steps=400)
+
+
+@pytest.mark.parametrize("options", [
+    {"block": 0}, {"washout": -1}, {"margin": 0.0}, {"level": 2.0}, {"excitation": -0.1}, {"block": 1.5},
+])  # fmt: skip
+def test_wrong_settings_of_a_trial_are_named(options):
+    with pytest.raises(InputError, match=next(iter(options))):
+        TrialConfig(**options)
+
+
+# ── drift ──
+
+
+def correlated(share, n, rng):
+    noise = rng.standard_normal((n + 100, 2))
+    for k in range(1, len(noise)):
+        noise[k] = share * noise[k - 1] + np.sqrt(1 - share**2) * noise[k]
+    return noise[100:]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_a_change_is_seen_and_none_is_invented(share):
+    rng = np.random.default_rng(6)
+    alarms, seen = 0, []
+    for _ in range(60):
+        e = correlated(share, 2400, rng) * [1.0, 1e-3]
+        alarms += detect_drift(e[:1200], e[1200:]).found is not None
+        changed = e[1200:] + np.where(np.arange(1200) < 400, 0.0, 1.0)[:, None] * [1.5, 0]
+        seen.append(detect_drift(e[:1200], changed))
+    assert alarms <= 3 + 2 * 3**0.5
+    found = [one for one in seen if one.found is not None]
+    assert len(found) >= 54
+    assert np.median([one.began for one in found]) == pytest.approx(400, abs=60)
+
+
+def test_a_twin_does_not_call_its_own_plant_drifted(illustrative):
+    study, rng = illustrative, np.random.default_rng(7)
+    law, w = LinearFeedback([[0.5, 0.8]]), study.real.disturbance
+
+    def log(plant, runs=20):
+        return simulate(plant, law, x0=np.tile(study.x0, (runs, 1)), steps=100, disturbance=w, design=[2.0], rng=rng)
+
+    twin = DigitalTwin(study.model)
+    with pytest.raises(InputError, match="after `update`"):
+        drift_of_log(twin, log(study.real.plant))
+    twin = twin.update(log(study.real.plant, 60), weight=study.weight, rng=rng, config=study_quantiles())
+    assert drift_of_log(twin, log(study.real.plant)).status.value == "no drift"
+    other = log(study.real.plant)
+    pushed = replace(other, states=other.states + np.linspace(0, 2, 101)[None, :, None] ** 2)
+    assert drift_of_log(twin, pushed).status.value == "drift"
+
+
+def study_quantiles():
+    from learning import QuantileConfig
+
+    return QuantileConfig(hidden=(16,), steps=300, batch=256)
+
+
+@pytest.mark.parametrize(("calibration", "residuals", "said"), [
+    (np.zeros((100, 2)), np.zeros((50, 2)), "100 samples"),
+    (np.zeros((400, 2)), np.zeros((50, 3)), "3 columns"),
+    (np.full((400, 2), np.inf), np.zeros((50, 2)), "calibration"),
+])  # fmt: skip
+def test_wrong_residuals_are_named(calibration, residuals, said):
+    with pytest.raises(InputError, match=said):
+        detect_drift(calibration, residuals)
+
+
+def test_a_trial_of_no_pairs_is_undecided():
+    assert Trial([], margin=1.0).status.value == "undecided"
+    assert np.isnan(Trial([], margin=1.0).mean)
