@@ -74,21 +74,21 @@ class Case:
             states.append(np.asarray(model.step(states[-1], one, [], [0.5])).ravel())
         return np.array(states)
 
-    def by_phase(self) -> tuple[np.ndarray, str]:
-        """States of a phase with the inputs as a signal, and its status."""
+    def by_phase(self, known: np.ndarray) -> tuple[np.ndarray, str]:
+        """States of a phase a sample, from known ones (N + 1, nx) as guesses, and the statuses."""
         x, z, u = self.symbols()
-        guess = np.array(ca.DM(self.guess(self.x0))).ravel()
-        states, held, words = [self.x0], guess, set()
-        for one in self.inputs:
+        states, words = [self.x0], set()
+        for one, first, last in zip(self.inputs, known, known[1:]):
             given = {"x": x, "z": z}
+            held = np.array(ca.DM(self.guess(last))).ravel()
             phase = Phase(
                 ca.Function("f", list(given.values()), [ca.substitute(self.f(x, z, u), u, ca.DM(one))], list(given), ["f"]),
                 len(self.x0), 0, start=states[-1], duration=self.dt, algebraics=z.numel(), z_guess=held,
                 algebraic=ca.Function("g", [x, z], [ca.substitute(self.g(x, z, u), u, ca.DM(one))], ["x", "z"], ["g"]),
+                guess=([0, 1], [first, last], np.zeros((2, 0))),
             )  # fmt: skip
             found = solve(build(phase, Radau(5), self.intervals // len(self.inputs)), tolerance=1e-11)
             states.append(found.x(self.dt))
-            held = found.z(self.dt)
             words.add(found.status.name)
         return np.array(states), ", ".join(sorted(words))
 
@@ -97,24 +97,32 @@ def reactor(unit: float = 1.0) -> Case:
     """Batch reactor; concentrations in `unit` of kg-mol/m³."""
     k1, k1r, k2, k3, k3r = 21.893, 2.14e9, 32.318, 21.893, 1.07e9
     K1, K2, K3 = 7.65e-18, 4.03e-11, 5.32e-18
-    size = unit * np.array([1e-6, 1e-6, 1e-12, 1e-12])  # of the algebraic concentrations
+
+    def acids(z: Any) -> Any:
+        """Concentrations of H⁺, by its logarithm, and of three ions, of which two are in parts of 1e-12."""
+        return ca.vertcat(ca.exp(z[0]), z[1], 1e-12 * z[2], 1e-12 * z[3])
 
     def rates(x: Any, z: Any, u: Any) -> Any:
-        y, c = x / unit, z * size / unit
+        y, c = x / unit, acids(z)
         first = k1 * y[1] * y[5] - k1r * c[3]
         second, third = k2 * y[1] * c[1], k3 * y[3] * y[5] - k3r * c[2]
         return unit * ca.vertcat(-second, -first - second, second + third, -third, first, -first - third)
 
     def balance(x: Any, z: Any, u: Any) -> Any:
-        y, c = x / unit, z * size / unit
-        return unit / size * ca.vertcat(
+        y, c = x / unit, acids(z)
+        return ca.vertcat(
             -0.0131 + y[5] + c[1] + c[2] + c[3] - c[0], c[1] - K2 * y[0] / (K2 + c[0]),
-            c[2] - K3 * y[2] / (K3 + c[0]), c[3] - K1 * y[4] / (K1 + c[0]),
+            1e12 * (c[2] - K3 * y[2] / (K3 + c[0])), 1e12 * (c[3] - K1 * y[4] / (K1 + c[0])),
         )  # fmt: skip
 
     def guess(x: Any) -> Any:
-        first = 0.5 * (-K2 + ca.sqrt(K2**2 + 4 * K2 * ca.fmax(x[0] / unit, 0)))
-        return unit / size * ca.vertcat(first, first, 0, 0)
+        """Positive root of H⁺ where two acids are left out: of the two roots the one that is a concentration."""
+        y = x / unit
+        half = (y[5] - 0.0131 - K2) / 2
+        part = K2 * (y[0] + y[5] - 0.0131)
+        root = ca.if_else(half < 0, part / (ca.sqrt(half**2 + part) - half), half + ca.sqrt(half**2 + part))
+        ions = (K2 * y[0] / (K2 + root), 1e12 * K3 * y[2] / (K3 + root), 1e12 * K1 * y[4] / (K1 + root))
+        return ca.vertcat(ca.log(root), *ions)
 
     start = unit * np.array([1.5776, 8.32, 0.0, 0.0, 0.0, 0.0131])
     return Case("batch reactor", rates, balance, start, guess, np.zeros((10, 0)), 0.1, 100)
@@ -182,15 +190,15 @@ def swung() -> tuple[float, float, str]:
     end = ([0.0, 1.0, 0.0, 0.0], [np.pi, 0.0])
     flat = Phase(
         lambda x, u, z: case.f(x, z, u), 4, 1, stage_cost=lambda u: u[0] ** 2, start=[0.0, -1.0, 0.0, 0.0],
-        end=([-1e-9, 0.5, -1e-9, -1e-9], [1e-9, 1.5, 1e-9, 1e-9]), duration=2.0, u_bounds=(-9, 9),
+        end=([0, 0.5, 0, -np.inf], [0, 1.5, 0, np.inf]), duration=2.0, u_bounds=(-9, 9),
         algebraic=lambda x, z: case.g(x, z, None), algebraics=1, z_guess=[9.81],
-        guess=([0, 1], [[0, -1, 0, 0], [0, 1, 0, 0]], [[1], [1]]),
+        guess=([0, 0.5, 1], [[0, -1, 0, 0], [1, 0, 0, 3], [0, 1, 0, 0]], [[1], [1], [1]]),
     )  # fmt: skip
     angle = Phase(
         lambda x, u: ca.vertcat(x[1], u[0] - 9.81 * ca.sin(x[0])), 2, 1, stage_cost=lambda u: u[0] ** 2, start=[0.0, 0.0],
-        end=end[1], duration=2.0, u_bounds=(-9, 9), guess=([0, 1], [[0, 0], [np.pi, 0]], [[1], [1]]),
+        end=end[1], duration=2.0, u_bounds=(-9, 9), guess=([0, 0.5, 1], [[0, 0], [-1, 0], [np.pi, 0]], [[0], [0], [0]]),
     )  # fmt: skip
-    first, second = (refine(build(phase, Radau(5), 40)) for phase in (flat, angle))
+    first, second = (refine(phase, Radau(5), intervals=40) for phase in (flat, angle))
     return first.cost, second.cost, f"{first.status.name}, {second.status.name}"
 
 
@@ -203,8 +211,9 @@ def main() -> None:
     for case, units in zip(cases, ("", "", "", ", mol", ", mm and ms", ", hundreds of K")):
         began = time.perf_counter()
         reference = case.by_idas()
-        plant = difference(case.by_plant(), reference)
-        states, status = case.by_phase()
+        by_plant = case.by_plant()
+        plant = difference(by_plant, reference)
+        states, status = case.by_phase(by_plant)
         took = time.perf_counter() - began
         print(f"| {case.name}{units} | {plant:.1e} | {difference(states, reference):.1e} | {status} | {took:.1f} |", flush=True)
     flat, angle, status = swung()

@@ -269,10 +269,11 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
 def _path_violations(phase: PhaseSolution, p: Array, x: Array, u: Array, times: Array) -> Array:
     """Violations (m, n) of the path limits at states, inputs and times; infinite where a limit is no number."""
     low, high = (side[:, None] for side in phase.part.functions.path_bounds)
-    priced = np.isfinite(phase.part.functions.path_prices[0])[:, None]
+    free = np.isfinite(phase.part.functions.path_prices[0])  # for a price, or as what z is solved from
+    free[len(free) - phase.part.phase.algebraics :] = True
     values = evaluated(phase.part.functions.path, phase.part.phase, x, u, times, p).T
     values = np.maximum(values - high, low - values)
-    return np.where(priced, -np.inf, np.where(np.isnan(values), np.inf, values))
+    return np.where(free[:, None], -np.inf, np.where(np.isnan(values), np.inf, values))
 
 
 def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
