@@ -5,8 +5,8 @@
 A batch reactor of Caracotsios and Stewart (Computers & Chemical Engineering 9, 1985; four concentrations are algebraic,
 rates from 1e-3 to 1e9), a pendulum in Cartesian coordinates whose rod force is algebraic, a distillation column of 20
 trays whose temperatures are implicit. Each is simulated as a `Plant` and as a `Phase` of given inputs; the pendulum is
-also swung up, in these coordinates and by its angle. What is stated is the largest difference of a state at the end of a
-sample, relative to the largest value of that state.
+also swung up, in these coordinates and by its angle. What is stated is the largest difference of a state at the end of
+a sample, relative to the largest value of that state.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools import DesignSpace, Plant, discretise
-from mpc.optimal_control import Phase, Radau, build, refine, solve
+from mpc.optimal_control import Phase, Radau, build, refine, round_inputs, solve
 
 TRAYS = 20
 
@@ -79,12 +79,12 @@ class Case:
         x, z, u = self.symbols()
         states, words = [self.x0], set()
         for one, first, last in zip(self.inputs, known, known[1:]):
-            given = {"x": x, "z": z}
+            given, rates, balance = {"x": x, "z": z}, self.f(x, z, u), self.g(x, z, u)
             held = np.array(ca.DM(self.guess(last))).ravel()
             phase = Phase(
-                ca.Function("f", list(given.values()), [ca.substitute(self.f(x, z, u), u, ca.DM(one))], list(given), ["f"]),
+                ca.Function("f", list(given.values()), [ca.substitute(rates, u, ca.DM(one))], list(given), ["f"]),
                 len(self.x0), 0, start=states[-1], duration=self.dt, algebraics=z.numel(), z_guess=held,
-                algebraic=ca.Function("g", [x, z], [ca.substitute(self.g(x, z, u), u, ca.DM(one))], ["x", "z"], ["g"]),
+                algebraic=ca.Function("g", [x, z], [ca.substitute(balance, u, ca.DM(one))], ["x", "z"], ["g"]),
                 guess=([0, 1], [first, last], np.zeros((2, 0))),
             )  # fmt: skip
             found = solve(build(phase, Radau(5), self.intervals // len(self.inputs)), tolerance=1e-11)
@@ -187,7 +187,6 @@ def difference(states: np.ndarray, reference: np.ndarray) -> float:
 def swung() -> tuple[float, float, str]:
     """Cost of a swing-up in Cartesian coordinates and by the angle, and the statuses."""
     case = pendulum()
-    end = ([0.0, 1.0, 0.0, 0.0], [np.pi, 0.0])
     flat = Phase(
         lambda x, u, z: case.f(x, z, u), 4, 1, stage_cost=lambda u: u[0] ** 2, start=[0.0, -1.0, 0.0, 0.0],
         end=([0, 0.5, 0, -np.inf], [0, 1.5, 0, np.inf]), duration=2.0, u_bounds=(-9, 9),
@@ -195,11 +194,42 @@ def swung() -> tuple[float, float, str]:
         guess=([0, 0.5, 1], [[0, -1, 0, 0], [1, 0, 0, 3], [0, 1, 0, 0]], [[1], [1], [1]]),
     )  # fmt: skip
     angle = Phase(
-        lambda x, u: ca.vertcat(x[1], u[0] - 9.81 * ca.sin(x[0])), 2, 1, stage_cost=lambda u: u[0] ** 2, start=[0.0, 0.0],
-        end=end[1], duration=2.0, u_bounds=(-9, 9), guess=([0, 0.5, 1], [[0, 0], [-1, 0], [np.pi, 0]], [[0], [0], [0]]),
+        lambda x, u: ca.vertcat(x[1], u[0] - 9.81 * ca.sin(x[0])), 2, 1, stage_cost=lambda u: u[0] ** 2,
+        start=[0.0, 0.0], end=[np.pi, 0.0], duration=2.0, u_bounds=(-9, 9),
+        guess=([0, 0.5, 1], [[0, 0], [-1, 0], [np.pi, 0]], [[0], [0], [0]]),
     )  # fmt: skip
     first, second = (refine(phase, Radau(5), intervals=40) for phase in (flat, angle))
     return first.cost, second.cost, f"{first.status.name}, {second.status.name}"
+
+
+def relaxed() -> dict[str, tuple[Phase, bool]]:
+    """Problems with whole-number inputs, and whether one of them is on at a time."""
+
+    def fish(x: Any, u: Any) -> Any:
+        return ca.vertcat(x[0] - x[0] * x[1] - 0.4 * x[0] * u, -x[1] + x[0] * x[1] - 0.2 * x[1] * u)
+
+    def tanks(x: Any, u: Any) -> Any:
+        return ca.vertcat(u[0] + 2 * u[1] - ca.sqrt(x[0]), ca.sqrt(x[0]) - ca.sqrt(x[1]))
+
+    fishing = Phase(fish, 2, 1, stage_cost=lambda x: ca.sumsqr(x - 1), start=[0.5, 0.7], duration=12.0, u_bounds=(0, 1))
+    pumped = Phase(
+        tanks, 2, 2, stage_cost=lambda x: 2 * (x[1] - 3) ** 2, start=[2.0, 2.0], duration=10.0, u_bounds=(0, 1),
+        path=lambda u: u[0] + u[1], path_bounds=(1.0, 1.0),
+    )  # fmt: skip
+    return {"Lotka–Volterra fishing": (fishing, False), "double tank": (pumped, True)}
+
+
+def whole() -> None:
+    """Print the table of whole-number inputs."""
+    print("\n| problem | intervals | relaxed | whole | gap of an integral | its bound | status |")
+    print("|---|---|---|---|---|---|---|")
+    for name, (phase, one_of) in relaxed().items():
+        best = refine(phase, Radau(3), intervals=40)
+        for intervals in (50, 200, 800, 3200):
+            found = round_inputs(best, intervals=intervals, one_of=one_of)
+            costs = f"{best.cost:.6f} | {found.cost:.6f}"
+            told = f"{found.gap:.2g} | {found.bound:.2g} | {found.status.name}"
+            print(f"| {name} | {intervals} | {costs} | {told} |", flush=True)
 
 
 def main() -> None:
@@ -215,8 +245,12 @@ def main() -> None:
         plant = difference(by_plant, reference)
         states, status = case.by_phase(by_plant)
         took = time.perf_counter() - began
-        print(f"| {case.name}{units} | {plant:.1e} | {difference(states, reference):.1e} | {status} | {took:.1f} |", flush=True)
+        print(
+            f"| {case.name}{units} | {plant:.1e} | {difference(states, reference):.1e} | {status} | {took:.1f} |",
+            flush=True,
+        )
     flat, angle, status = swung()
+    whole()
     print(f"\nswing-up: {flat:.8f} with the force of the rod, {angle:.8f} by the angle, {status}")
 
 

@@ -10,8 +10,9 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ccdtools_ground.errors import InputError
 from ccdtools_ground.term_sizes import term_sizes
-from ccdtools_ground.tolerances import NEWTON_STEPS, ROOT_ROUNDINGS, SINGULAR, VANISHING
+from ccdtools_ground.tolerances import NEWTON_STEPS, ROOT_ROUNDINGS, SINGULAR
 
+TINY = float(np.finfo(np.float32).tiny)  # so that nothing is divided by 0, in single precision either
 INDEX_ONE = "equations of index 1, which determine z: ∂g/∂z regular"
 
 
@@ -90,5 +91,5 @@ def _root(g: ca.SX, z: ca.SX, guess: ca.SX) -> ca.SX:
         missed = ca.mmax(ca.fabs(scale(found, rest) * residual(found, rest)))
         one = ca.fmin(1, 1 + terms)
         rounding = ca.fabs(3 * (4 / 3 * one - one) - one)  # of the arithmetic that this runs in
-        found += VANISHING * ca.sqrt(1 - missed / (ROOT_ROUNDINGS * rounding * terms + VANISHING))  # NaN if missed
+        found += TINY * ca.sqrt(1 - missed / (ROOT_ROUNDINGS * rounding * terms + TINY))  # NaN if missed
     return found

@@ -8,4 +8,3 @@ WEIGHT_ROUNDING = 1e-9
 NEWTON_STEPS = 12  # Newton steps from the guess to an algebraic variable.
 ROOT_ROUNDINGS = 100  # Roundings of the largest term, above which a residual is no zero.
 SINGULAR = 1e-12  # Least singular value of ∂g/∂z, rows and columns of unit size, that is not rounding [-].
-VANISHING = 1e-30  # What is added so that nothing is divided by 0, of single precision too [-].

@@ -65,8 +65,8 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     if part.functions.stage_cost is not None:
         cost, stages, places = part.functions.stage_cost, phase.stages, phase.stages.times.ravel()
         fine = evaluated(cost, part.phase, x, u, times, p).reshape(N, -1) @ weights
-        known = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
-        counted = evaluated(cost, part.phase, *known, places, p).reshape(N, -1) @ scheme.matrix[-1]
+        states, inputs = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
+        counted = evaluated(cost, part.phase, states, inputs, places, p).reshape(N, -1) @ scheme.matrix[-1]
         of_cost = of_cost + phase.weight * (fine - counted)
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
 

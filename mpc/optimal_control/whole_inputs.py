@@ -182,7 +182,8 @@ def _violations(found: PhaseSolution, times: Array, states: Array, inputs: Array
               ([f"end of {name}" for name in phase.state_names], states[-1:], phase.end)]  # fmt: skip
     if f.path is not None:
         held = np.vstack([inputs, inputs[-1:]])[:last]
-        limits.append((f.path_names, evaluated(f.path, phase, states[:last], held, times[:last], found.p), f.path_bounds))
+        values = evaluated(f.path, phase, states[:last], held, times[:last], found.p)
+        limits.append((f.path_names, values, f.path_bounds))
     if f.boundary is not None:
         w = signal_along(phase, np.ones((1, 1))).T
         ends = f.boundary(states[0], states[-1], w, times[0], times[-1], found.p)
