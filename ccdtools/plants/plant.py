@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -19,6 +19,7 @@ from ccdtools.plants.design_space import DesignSpace, check_finite
 from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_distinct, check_known, check_numbers
+from ccdtools_ground.algebraic import solved
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,12 +48,20 @@ class Plant(Symbolic):
         Labels with units.
     output_limits : (lower, upper), optional
         Of the outputs, each a number or (ny,); infinite where there is none.
+    z : casadi.SX (nz, 1), optional
+        Symbols of algebraic variables in `dynamics` and `outputs`. They are replaced by what `algebraic` says of them:
+        exactly where it is explicit or affine in z, block by block, else by Newton steps from `z_guess`, NaN where
+        these do not come near a root.
+    algebraic : casadi.SX (nz, 1), or a list of nz expressions, optional
+        g(x, z, u, w, p) = 0, of index 1: ∂g/∂z is regular.
+    z_guess : (nz,) numbers, or expressions in x, u, w, p, optional
+        Where Newton's method starts; 0 by default.
 
     Raises
     ------
     InputError
         If a symbol is not symbolic or used twice, shapes disagree, `dynamics` has other free symbols or an operation
-        that arrays do not have.
+        that arrays do not have; if the algebraic equations have an index above 1, or ∂g/∂z is singular at the guess.
     """
 
     symbol_fields: ClassVar[tuple[str, ...]] = ("x", "u", "w", "p")
@@ -72,12 +81,18 @@ class Plant(Symbolic):
     outputs: Any = ()
     output_names: Sequence[str] = ()
     output_limits: Any = None
+    z: InitVar[Any] = None
+    algebraic: InitVar[Any] = ()
+    z_guess: InitVar[Any] = 0.0
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, z: Any, algebraic: Any, z_guess: Any) -> None:
         set_ = object.__setattr__
         for name in ("x", "u", "w", "p"):
             set_(self, name, as_symbols(name, getattr(self, name)))
-        check_distinct(x=self.x, u=self.u, w=self.w, p=self.p)
+        z = as_symbols("z", z)
+        check_distinct(x=self.x, u=self.u, w=self.w, p=self.p, z=z)
+        if not z.is_empty() or as_expression("algebraic", algebraic).numel():
+            self._substitute(z, algebraic, z_guess)
         if self.nx == 0:
             raise InputError("x", "no state", "at least one")
         set_(self, "dynamics", as_expression("dynamics", self.dynamics))
@@ -97,6 +112,21 @@ class Plant(Symbolic):
         for name, letter, n in named:
             set_(self, name, as_names(name, getattr(self, name), n, letter))
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
+
+    def _substitute(self, z: ca.SX, algebraic: Any, guess: Any) -> None:
+        """Put what the algebraic equations say of z in its place."""
+        known = {"x": self.x, "u": self.u, "w": self.w, "p": self.p}
+        g, guess = as_expression("algebraic", algebraic), as_expression("z_guess", guess)
+        check_known("algebraic", g, **known, z=z)
+        check_known("z_guess", guess, **known)
+        check_numbers("z_guess", guess)
+        guess = ca.SX.ones(z.shape) * guess if guess.numel() == 1 else guess
+        if guess.shape != z.shape:
+            raise InputError("z_guess", f"shape {guess.shape}", f"{z.shape}, one for each algebraic variable")
+        found = solved(g, z, guess)
+        for name in ("dynamics", "outputs"):
+            stated = as_expression(name, () if getattr(self, name) is None else getattr(self, name))
+            object.__setattr__(self, name, ca.substitute(stated, z, found))
 
     def _check_outputs(self) -> None:
         """Raise an `InputError` unless outputs and their limits are valid."""

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbols import term_sizes
 from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING
+from ccdtools_ground.term_sizes import term_sizes
 
 
 class Rates:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from math import isnan
 from typing import Any, ClassVar
 
@@ -12,9 +11,6 @@ import numpy as np
 from ccdtools.arrays import Immutable
 from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import Vectorised
-
-MOVES = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)  # instructions that compute nothing
 
 
 class Symbolic(Immutable):
@@ -101,29 +97,3 @@ def check_numbers(argument: str, expression: ca.SX) -> None:
 def elements(column: ca.SX) -> list[ca.SX]:
     """Scalar symbols of a column."""
     return [] if column.is_empty() else ca.vertsplit(column)
-
-
-def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
-    """Sizes of the terms in a function's entries, proportional to rounding.
-
-    Of functions that are called from within, the result alone counts.
-    """
-    if any(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions())):
-        return ca.fabs(function(*arguments))
-    entries = [[(value, ca.fabs(value)) for value in elements(column)] for column in arguments]
-    tape = Vectorised(function)
-    operations = {op: _sized(op, len(inputs)) for op, inputs, _, _ in tape.instructions if op not in MOVES}
-    (rows,) = tape.run(entries, operations, constant=lambda number: (ca.SX(number), ca.SX(abs(number))))
-    sizes: ca.SX = ca.vertcat(*(size for _, size in rows))
-    return sizes
-
-
-@cache
-def _sized(op: int, inputs: int) -> Any:
-    """Operation on pairs (value, size of its terms), by its slopes."""
-    values, sizes = ca.vertsplit(ca.SX.sym("value", inputs)), ca.SX.sym("size", inputs)
-    value = ca.SX.unary(op, *values) if inputs == 1 else ca.SX.binary(op, *values)
-    counted = 1 if op in (ca.OP_POW, ca.OP_CONSTPOW) else inputs  # by an exponent, a negative base has no slope
-    size = sum(ca.fabs(ca.jacobian(value, values[i])) * sizes[i] for i in range(counted))
-    function = ca.Function("sized", [ca.vertcat(*values), sizes], [value, ca.fmax(ca.fabs(value), size)])
-    return lambda *pairs: function(*(ca.vertcat(*one) for one in zip(*pairs)))

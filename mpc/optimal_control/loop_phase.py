@@ -11,6 +11,7 @@ import numpy as np
 
 from mpc.checks import Array, Flags, Immutable
 from mpc.exceptions import InputError
+from mpc.optimal_control.algebraic import eliminated
 from mpc.optimal_control.bounds import INF
 from mpc.optimal_control.functions import wanted
 from mpc.optimal_control.interval import first_guess
@@ -225,4 +226,6 @@ def as_loop_phase(phase: Phase, horizon: int | None, p: Array, rate_limit: Array
         raise InputError("horizon", horizon, f"{phase.duration[0]:g}, the steps of the phase, or None")
     if not phase.discrete and horizon is None:
         raise InputError("horizon", "nothing", "the samples N that the duration of the phase is divided into")
+    if phase.algebraic is not None:
+        phase = eliminated(phase, len(p), looped=True)
     return LoopPhase(phase, int(phase.duration[0]) if horizon is None else horizon, p, rate_limit)

@@ -65,8 +65,8 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     if part.functions.stage_cost is not None:
         cost, stages, places = part.functions.stage_cost, phase.stages, phase.stages.times.ravel()
         fine = evaluated(cost, part.phase, x, u, times, p).reshape(N, -1) @ weights
-        known = stages.states.reshape(len(places), -1), phase.inputs
-        counted = evaluated(cost, part.phase, *known, places, p).reshape(N, -1) @ scheme.matrix[-1]
+        states, inputs = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
+        counted = evaluated(cost, part.phase, states, inputs, places, p).reshape(N, -1) @ scheme.matrix[-1]
         of_cost = of_cost + phase.weight * (fine - counted)
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
 
@@ -179,7 +179,7 @@ def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
     found = np.zeros(len(places))
     own = np.flatnonzero(rows < len(phase.part.functions.path_names))
     if len(own):
-        extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
+        extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
         steep = np.abs(_path_slopes(phase, p, places[own], rows[own])) @ extents
         found[own] = np.where(np.isfinite(steep), steep, 0.0)
     return found
@@ -269,10 +269,11 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
 def _path_violations(phase: PhaseSolution, p: Array, x: Array, u: Array, times: Array) -> Array:
     """Violations (m, n) of the path limits at states, inputs and times; infinite where a limit is no number."""
     low, high = (side[:, None] for side in phase.part.functions.path_bounds)
-    priced = np.isfinite(phase.part.functions.path_prices[0])[:, None]
+    free = np.isfinite(phase.part.functions.path_prices[0])  # for a price, or as what z is solved from
+    free[len(free) - phase.part.phase.algebraics :] = True
     values = evaluated(phase.part.functions.path, phase.part.phase, x, u, times, p).T
     values = np.maximum(values - high, low - values)
-    return np.where(priced, -np.inf, np.where(np.isnan(values), np.inf, values))
+    return np.where(free[:, None], -np.inf, np.where(np.isnan(values), np.inf, values))
 
 
 def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
@@ -281,7 +282,7 @@ def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...
     found, paths = [], []
     for part, phase in zip(program.parts, phases):
         numbers, _ = part.coordinates
-        of_all = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.inputs, axis=0)])
+        of_all = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
         extents[part.first : part.last] = of_all[numbers]
         own = _bounded(phase)
         scale = np.array([program.scale[part.first : part.last][numbers == i].max() for i in own])

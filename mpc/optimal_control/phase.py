@@ -11,7 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_count, as_floats
+from ccdtools_ground.algebraic import check_index
+from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import (
     INF,
@@ -25,7 +26,7 @@ from mpc.optimal_control.bounds import (
     as_prices,
     as_samples,
 )
-from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, wanted
+from mpc.optimal_control.functions import Statement, brief, compiled, slopes_of, symbols_of, wanted
 
 LIMITED = ("path", "boundary")  # functions whose values have bounds and names
 
@@ -35,7 +36,8 @@ class Phase:
     """One stretch of time with its own dynamics, costs and limits.
 
     Every function is stated in CasADi and named arguments: any of the state `x`, the input `u`, the given signal `w`,
-    the parameters `p` and the time `t`. In `NonlinearMPC(phase)` stage cost and path know the input before, `u_prev`.
+    the parameters `p` and the time `t`. In `NonlinearMPC(phase)` stage cost and path know the input before, `u_prev`;
+    with `algebraic` equations they and the dynamics know the algebraic variables `z`.
 
     Parameters
     ----------
@@ -80,6 +82,12 @@ class Phase:
         Rising times from the phase's start [s] that become points of the mesh, and what is known there: y.
     sample_cost : function of x, w, p, t, y, optional
         Scalar; summed over the samples.
+    algebraic : function, optional
+        g (nz, 1), kept at 0 by z; of index 1, which is that ∂g/∂z is regular.
+    algebraics : int
+        nz. Without `algebraic`, so many of the last inputs are returned as z.
+    z_guess : (nz,) array or number
+        Where z starts from.
 
     Raises
     ------
@@ -114,12 +122,19 @@ class Phase:
     boundary_names: Sequence[str] = ()
     samples: Any = None
     sample_cost: Statement | None = None
+    algebraic: Statement | None = None
+    algebraics: int = 0
+    z_guess: Any = 0.0
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "states", as_count("states", self.states))
         inputs = 0 if self.inputs == 0 and not isinstance(self.inputs, bool) else as_count("inputs", self.inputs)
         set_(self, "inputs", inputs)
+        set_(self, "algebraics", as_count("algebraics", self.algebraics) if self.algebraic or self.algebraics else 0)
+        guess = as_floats("z_guess", self.z_guess)
+        guess = np.full(self.algebraics, guess) if guess.ndim == 0 else guess
+        set_(self, "z_guess", as_array("z_guess", guess, (self.algebraics,)))
         for name, size in (("x_bounds", self.states), ("u_bounds", self.inputs)):
             set_(self, name, as_bounds(name, getattr(self, name), size))
         for name in ("start", "end"):
@@ -152,6 +167,8 @@ class Phase:
             if "p" in asked or ("w" in asked and callable(self.signal)):
                 continue
             function = None if given is None else compiled(name, given, sizes, rows)
+            if name == "algebraic" and function is not None:
+                _check_index(self, function)
             if name in LIMITED:
                 _, names = _with_limits(self, name, function)
             if name == "path":
@@ -172,6 +189,8 @@ class PhaseFunctions:
         Costs and limits of a loop of (x, u, w, p, t, u_prev).
     terminal_cost : (x, w, p, t) → scalar, or None
     sample_cost : (x, w, p, t, y) → scalar, or None
+    algebraic : (x, u, w, p, t, z) → value, or None
+        With it dynamics, costs and limits are of z, too.
     boundary : (x0, x, w, t0, t, p) → value, or None
     path_bounds, boundary_bounds : (lower, upper)
         Arrays, one entry a value.
@@ -186,7 +205,12 @@ class PhaseFunctions:
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
             for name, (sizes, rows) in _columns(phase, self.nw, parameters, looped=looped).items()
         }
-        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost = made.values()
+        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost, g = (
+            made.values()
+        )
+        self.algebraic = g
+        if self.algebraic is not None:
+            _check_index(phase, self.algebraic)
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
         self.boundary_bounds, self.boundary_names = _with_limits(phase, "boundary", self.boundary)
         self.path_prices = as_prices(phase.path_prices, len(self.path_names))
@@ -210,6 +234,7 @@ def _columns(
 ) -> dict[str, tuple[dict[str, int], int | None]]:
     """Columns and lengths of each function's arguments, and its value's length."""
     running = {"x": phase.states, "u": phase.inputs, "w": width, "p": parameters, "t": 1}
+    running |= {} if phase.algebraic is None else {"z": phase.algebraics}
     moving = running | ({"u_prev": phase.inputs} if looped else {})
     at_end = {"x": phase.states, "w": width, "p": parameters, "t": 1}
     ends = {"x0": phase.states, "x": phase.states, "w": width, "t0": 1, "t": 1, "p": parameters}
@@ -218,7 +243,14 @@ def _columns(
     return {
         "dynamics": (running, phase.states), "stage_cost": (moving, 1), "path": (moving, None),
         "terminal_cost": (at_end, 1), "boundary": (ends, None), "sample_cost": (at_samples, 1),
+        "algebraic": (running, None),
     }  # fmt: skip
+
+
+def _check_index(phase: Phase, algebraic: ca.Function) -> None:
+    """Raise an `InputError` unless the algebraic equations are of index 1."""
+    columns = symbols_of(algebraic)
+    check_index(algebraic(*columns.values()), columns["z"], phase.z_guess)
 
 
 def _with_limits(phase: Phase, name: str, function: ca.Function | None) -> tuple[tuple[Array, Array], tuple[str, ...]]:

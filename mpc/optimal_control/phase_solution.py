@@ -44,6 +44,8 @@ class PhaseSolution:
         The phase of the program that it solves.
     weight : float
         Of its cost.
+    p : (np,) array
+        The shared parameters.
     """
 
     times: Array
@@ -52,6 +54,7 @@ class PhaseSolution:
     stages: Stages
     part: PhasePart
     weight: float
+    p: Array
 
     @property
     def duration(self) -> float:
@@ -61,8 +64,13 @@ class PhaseSolution:
     @property
     def inputs(self) -> Array:
         """Inputs (n, nu) at `input_times`."""
-        N, d, nu = self.stages.inputs.shape  # nu may be 0
-        return self.stages.inputs.reshape(N * d, nu)
+        N, d, _ = self.stages.inputs.shape  # nu may be 0
+        return self.stages.inputs[:, :, : self._nu].reshape(N * d, self._nu)
+
+    @property
+    def _nu(self) -> int:
+        """Inputs that are no algebraic variables."""
+        return self.part.phase.inputs - self.part.phase.algebraics
 
     @property
     def input_times(self) -> Array:
@@ -77,7 +85,12 @@ class PhaseSolution:
     def u(self, t: ArrayLike) -> Array:
         """Inputs (..., nu) at times (...)."""
         k, tau, shape = self._located(t)
-        return self.inputs_within(k, tau).reshape(*shape, -1)
+        return self.inputs_within(k, tau)[:, : self._nu].reshape(*shape, self._nu)
+
+    def z(self, t: ArrayLike) -> Array:
+        """Algebraic variables (..., nz) at times (...)."""
+        k, tau, shape = self._located(t)
+        return self.inputs_within(k, tau)[:, self._nu :].reshape(*shape, self.part.phase.algebraics)
 
     def states_within(self, k: Any, tau: Array) -> Array:
         """States (n, nx) at fractions (n,) of intervals k (n,)."""
@@ -91,16 +104,27 @@ class PhaseSolution:
         return _hermite(tau[:, None], h, self.states[k], self.states[k + 1], first, last)
 
     def inputs_within(self, k: Any, tau: Array) -> Array:
-        """Inputs (n, nu) at fractions (n,) of intervals k (n,)."""
+        """Inputs and algebraic variables (n, nu + nz) at fractions (n,) of intervals k (n,)."""
         inputs = self.stages.inputs[k]
         if not isinstance(self.part.scheme, Collocation) or self.part.phase.discrete:
             return np.asarray(inputs[:, 0])
-        return np.asarray(np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs))
+        inputs = np.asarray(np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs))
+        return self._with_solved_z(k, tau, inputs) if self.part.phase.algebraics else inputs
+
+    def _with_solved_z(self, k: Any, tau: Array, inputs: Array) -> Array:
+        """Inputs (n, nu + nz) with z after one Newton step from the polynomials."""
+        phase, f, z = self.part.phase, self.part.functions, slice(self._nu, None)
+        rows = slice(len(f.path_names) - phase.algebraics, None)
+        at = phase, self.states_within(k, tau), inputs, self.times[k] + tau * np.diff(self.times)[k], self.p
+        slopes = evaluated(f.path_slopes, *at).reshape(len(inputs), -1, len(f.path_names))
+        J = np.nan_to_num(slopes[:, phase.states :, rows][:, z].swapaxes(1, 2))
+        step = np.linalg.pinv(J) @ evaluated(f.path, *at)[:, rows, None]
+        return np.hstack([inputs[:, : self._nu], inputs[:, z] - step[:, :, 0]])
 
     def at_fractions(self, at: Array) -> tuple[Array, Array]:
-        """States and inputs at fractions (n,) of the phase."""
-        times = self.times[0] + at * self.duration
-        return self.x(times), self.u(times)
+        """States and all inputs at fractions (n,) of the phase."""
+        k, tau, _ = self._located(self.times[0] + at * self.duration)
+        return self.states_within(k, tau), self.inputs_within(k, tau)
 
     def costate(self, t: ArrayLike) -> Array:
         """Costates (..., nx) at times (...), linear between the mesh points."""
@@ -133,7 +157,7 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
     of_stages = _stage_costates(part, multipliers)
     return PhaseSolution(
-        mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates, of_stages), part, weight
+        mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates, of_stages), part, weight, p
     )  # fmt: skip
 
 

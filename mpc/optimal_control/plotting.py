@@ -87,7 +87,7 @@ def _input(ax: Any, phase: PhaseSolution, i: int) -> Array:
     times = _fine(phase.times)
     inside = times[:, :-1] + 0.5 * np.diff(times, axis=1)
     inside[:, 0], inside[:, -1] = times[:, 0], times[:, -1] - 1e-9 * np.diff(phase.times)
-    values = phase.u(inside)[:, :, i]
+    values = np.concatenate([phase.u(inside), phase.z(inside)], axis=2)[:, :, i]
     gaps = np.full((len(inside), 1), np.nan)
     ax.plot(np.hstack([inside, gaps]).ravel(), np.hstack([values, gaps]).ravel(), color="C1", lw=1.2)
     return values.ravel()

@@ -187,7 +187,8 @@ def _reach_bounds(solution: Solution) -> bool:
     for phase in solution.phases:
         low, high = phase.part.phase.u_bounds
         room = AT_BOUND * np.where(np.isfinite(high - low), high - low, 0.0)
-        if phase.inputs.size and ((phase.inputs <= low + room) | (phase.inputs >= high - room)).any():
+        inputs = phase.stages.inputs
+        if inputs.size and ((inputs <= low + room) | (inputs >= high - room)).any():
             return True
     return False
 

@@ -224,6 +224,10 @@ class Solution:
         """Inputs (..., nu) at times (...), of their phase."""
         return self._of_phases("u", t)
 
+    def z(self, t: ArrayLike) -> Array:
+        """Algebraic variables (..., nz) at times (...), of their phase."""
+        return self._of_phases("z", t)
+
     def costate(self, t: ArrayLike) -> Array:
         """Costates (..., nx) at times (...), of their phase."""
         return self._of_phases("costate", t)

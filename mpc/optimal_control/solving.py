@@ -236,7 +236,7 @@ def status_of(found: Found) -> OptimalControlStatus:
 def _from_solution(program: NonlinearProgram, start: Solution) -> tuple[Array, dict[str, Array] | None]:
     """Unknowns (n,) of a program from a solution on any mesh, and its multipliers if it is on the same."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
-    sizes = [(one.states.shape[1], one.inputs.shape[1]) for one in start.phases]
+    sizes = [(one.states.shape[1], one.part.layout.nu) for one in start.phases]
     if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:
         raise InputError("start", repr(start.program), f"a solution of the same phases: {program!r}")
     pairs = zip(start.program.parts, program.parts)

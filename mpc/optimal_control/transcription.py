@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -11,6 +12,7 @@ import numpy as np
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
+from mpc.optimal_control.algebraic import collocated, eliminated
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
 from mpc.optimal_control.notes import check_at_guess
@@ -50,9 +52,19 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
         raise InputError(
             "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
         )
+    if any(phase.algebraic is not None for phase in problem.phases):
+        problem = replace(problem, phases=[_without_z(phase, scheme, problem.parameters) for phase in problem.phases])
     program = _Assembly(problem, scheme, _as_meshes(problem, intervals, meshes)).program()
     check_at_guess(program)
     return with_sizes_of_rows(with_costs_of_scenarios(program))
+
+
+def _without_z(phase: Phase, scheme: Scheme, parameters: int) -> Phase:
+    """Phase without algebraic equations: z is unknown at the points of collocation, else an expression."""
+    if phase.algebraic is None:
+        return phase
+    unknown = isinstance(scheme, Collocation) and not phase.discrete
+    return collocated(phase, parameters) if unknown else eliminated(phase, parameters)
 
 
 class _Assembly:
