@@ -68,6 +68,9 @@ def from_fmu(
     of_kind = {
         kind: [v.name for v in described.modelVariables if v.causality == kind] for kind in ("input", "parameter")
     }
+    for argument, names in (("inputs", () if inputs is None else inputs), ("disturbances", disturbances)):
+        if not isinstance(names, list | tuple):
+            raise InputError(argument, shown(names), "a list of names")
     given = [name for name in of_kind["input"] if name not in disturbances] if inputs is None else list(inputs)
     for argument, names, kind in (
         ("inputs", given, "input"), ("disturbances", disturbances, "input"), ("design", design.names, "parameter")
@@ -76,6 +79,8 @@ def from_fmu(
         if unknown is not None:
             among = ", ".join(of_kind[kind]) or "none"
             raise InputError(argument, shown(unknown), f"{kind}s of the FMU: {among}", nearest(unknown, of_kind[kind]))
+    if len({*given, *disturbances}) < len(given) + len(disturbances):
+        raise InputError("inputs", f"{given} beside disturbances {list(disturbances)}", "each input of the FMU once")
     references = tuple(tuple(known[name].valueReference for name in names) for names in
                        (given, disturbances, design.names))  # fmt: skip
     step = FmuStep(where, as_positive("dt", dt, unit="s"), as_count("substeps", substeps), references)
