@@ -62,7 +62,7 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     seen = np.abs(y).max(axis=0) + np.abs(drawn[1][..., problem.model.nw :]).max(axis=(0, 1))
     rest = [output(np.zeros(problem.model.nx), np.zeros(nu), p).toarray().ravel() for p in problem.design.spread()]
     if (np.abs(rest) > MODEL_AT_REST * seen).any():
-        raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract what they are.")
+        raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract those.")
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
     box = as_set((-room, room), "X", len(room))
     X = problem.X
@@ -114,9 +114,11 @@ def warm_start_of_outputs(
     if not data:
         raise InputError("problem", "no design at which LQG keeps a run", "one that it stabilises", "Pass an agent.")
     seen, actions, values = (np.concatenate(part) for part in zip(*data))
-    low, high = seen.min(axis=0), np.maximum(seen.max(axis=0), seen.min(axis=0) + np.finfo(np.float32).eps)
-    nz = problem.observation_bounds[0].size - known.design.dim
-    bounds = (np.r_[low[:nz], problem.observation_bounds[0][nz:]], np.r_[high[:nz], problem.observation_bounds[1][nz:]])
+    least, most = problem.observation_bounds
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    high = np.maximum(high, low + np.finfo(np.float32).eps * (most - least))
+    nz = least.size - known.design.dim
+    bounds = (np.r_[low[:nz], least[nz:]], np.r_[high[:nz], most[nz:]])
     return fit_actor_critic(
         seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng
     )  # fmt: skip

@@ -188,9 +188,6 @@ class CoDesignProblem(Immutable):
             self.output_limits.check(model.nx, model.nu, model.design.dim)
         self._check_over_designs()
         self._set(warm_up=as_count("warm_up", self.warm_up, least=0))
-        self._set(hidden=as_count("hidden", self.hidden, least=0))
-        if self.hidden >= model.nx:
-            raise InputError("hidden", self.hidden, f"less than {model.nx}, the states of the model")
         if self.warm_up >= self.steps:
             raise InputError("warm_up", self.warm_up, f"less than {self.steps}, the steps of an episode")
         self._set(limit_tolerance=as_limit_tolerance("limit_tolerance", self.limit_tolerance))
@@ -242,7 +239,10 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
 
     def _check_measurement(self) -> None:
-        """Raise an `InputError` unless `measurement` has noise and fits the model."""
+        """Raise an `InputError` unless states are left to see, and a filter of the `measurement` can be made."""
+        self._set(hidden=as_count("hidden", self.hidden, least=0))
+        if self.hidden >= self.model.nx:
+            raise InputError("hidden", self.hidden, f"less than {self.model.nx}, the states of the model")
         if self.measurement is None:
             return
         has_method("measurement", self.measurement, "drawn", "a Measurement(output, noise=…) or None")

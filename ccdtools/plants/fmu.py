@@ -77,8 +77,8 @@ def from_fmu(
     ):  # fmt: skip
         unknown = next((name for name in names if name not in of_kind[kind]), None)
         if unknown is not None:
-            among = ", ".join(of_kind[kind]) or "none"
-            raise InputError(argument, shown(unknown), f"real {kind}s of the FMU: {among}", nearest(unknown, of_kind[kind]))
+            expected = f"real {kind}s of the FMU: {', '.join(of_kind[kind]) or 'none'}"
+            raise InputError(argument, shown(unknown), expected, nearest(unknown, of_kind[kind]))
     if len({*given, *disturbances}) < len(given) + len(disturbances):
         raise InputError("inputs", f"{given} beside disturbances {list(disturbances)}", "each input of the FMU once")
     references = tuple(tuple(known[name].valueReference for name in names) for names in
