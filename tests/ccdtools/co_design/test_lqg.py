@@ -69,6 +69,7 @@ def test_the_objective_is_the_mean_return_of_the_loop_with_its_filter():
     assert found.objective == pytest.approx(summary.mean, rel=0.03)
 
 
+@pytest.mark.check
 def test_a_long_episode_costs_what_the_trace_formula_says():
     def cost(steps):
         """What LQG costs over so many steps at the first design."""
@@ -89,6 +90,7 @@ def test_noise_of_the_sensor_changes_the_design_and_pays():
     assert lqg.design[1] > lqr.design[1] + 0.3
 
 
+@pytest.mark.check
 def test_every_method_is_measured_behind_the_filter_and_hands_it_out():
     table = compare_methods(mass(), ["sequential", "nested Riccati", "nested LQG"], progress=False)
     assert table.best.name == "nested LQG"
