@@ -149,6 +149,33 @@ def resume(folder: Annotated[str, typer.Argument(help="Folder of an interrupted 
 
 
 @app.command()
+def sweep(
+    file: Annotated[str, typer.Argument(help="TOML file with options of `run`, of which lists are swept.")],
+    output: Annotated[str | None, typer.Option(help="Folder of the runs. Default: runs/FILE; it goes on.")] = None,
+) -> None:
+    """Run a study with every combination of options that a TOML file states.
+
+    Each is a run in a folder of its own; those that are finished are kept. Gains of all stand in sweep.csv.
+    """
+    from ccdtools.studies.sweep import read_sweep, tidy
+
+    runs = read_sweep(file)
+    within = _output(output).path if output is not None else Path("runs", Path(file).stem)
+    folders = [one.folder(within) for one in runs]
+    for number, (one, folder) in enumerate(zip(runs, folders), 1):
+        typer.echo(f"\n{one.name}, {number} of {len(runs)}")
+        if (folder.path / "report.html").is_file():
+            typer.echo("finished before")
+        elif (folder.path / "run.json").is_file():
+            resume(str(folder.path))
+        else:
+            _begin(one.options, one.name, str(folder.path), overwrite=False)
+    with RunFolder(within).writing("--output"):
+        (within / "sweep.csv").write_text(tidy(runs, within), encoding="utf-8")
+    typer.echo(f"\nGains of all runs: {within / 'sweep.csv'}")
+
+
+@app.command()
 def codesign(
     study: Annotated[str, typer.Argument(help=f"Which study: {known_studies()} with one.")],
     methods: Annotated[str, typer.Option(help='all, or names with commas: "nested LQR,simultaneous,CMA-ES".')] = "all",

@@ -22,9 +22,10 @@ from ccdtools.co_design.tolerances import ACT_TOGETHER, IDLE_PART, MAGNITUDES, T
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 
-EXPECTED = "entries that change the dynamics, a cost, a limit or a constraint"
+EXPECTED = "entries that change the dynamics, a cost, a limit, a constraint or a measured output"
 CURE = "Remove it from the DesignSpace, or state what it acts on."
 UNDISTURBED = "Give the scenarios a disturbance, or remove it from the DesignSpace."
 
@@ -34,8 +35,10 @@ def check_every_entry_acts(problem: Any) -> None:
 
     An entry acts if a term depends on it by its expression and takes another value at another design, at one of 500
     states within ten times X, with inputs within ten times U. One that scales nothing but a disturbance does not act
-    where that is always zero.
+    where that is always zero. With a Python function as sensor nothing is said.
     """
+    if callable(getattr(problem.measurement, "output", None)):  # what it does with an entry is not known
+        return
     free = np.flatnonzero(problem.design.free)
     undisturbed = _idle(problem, free, disturbance=0.0)
     idle = _idle(problem, undisturbed, disturbance=1.0)
@@ -96,6 +99,8 @@ def _terms(problem: Any, extents: dict[str, Any]) -> Iterator[ca.Function]:
             yield getattr(problem.objective, name).function(*sizes)
     if problem.output_limits is not None:
         yield problem.output_limits.outputs.function(nx, nu, dim)
+    if isinstance(getattr(problem.measurement, "output", None), Plant):
+        yield problem.measurement.output.output
     if model.design.constraints is not None:
         yield model.design.constraints
 

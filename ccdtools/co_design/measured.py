@@ -12,6 +12,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import needs_of
 from ccdtools.estimation.kalman import KalmanFilter
+from ccdtools.estimation.tolerances import DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
 
 
@@ -33,17 +34,14 @@ def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
     nx, nu = problem.model.nx, problem.model.nu
     rest, still = np.zeros((1, nx)), np.zeros((1, nu))
     output = problem.measurement.at(nx, nu, p)
-    C = np.reshape(output.slope(rest, still, np.ones((1, nx))), (-1, nx))
-    D = np.column_stack([(output.of(rest, u) - output.of(rest, -u))[0] / 2 for u in np.eye(nu)[:, None]])
+    C = np.reshape(output.slope(rest, still, problem.state_scale[None]), (-1, nx))
+    size = DIFFERENCE_STEP * np.abs(problem.input_bounds).max(axis=0)
+    D = np.column_stack([(output.of(rest, u) - output.of(rest, -u))[0] / (2 * u.max()) for u in np.diag(size)[:, None]])
     v = problem.measurement.drawn(4096, min(problem.steps, 64), np.random.default_rng(0)).noise
     assert v is not None
     V = np.einsum("nti,ntj->ij", v, v) / (v.shape[0] * v.shape[1])
-    mean, starts, noise = problem.moments
-    W, P0 = E @ noise @ E.T, starts - np.outer(mean, mean)
-    return KalmanFilter(
-        A, B, C, (W + W.T) / 2, (V + V.T) / 2, D=D, y0=output.of(rest, still)[0], steady=False, x0=mean,
-        P0=(P0 + P0.T) / 2,
-    )  # fmt: skip
+    mean, P0, noise = problem.moments
+    return KalmanFilter(A, B, C, E @ noise @ E.T, V, D=D, y0=output.of(rest, still)[0], steady=False, x0=mean, P0=P0)
 
 
 def observed(problem: CoDesignProblem, controller: Any, design: ArrayLike) -> Any:

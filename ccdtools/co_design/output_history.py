@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count
+from ccdtools.checks import as_count, as_instance
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.measured import observed
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
@@ -23,6 +23,7 @@ from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.tolerances import MODEL_AT_REST
 from invariant_sets.system_checks import as_set
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
@@ -47,6 +48,7 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     InputError
         If the problem measures nothing, or by a Python function, or its outputs are not 0 at rest.
     """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     length = as_count("length", length)
     if problem.measurement is None:
         raise InputError("problem", "one without a measurement", "CoDesignProblem(measurement=Measurement(…))")
@@ -58,6 +60,9 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     x = np.random.default_rng(0).uniform(-1, 1, (1024, problem.model.nx)) * problem.state_scale
     y = problem.measurement.at(problem.model.nx, nu, problem.design.centre).of(x, np.zeros((len(x), nu)))
     seen = np.abs(y).max(axis=0) + np.abs(drawn[1][..., problem.model.nw :]).max(axis=(0, 1))
+    rest = [output(np.zeros(problem.model.nx), np.zeros(nu), p).toarray().ravel() for p in problem.design.spread()]
+    if (np.abs(rest) > MODEL_AT_REST * seen).any():
+        raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract those.")
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
     box = as_set((-room, room), "X", len(room))
     X = problem.X
@@ -103,15 +108,17 @@ def warm_start_of_outputs(
     """
     data = []
     for v in rng.random((32, known.design.dim)):  # designs
-        with suppress(NotStabilisableError):  # of a filter, too
+        with suppress(NotStabilisableError):
             p = known.design.project(known.design.from_unit(v))
             data.append(_loops(problem, known, p, rng, gamma))
     if not data:
         raise InputError("problem", "no design at which LQG keeps a run", "one that it stabilises", "Pass an agent.")
     seen, actions, values = (np.concatenate(part) for part in zip(*data))
-    low, high = seen.min(axis=0), np.maximum(seen.max(axis=0), seen.min(axis=0) + np.finfo(np.float32).eps)
-    nz = problem.observation_bounds[0].size - known.design.dim
-    bounds = (np.r_[low[:nz], problem.observation_bounds[0][nz:]], np.r_[high[:nz], problem.observation_bounds[1][nz:]])
+    least, most = problem.observation_bounds
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    high = np.maximum(high, low + np.finfo(np.float32).eps * (most - least))
+    nz = least.size - known.design.dim
+    bounds = (np.r_[low[:nz], least[nz:]], np.r_[high[:nz], most[nz:]])
     return fit_actor_critic(
         seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng
     )  # fmt: skip

@@ -48,7 +48,7 @@ def previewed_problem(
     Raises
     ------
     InputError
-        If an argument is of the wrong kind or size, or the problem has a discrepancy.
+        If an argument is of the wrong kind or size, or the problem has a discrepancy or a measurement.
 
     Examples
     --------
@@ -59,6 +59,8 @@ def previewed_problem(
     if problem.discrepancy is not None:
         got = "a problem with a discrepancy, whose disturbance is not known ahead"
         raise InputError("problem", got, "one without", "Learn the errors of the model with_preview gives.")
+    if problem.measurement is not None:
+        raise InputError("problem", "one with a measurement", "one without: what is known ahead is no state of a plant")
     steps = as_count("steps", steps)
     known = as_channels(channels, problem.model.nw)
     scenarios = PreviewedScenarios(problem.scenarios, steps, known)

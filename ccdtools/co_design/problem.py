@@ -239,21 +239,32 @@ class CoDesignProblem(Immutable):
             raise InputError("scenarios", f"disturbances of shape {w[1:]}", f"({self.steps}, {width})")
 
     def _check_measurement(self) -> None:
-        """Raise an `InputError` unless `measurement` has noise and fits the model."""
+        """Raise an `InputError` unless states are left to see, and a filter of the `measurement` can be made."""
+        self._set(hidden=as_count("hidden", self.hidden, least=0))
+        if self.hidden >= self.model.nx:
+            raise InputError("hidden", self.hidden, f"less than {self.model.nx}, the states of the model")
         if self.measurement is None:
             return
         has_method("measurement", self.measurement, "drawn", "a Measurement(output, noise=…) or None")
-        if self.measurement.noise is None:
-            raise InputError("measurement", "one without noise", "Measurement(output, noise=…), which a filter weighs")
-        self.measurement.check(self.model.nx, self.model.nu)
+        if not self.measurement.random:
+            got = "one without noise" if self.measurement.noise is None else "recorded noise, the same in every episode"
+            raise InputError("measurement", got, "Measurement(output, noise=…) of deviations or a Disturbance")
         if self.discrepancy is not None:
             raise InputError("discrepancy", "a learned error beside a measurement", "one or the other")
+        from ccdtools.co_design.measured import kalman_filter  # estimation is loaded where it is asked for
+
+        try:
+            kalman_filter(self, self.design.project(self.design.centre))
+        except InputError as error:
+            raise InputError(f"measurement, {error.argument}", error.got, error.expected, error.cure) from None
 
     @cached_property
     def moments(self) -> tuple[Array, Array, Array]:
-        """Mean start (nx,), second moments of starts (nx, nx) and disturbances (nw, nw)."""
+        """Mean (nx,) and covariance (nx, nx) of starts, second moments of disturbances (nw, nw)."""
         x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
-        return x0.mean(axis=0), x0.T @ x0 / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
+        mean = x0.mean(axis=0)
+        away = x0 - mean
+        return mean, away.T @ away / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.

@@ -136,9 +136,11 @@ class Settling:
                 found.append(
                     self._baseline(f"MPC of the same design{self._behind}", planned, result.design, loop, None, runs)
                 )
-        if self.designing and result.method != self._reference.name:
-            starts = start_points(self.problem.design, result.design, result.valleys[:1], 2)
-            found += [self._nested(self.problem.design.settled(v), loop) for v in starts]
+        if self.designing:
+            space = self.problem.design
+            starts = [space.settled(v) for v in start_points(space, result.design, result.valleys[:1], 2)]
+            others = [one for one in self._references if one.name != result.method]
+            found += [self._nested(other, start, loop) for other in others for start in starts]
         return [one for one in found if one is not None]
 
     def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
@@ -157,18 +159,18 @@ class Settling:
         return "" if self.problem.measurement is None else ", behind the filter"
 
     @property
-    def _reference(self) -> Nested:
-        """Nested co-design that results are held against."""
-        inner = "lqr" if self.problem.measurement is None else "lqg"
-        return Nested(inner, runs=SETTLING_RUNS, starts=1, evaluations=20)
+    def _references(self) -> list[Nested]:
+        """Nested co-designs that results are held against: one knows that inputs saturate, one the sensors."""
+        inner = ("lqr",) if self.problem.measurement is None else ("lqr", "lqg")
+        return [Nested(kind, runs=SETTLING_RUNS, starts=1, evaluations=20) for kind in inner]
 
-    def _nested(self, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
-        """Result of a short nested LQR from a design."""
+    def _nested(self, method: Nested, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
+        """Result of a short nested co-design from a design."""
         try:
-            best = self._reference.run(self.problem, start, copy.deepcopy(self.scenarios))
+            best = method.run(self.problem, start, copy.deepcopy(self.scenarios))
         except (MPCError, InputError):
             return None
-        kept = self._at(self._reference.name, best.controller, best.design, loop, best.limits)
+        kept = self._at(method.name, best.controller, best.design, loop, best.limits)
         if kept is None or best.limits is None:
             return kept
         return self._nearer(kept, best.history.design[np.nanargmax(best.history.model_return)], loop, best.limits)
@@ -194,7 +196,8 @@ class Settling:
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
     ) -> Baseline | None:  # fmt: skip
         """Baseline of a controller at another design, which it names."""
-        return self._baseline(f"{name}, at {self.problem.design.describe(design)}", controller, design, loop, limits)
+        place = self.problem.design.describe(design)
+        return self._baseline(f"{name}{self._behind}, at {place}", controller, design, loop, limits)
 
     def _baseline(
         self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None,

@@ -15,6 +15,7 @@ FEW_ROWS = 192  # Up to so many rows CasADi's machine is the faster one; they ar
 COMPILED_ROWS = 500  # Up to so many rows compiled loops are faster than arrays.
 COMPILED_FROM = 3_000_000  # From so many samples of runs on, a step earns the seconds that compiling it takes.
 KEPT_SIZES = 16  # A function is held ready for so many numbers of rows.
+EVENT_ROUNDS = 100  # An FMU may update its discrete states so many times before its first step.
 
 # --- jumps of the dynamics --------------------------------------------------------------------------------------------
 JUMP_LINES = 64  # Each size has so many lines; within limits they are a multiple of it.

@@ -21,6 +21,7 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_instance, as_positive, nearest, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.black_box import BlackBox
+from ccdtools.plants.budgets import EVENT_ROUNDS
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 
 
@@ -30,8 +31,8 @@ def from_fmu(
 ) -> BlackBox:  # fmt: skip
     """Plant of an FMU for model exchange (FMI 2.0), from any state.
 
-    Its derivatives are integrated by Runge–Kutta steps with inputs held; state events are not located. FMPy
-    (``pip install "ccdtools[fmu]"``) loads it.
+    Its derivatives are integrated by Runge–Kutta steps with inputs held; its time stands at 0, and state events are not
+    located. FMPy (``pip install "ccdtools[fmu]"``) loads it.
 
     Parameters
     ----------
@@ -40,9 +41,9 @@ def from_fmu(
     dt : float
         Sampling time [s].
     inputs, disturbances : sequence of str, optional
-        Inputs of the FMU that are u and w; by default all that are not disturbances are u.
+        Real inputs of the FMU that are u and w; by default all that are not disturbances are u.
     design : DesignSpace
-        Its names are those of parameters of the FMU.
+        Its names are those of real parameters of the FMU.
     substeps : int
         Runge–Kutta steps a sample.
 
@@ -65,9 +66,8 @@ def from_fmu(
     as_instance("design", design, DesignSpace, "a DesignSpace")
     described = _described(where)
     known = {v.name: v for v in described.modelVariables}
-    of_kind = {
-        kind: [v.name for v in described.modelVariables if v.causality == kind] for kind in ("input", "parameter")
-    }
+    real = [v for v in described.modelVariables if v.type == "Real"]
+    of_kind = {kind: [v.name for v in real if v.causality == kind] for kind in ("input", "parameter")}
     for argument, names in (("inputs", () if inputs is None else inputs), ("disturbances", disturbances)):
         if not isinstance(names, list | tuple):
             raise InputError(argument, shown(names), "a list of names")
@@ -77,15 +77,14 @@ def from_fmu(
     ):  # fmt: skip
         unknown = next((name for name in names if name not in of_kind[kind]), None)
         if unknown is not None:
-            among = ", ".join(of_kind[kind]) or "none"
-            raise InputError(argument, shown(unknown), f"{kind}s of the FMU: {among}", nearest(unknown, of_kind[kind]))
+            expected = f"real {kind}s of the FMU: {', '.join(of_kind[kind]) or 'none'}"
+            raise InputError(argument, shown(unknown), expected, nearest(unknown, of_kind[kind]))
     if len({*given, *disturbances}) < len(given) + len(disturbances):
         raise InputError("inputs", f"{given} beside disturbances {list(disturbances)}", "each input of the FMU once")
     references = tuple(tuple(known[name].valueReference for name in names) for names in
                        (given, disturbances, design.names))  # fmt: skip
     step = FmuStep(where, as_positive("dt", dt, unit="s"), as_count("substeps", substeps), references)
-    x, u, w = (np.zeros(n) for n in (step.nx, len(given), len(disturbances)))
-    step.derivatives(x, u, w, design.project(design.centre))  # what does not load is told here
+    step.at(design.project(design.centre))  # what does not load is told here
     return BlackBox(step, nx=step.nx, nu=len(given), nw=len(disturbances), dt=step.dt, design=design)
 
 
@@ -134,27 +133,42 @@ class FmuStep:
             raise InputError("path", got, f"one with a binary for {fmpy.platform}") from error
         return model, {}
 
-    def derivatives(self, x: Array, u: Array, w: Array, p: Array) -> Array:
-        """dx/dt (nx,)."""
+    def at(self, p: Array) -> Any:
+        """The FMU at a design, begun anew where it stands at another or has stopped."""
         model, stands = self._loaded
-        if "p" not in stands or not np.array_equal(stands["p"], p):
-            if "p" in stands:
+        if np.array_equal(stands.get("p"), p):
+            return model
+        try:
+            if stands:
                 model.reset()
+            stands["p"] = None
             model.setupExperiment(startTime=0.0)
             if len(p):
                 model.setReal(self.references[2], p.tolist())
             model.enterInitializationMode()
             model.exitInitializationMode()
-            while model.newDiscreteStates()[0]:
-                pass
+            if all(model.newDiscreteStates()[0] for _ in range(EVENT_ROUNDS)):
+                raise RuntimeError(f"its events go on after {EVENT_ROUNDS} rounds")
             model.enterContinuousTimeMode()
-            stands["p"] = p.copy()
-        for references, values in zip(self.references, (u, w)):
-            if references:
-                model.setReal(references, values.tolist())
+        except Exception as error:
+            got = f"{p.tolist()}, at which the FMU does not begin: {' '.join(str(error).split())[:120]}"
+            raise InputError("design", got, "one that it accepts") from error
+        stands["p"] = p.copy()
+        return model
+
+    def derivatives(self, x: Array, u: Array, w: Array, p: Array) -> Array:
+        """dx/dt (nx,)."""
+        model = self.at(p)
         state, rate = np.array(x, dtype=float), np.empty(self.nx)
-        model.fmi2SetContinuousStates(model.component, _pointer(state), self.nx)
-        model.fmi2GetDerivatives(model.component, _pointer(rate), self.nx)
+        try:
+            for references, values in zip(self.references, (u, w)):
+                if references:
+                    model.setReal(references, values.tolist())
+            model.fmi2SetContinuousStates(model.component, _pointer(state), self.nx)
+            model.fmi2GetDerivatives(model.component, _pointer(rate), self.nx)
+        except Exception:
+            self._loaded[1]["p"] = None  # what has stopped begins anew
+            raise
         return rate
 
     def __call__(self, x: Array, u: Array, w: Array, p: Array) -> Array:
@@ -181,8 +195,9 @@ def _described(path: Path) -> Any:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError("path", f"{path}, which cannot be read: {reason[:120]}", "an .fmu file") from error
     if not described.fmiVersion.startswith("2.") or described.modelExchange is None:
-        kind = "model exchange" if described.modelExchange is not None else "co-simulation alone"
-        cure = "A co-simulation goes on from where it stands; a BlackBox steps from any state."
+        alone = described.modelExchange is None
+        kind = "co-simulation alone" if alone else "model exchange"
+        cure = "A co-simulation goes on from where it stands; a BlackBox steps from any state." if alone else ""
         raise InputError("path", f"FMI {described.fmiVersion} for {kind}", "FMI 2.0 for model exchange", cure)
     if not described.derivatives:
         raise InputError("path", "an FMU without a continuous state", "at least one")

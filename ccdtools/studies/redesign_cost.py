@@ -17,7 +17,6 @@ from ccdtools.studies.budgets import LONGEST_LOG
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools_ground.outcome import Outcome
 
-FAR = 38.0  # Beyond so many standard deviations a normal density is zero.
 NORMAL_95 = float(stats.norm.ppf(0.975))  # Half a 95 % interval, in standard deviations.
 
 
@@ -194,6 +193,6 @@ def _preposterior(mean: float, error: float, noise: float, terms: RedesignCost, 
     excess = mean * left - terms.cost
     spread = left * moves
     with np.errstate(divide="ignore", invalid="ignore"):
-        beyond = np.clip(np.nan_to_num(excess / spread), -FAR, FAR)
+        beyond = np.nan_to_num(excess / spread, posinf=np.inf, neginf=-np.inf)
     worth: Array = excess * stats.norm.cdf(beyond) + spread * stats.norm.pdf(beyond)
     return worth - terms.logging * logs - NOT_WORSE * terms.cost

@@ -66,6 +66,7 @@ def returned(problem, policy, seed):
     return run.returns(problem.objective).mean()
 
 
+@pytest.mark.check
 def test_a_sweep_in_processes_gives_what_a_loop_gives(illustrative, clone):
     problem, policy = illustrative.problem(), cc.LearnedPolicy(clone(illustrative), P)
     jobs = [(problem, policy, seed) for seed in range(3)]

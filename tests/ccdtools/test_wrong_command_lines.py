@@ -35,6 +35,15 @@ FILES = {
     "speed.csv": "time,speed\n" + "".join(f"{i},30\n" for i in range(100)),
     "reverse.csv": "time,speed\n0,30\n1,-30\n",
     "blink.csv": "time,speed\n0,30\n0.01,30\n",
+    "no.toml": "quick = true\n",
+    "key.toml": 'study = "suspension"\nsede = [0, 1]\n',
+    "twice.toml": 'study = "suspension"\nseed = [0, 0]\n',
+    "none.toml": 'study = "suspension"\nseed = []\n',
+    "value.toml": 'study = "suspension"\npreset = ["default", "fast"]\n',
+    "kind.toml": 'study = "suspension"\nseed = "zero"\n',
+    "other.toml": 'study = ["suspension", 3]\n',
+    "study.toml": 'study = "unheard-of"\n',
+    "broken.toml": "study = \n",
     "afar.csv": "time,speed\n0,100\n100000,100\n",
 }
 
@@ -52,10 +61,23 @@ WRONG = [
     (["run", "empty.py"], "empty.py, which declares no `study`"),
     (["run", "suspension", "illustrative"], "arguments: got illustrative besides"),
     (["run", "../suspension"], "study: got '../suspension'"),
+    # What is swept
+    (["sweep"], "file: got nothing"),
+    (["sweep", "absent.toml"], "absent.toml: No such file or directory, expected a TOML file with options"),
+    (["sweep", "broken.toml"], "file: got broken.toml: Invalid value (at line 1"),
+    (["sweep", "no.toml"], 'file: got no study, expected a line such as study = "suspension"'),
+    (["sweep", "key.toml"], "file: got the key 'sede', expected one of study, generations, seed,"),
+    (["sweep", "twice.toml"], "file: got values that repeat, expected different ones of every option"),
+    (["sweep", "none.toml"], "file: got seed = [], expected at least one value"),
+    (["sweep", "value.toml"], "--preset: got 'fast', expected one of default, paper"),
+    (["sweep", "kind.toml"], "--seed: got 'zero'"),
+    (["sweep", "other.toml"], "file: got study = 3, expected text"),
+    (["sweep", "study.toml"], "study: got 'unheard-of'"),
     # Commands and options that do not exist
     (
         ["rum", "suspension"],
-        "command: got 'rum', expected run, resume, codesign, reproduce, export, new or studies. Did you mean run?",
+        "command: got 'rum', expected run, resume, sweep, codesign, reproduce, export, new or studies. Did you mean "
+        "run?",
     ),
     (["Run", "suspension"], "command: got 'Run'"),
     (["suspension"], "command: got 'suspension'"),

@@ -95,6 +95,11 @@ class Learned:
     ) -> LearnedCoDesign:
         """Best design and policy from a feasible design (np,)."""
         known = problem
+        if known.hidden:
+            expected = "the problem with a measurement that it was made of"
+            raise InputError("problem", "one whose states are outputs and inputs", expected, "Learned(history=m).")
+        if self.judge is not None and not known.measurement is self.judge.measurement is None:
+            raise InputError("judge", "a problem to score by, beside a measurement", "nothing")
         if known.measurement is not None:
             from ccdtools.co_design.output_history import history_problem
 
@@ -102,7 +107,7 @@ class Learned:
         config: Any = self.config
         work = config.iterations * config.pathwise_runs * problem.steps
         problem = replace(problem, model=for_long_work(problem.model, work))
-        judge = problem if self.judge is None or known.measurement is not None else self.judge
+        judge = problem if self.judge is None else self.judge
         check_followed(problem.risk, self.by, config.design_gradient)
         _check_judge(problem, judge)
         _check_objective(problem)
@@ -115,7 +120,7 @@ class Learned:
             warn_of_unavoidable_depth(judge, design)
         task = Task(problem, judge, self.by, config, limits)
         at("landscape of saturated LQR")
-        found = chosen_valleys(replace(task, problem=replace(known, measurement=None)), design, rng)
+        found = chosen_valleys(replace(task, problem=known), design, rng)
         agents = [agent]
         if self.agent is not None and (task.pathwise or task.ppo) and not problem.hidden:
             agents += [first()] if _spoilt(judge, agent, design, rng) else []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,7 @@ class LqgCost(RiccatiCost):
     words = "LQG without saturation, by two Riccati equations"
 
     def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
-        """Cost and slope (np,) at a point (np,); infinite without LQR or filter."""
+        """Cost and slope (np,) at a point (np,); infinite without LQR, or beyond all numbers."""
         value = self._value(v)[0]
         self.remember(self.problem.design.from_unit(v), -value)
         return value, lambda: self.differences(v, self._value, 1)[0]
@@ -35,10 +36,10 @@ class LqgCost(RiccatiCost):
     def _value(self, v: Array) -> Array:
         """Cost (1,) at a point."""
         p = self.problem.design.from_unit(v)
-        try:
-            return np.array([self._of_loop(p) + self._at_rest(p)[0]])
-        except NotStabilisableError:  # of a filter, too
-            return np.array([np.inf])
+        with suppress(NotStabilisableError), np.errstate(all="ignore"):
+            value = self._of_loop(p) + self._at_rest(p)[0]
+            return np.array([value if np.isfinite(value) else np.inf])
+        return np.array([np.inf])
 
     def _of_loop(self, p: Array) -> float:
         """Expected cost of the steps of an episode.
@@ -49,11 +50,13 @@ class LqgCost(RiccatiCost):
         A, B, E = problem.model.matrices(p)
         K, known = saturated_lqr(problem, p).K, kalman_filter(problem, p)
         C, V, P = known.C, known.V, known.P0
-        mean, starts, noise = problem.moments
+        mean, _, noise = problem.moments
+        about = np.outer(mean, mean)
+        starts = P + about
         eye, none = np.eye(nx), np.zeros((nx, nx))
         plant, moved = np.block([[A, none], [none, none]]), np.vstack([-B @ K, A - B @ K])
         driven = np.block([[E @ noise @ E.T, none], [none, none]])
-        S = np.block([[starts, np.outer(mean, mean)], [np.outer(mean, mean)] * 2])
+        S = np.block([[starts, about], [about, about]])
         total = np.zeros((nx + len(K), nx + len(K)))  # of (x, u), summed over the steps
         for _ in range(problem.steps):
             M = gain_of(P, C, V)
@@ -68,6 +71,10 @@ class LqgCost(RiccatiCost):
         Q, R, cross = problem.weights(p)
         cost = np.sum(Q * total[:nx, :nx]) + np.sum(R * total[nx:, nx:])
         cost += 0.0 if cross is None else 2 * np.sum(cross * total[:nx, nx:])
+        after = S[:nx, :nx]
         if isinstance(problem.objective, QuadraticObjective):  # judges the states after the steps
-            cost += np.sum(Q * (S[:nx, :nx] - starts))
+            cost += np.sum(Q * (after - starts))
+        terminal = getattr(problem.objective, "terminal_cost", None)
+        if terminal is not None:
+            cost += np.sum(np.asarray(terminal.hessian(nx, len(p))(p)) / 2 * after)
         return float(cost)

@@ -171,7 +171,8 @@ class Nested:
             from ccdtools.co_design.methods.learned import warm_start
             from ccdtools.co_design.methods.learned_cost import LearnedCost
 
-            agent = warm_start(problem, rng, progress=progress) if self.agent is None else self.agent
-            return lambda v: LearnedCost(problem, agent, scenarios, rng, self.by)
+            known = replace(problem, measurement=None)  # a policy of the state, as LQR is
+            agent = warm_start(known, rng, progress=progress) if self.agent is None else self.agent
+            return lambda v: LearnedCost(known, agent, scenarios, rng, self.by)
         law = LQR if self.inner == "lqr" else mpc_law(self.horizon, nonlinear=self.inner == "nmpc")
         return lambda v: LoopCost(problem, law, scenarios)

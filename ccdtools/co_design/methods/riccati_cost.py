@@ -60,7 +60,8 @@ class RiccatiCost(DesignCost):
         except NotStabilisableError:
             return np.inf, lambda: np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
-        _, starts, noise = problem.moments
+        mean, covariance, noise = problem.moments
+        starts = covariance + np.outer(mean, mean)
         spread = starts + problem.steps * (E @ noise @ E.T)
         objective = problem.objective  # of the first states, next-state rewards count nothing
         first = float(np.sum(objective.Q * starts)) if isinstance(objective, QuadraticObjective) else 0.0

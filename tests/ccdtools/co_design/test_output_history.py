@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -22,7 +24,7 @@ from ccdtools import (
     codesign,
     discretise,
 )
-from ccdtools.co_design import history_problem
+from ccdtools.co_design import history_problem, previewed_problem
 from ccdtools.controllers import History
 
 M = 6
@@ -99,6 +101,53 @@ def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it():
 def test_sensors_that_no_history_can_be_made_of_are_refused(measurement, words):
     with pytest.raises(InputError, match=words):
         history_problem(stated(lambda x, u, p, f: [x[0]], measurement), M)
+
+
+@pytest.mark.check
+def test_the_first_policy_of_outputs_is_the_same_in_any_unit():
+    def own(unit):
+        """Return of the first policy, with lengths in this unit."""
+        x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+        force = p[0] * x[0] / unit + p[1] * x[1] / unit
+        box = DesignSpace(["k", "c"], [0.5, 0.1], [3.0, 2.0])
+        plant = Plant(x, u, w, p, [x[1], unit * (u + w - force)], box, dt=0.1, outputs=[x[0]])
+        room = np.array([20.0, 20.0]) * unit
+        problem = CoDesignProblem(
+            discretise(plant), X=(-room, room), U=(-3, 3), steps=20, limit_tolerance="off",
+            objective=QuadraticObjective(np.diag([1, 0.1]) / unit**2, [[0.1]]),
+            scenarios=FixedStart([unit, 0.3 * unit], Gaussian([1.0])),
+            measurement=Measurement(plant, noise=[0.1 * unit]),
+        )  # fmt: skip
+        config = CoDesignConfig(
+            iterations=1, starts=1, pathwise_runs=8, evaluation_runs=64, design_rate=0, policy_rate=0
+        )
+        method = Learned(history=2, config=config)
+        return codesign(problem, method=method, rng=np.random.default_rng(0)).closed_loop.summary.mean
+
+    assert own(1e-9) == pytest.approx(own(1.0), rel=1e-3)
+
+
+def test_what_no_history_can_be_learned_from_is_told():
+    problem = stated(lambda x, u, p, f: [x[0]])
+    given = {"rng": np.random.default_rng(0)}
+    for one, judge in ((problem, problem), (replace(problem, measurement=None), problem)):
+        with pytest.raises(InputError, match="judge"):
+            codesign(one, method=Learned(judge=judge), **given)
+    with pytest.raises(InputError, match="outputs and inputs"):
+        codesign(history_problem(problem, 2), method=Learned(), **given)
+    with pytest.raises(InputError, match="not 0 at rest"):
+        history_problem(stated(lambda x, u, p, f: [x[0] + p[0]]), 2)
+    with pytest.raises(InputError, match="problem: got 3"):
+        history_problem(3, 2)
+    with pytest.raises(InputError, match="measurement"):
+        previewed_problem(problem, 3)
+
+
+@pytest.mark.check
+def test_a_policy_of_the_state_is_trained_at_every_design_where_the_state_is_measured():
+    problem = stated(lambda x, u, p, f: [x[0]], steps=10)
+    found = codesign(problem, method=Nested("rl", evaluations=1, runs=8), rng=np.random.default_rng(0))
+    assert found.controller.needs == {"output", "last_input"}
 
 
 def test_a_history_asks_for_a_measurement_and_a_length():

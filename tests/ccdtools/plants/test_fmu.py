@@ -34,11 +34,16 @@ CASES = Path(__file__).parents[2] / "cases"
 BOX = DesignSpace(["m", "c"], [0.5, 0.05], [2.0, 0.5], ["kg", "N·m·s"])
 
 
-def packed(folder: Path, description: str | None = None, *, binary: bool = True) -> Path:
-    """FMU in a folder."""
+def packed(folder: Path, description: str | None = None, *, binary: bool = True, changed=()) -> Path:
+    """FMU in a folder, of the source with some of its text changed."""
     library, path = folder / "pendulum.so", folder / "pendulum.fmu"
     if binary:
-        source = str(CASES / "pendulum_fmu.c")
+        text = (CASES / "pendulum_fmu.c").read_text(encoding="utf-8")
+        for before, after in changed:
+            assert before in text
+            text = text.replace(before, after)
+        source = str(folder / "pendulum.c")
+        Path(source).write_text(text, encoding="utf-8")
         subprocess.run([CC, "-shared", "-fPIC", "-O1", source, "-o", str(library), "-lm"], check=True)
     with zipfile.ZipFile(path, "w") as archive:
         text = (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8")
@@ -103,6 +108,34 @@ def test_a_step_that_the_fmu_refuses_is_told(path):
 def test_names_that_it_does_not_have_are_refused(path, given, words):
     with pytest.raises(InputError, match=words):
         from_fmu(path, **({"dt": 0.05} | given))
+
+
+def test_an_fmu_that_stopped_begins_anew_and_need_not_answer_at_zero(tmp_path):
+    stopped = "if (stopped || v[OMEGA] > 1e3 || v[PHI] == 0) { stopped = 1; return ERROR; }"
+    changed = [
+        ("if (n != 2 || v[OMEGA] > 1e3) return ERROR;", stopped),
+        ("EXPORT int fmi2Reset(component c) {", "EXPORT int fmi2Reset(component c) { stopped = 0;"),
+        ("static void start", "static int stopped = 0;\nstatic void start"),
+    ]
+    plant = from_fmu(packed(tmp_path, changed=changed), dt=0.05, disturbances=["push"], design=BOX)
+    given = [1.0, 0.0], [0.0], [0.0], [1.0, 0.1]
+    before = plant.step(*given)
+    with pytest.raises(InputError, match="advance"):
+        plant.step([1.0, 2e3], *given[1:])
+    np.testing.assert_array_equal(plant.step(*given), before)
+
+
+def test_an_fmu_that_does_not_begin_and_variables_that_are_not_real_are_refused(tmp_path):
+    begins = "int fmi2ExitInitializationMode(component c) { (void)c; return "
+    with pytest.raises(InputError, match="does not begin"):
+        from_fmu(packed(tmp_path, changed=[(f"{begins}OK", f"{begins}ERROR")]), dt=0.05)
+    chatter = "memset(e, 0, sizeof *e);"
+    with pytest.raises(InputError, match="events go on"):
+        from_fmu(packed(tmp_path, changed=[(chatter, f"{chatter} e->needed = 1;")]), dt=0.05)
+    text = (CASES / "pendulum_fmu.xml").read_text(encoding="utf-8")
+    whole = packed(tmp_path, text.replace('<Real start="1"/>', '<Integer start="1"/>'))
+    with pytest.raises(InputError, match="real parameters of the FMU: c"):
+        from_fmu(whole, dt=0.05, design=BOX)
 
 
 def test_files_that_are_no_such_fmu_are_refused(tmp_path):

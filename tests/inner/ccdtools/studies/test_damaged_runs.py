@@ -22,6 +22,9 @@ from ccdtools.studies.preparation import differences
 COMMAND = [sys.executable, tiny_command.__file__]
 
 
+pytestmark = pytest.mark.check
+
+
 @pytest.fixture(scope="module")
 def whole(stored):
     """A folder with a study and its finished run, which all processes share."""
