@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_instance
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.checks import shown
 from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import needs_of
 from ccdtools.estimation.kalman import KalmanFilter
@@ -16,8 +15,8 @@ from ccdtools.estimation.tolerances import DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
 
 
-def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
-    """Kalman filter of a problem's sensors at a design.
+def kalman_filter(problem: Any, design: ArrayLike) -> KalmanFilter:
+    """Kalman filter of a `CoDesignProblem`'s sensors at a design.
 
     Model and outputs are linearised at rest; the disturbance counts as white noise of its second moment.
 
@@ -26,9 +25,9 @@ def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
     InputError
         If the problem has no `measurement`, or its noise leaves an output exact.
     """
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    if problem.measurement is None:
-        raise InputError("problem", "one without a measurement", "CoDesignProblem(measurement=Measurement(…))")
+    if getattr(problem, "measurement", None) is None:
+        got = "one without a measurement" if hasattr(problem, "measurement") else shown(problem)
+        raise InputError("problem", got, "CoDesignProblem(measurement=Measurement(…))")
     p = problem.design.check_one(design)
     A, B, E = problem.model.matrices(p)
     nx, nu = problem.model.nx, problem.model.nu
@@ -44,7 +43,7 @@ def kalman_filter(problem: CoDesignProblem, design: ArrayLike) -> KalmanFilter:
     return KalmanFilter(A, B, C, E @ noise @ E.T, V, D=D, y0=output.of(rest, still)[0], steady=False, x0=mean, P0=P0)
 
 
-def observed(problem: CoDesignProblem, controller: Any, design: ArrayLike) -> Any:
+def observed(problem: Any, controller: Any, design: ArrayLike) -> Any:
     """Controller of outputs, or of the estimate."""
     if "output" in needs_of(controller):
         return controller

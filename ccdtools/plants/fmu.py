@@ -136,7 +136,8 @@ class FmuStep:
     def at(self, p: Array) -> Any:
         """The FMU at a design, begun anew where it stands at another or has stopped."""
         model, stands = self._loaded
-        if np.array_equal(stands.get("p"), p):
+        stood: Any = stands.get("p")
+        if np.array_equal(stood, p):
             return model
         try:
             if stands:
