@@ -206,7 +206,8 @@ def has_cases(scenarios: Any) -> bool:
 def cases_of(scenarios: Any) -> int:
     """Number of runs after which cases of scenarios come again."""
     parts = (scenarios, getattr(scenarios, "disturbance", None), getattr(scenarios, "x0", None))
-    return math.lcm(*map(cases_in, parts))
+    own = getattr(scenarios, "own", None)  # of those that hold others
+    return math.lcm(*map(cases_in, parts), 1 if own is None else cases_of(own))
 
 
 def of_logged_runs(risk: Risk) -> Risk:

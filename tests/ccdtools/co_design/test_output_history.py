@@ -21,11 +21,13 @@ from ccdtools import (
     Plant,
     QuadraticObjective,
     Scenario,
+    WorstCase,
     codesign,
     discretise,
 )
 from ccdtools.co_design import history_problem, previewed_problem
 from ccdtools.controllers import History
+from ccdtools.disturbances import Cases
 
 M = 6
 
@@ -156,3 +158,12 @@ def test_a_history_asks_for_a_measurement_and_a_length():
         history_problem(problem, 0)
     with pytest.raises(InputError, match="measurement"):
         history_problem(history_problem(problem, 2), 2)
+
+
+def test_a_worst_case_keeps_its_cases_where_policies_see_outputs():
+    cases = FixedStart([1.0, 0.0], Cases.of([-0.2, 0.2]))
+    problem = stated(lambda x, u, p, f: [x[0]], scenarios=cases, risk=WorstCase())
+    longer = history_problem(problem, 2)
+    w = longer.scenarios.sample(6, 80, np.random.default_rng(0))[1]
+    assert longer.risk.cases == 2
+    np.testing.assert_allclose(w[:, :, 0], np.tile([[-0.2], [0.2]], (3, 80)), atol=1e-12)
