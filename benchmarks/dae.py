@@ -226,9 +226,9 @@ def whole() -> None:
     for name, (phase, one_of) in relaxed().items():
         best = refine(phase, Radau(3), intervals=40)
         for intervals in (50, 200, 800, 3200):
-            found = round_inputs(best, intervals=intervals, one_of=one_of)
-            costs = f"{best.cost:.6f} | {found.cost:.6f}"
-            told = f"{found.gap:.2g} | {found.bound:.2g} | {found.status.name}"
+            rounded, held = round_inputs(solve(build(phase, Radau(3), intervals), start=best), one_of=one_of)
+            costs = f"{best.cost:.6f} | {held.cost:.6f}"
+            told = f"{rounded.gap:.2g} | {rounded.bound:.2g} | {held.status.name}"
             print(f"| {name} | {intervals} | {costs} | {told} |", flush=True)
 
 

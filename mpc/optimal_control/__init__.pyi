@@ -22,8 +22,6 @@ from mpc.optimal_control.solving import solve as solve
 from mpc.optimal_control.transcription import build as build
 from mpc.optimal_control.whole_inputs import (
     Rounded as Rounded,
-    RoundedSolution as RoundedSolution,
-    RoundingStatus as RoundingStatus,
     round_inputs as round_inputs,
     sum_up_rounding as sum_up_rounding,
 )
