@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from ccdtools_ground.door import brief
 from ccdtools_ground.errors import InputError
 from ccdtools_ground.term_sizes import term_sizes
 from ccdtools_ground.tolerances import NEWTON_STEPS, ROOT_ROUNDINGS, SINGULAR
@@ -29,15 +30,22 @@ def check_index(g: Any, z: Any, guess: Any) -> None:
     alone = np.flatnonzero(maximum_bipartite_matching(pattern, perm_type="column") < 0)
     if len(alone):
         row = int(alone[0])
-        what = f"which has no z{' of its own' * bool(pattern[row].nnz)}"
+        stated = f"{brief(str(g[row]))} = 0, " * isinstance(g, ca.SX)
+        what = f"{stated}which has no z{' of its own' * bool(pattern[row].nnz)}"
         cure = "It is a hidden constraint: put its derivative by time, with the dynamics in it, in its place, and so on"
         cure = f"{cure} until z appears; the start must keep what was differentiated."
         raise InputError("algebraic", f"index > 1, by equation {row + 1}, {what}", INDEX_ONE, cure)
     if isinstance(J, ca.SX):
-        J = ca.densify(ca.substitute(J, z, ca.SX(guess)))
-        known = ca.symvar(J)
+        g, J = (ca.densify(ca.substitute(value, z, ca.SX(guess))) for value in (g, J))
+        known = ca.symvar(ca.horzcat(g, J))
+        at = ca.Function("at", [ca.vertcat(*known)], [g, J])
+        numbers = [
+            at.instruction_constant(k) for k in range(at.n_instructions()) if at.instruction_id(k) == ca.OP_CONST
+        ]
+        if not np.isfinite(numbers).all():
+            raise InputError("z_guess", brief(str(guess)), "one at which the equations and ∂g/∂z are finite")
         generic = np.random.default_rng(0).uniform(0.5, 1.5, len(known))
-        _check_regular(np.asarray(ca.Function("J", [ca.vertcat(*known)], [J])(generic), dtype=float))
+        _check_regular(np.asarray(at(generic)[1], dtype=float))
 
 
 def _check_regular(J: np.ndarray) -> None:

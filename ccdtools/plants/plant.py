@@ -118,6 +118,7 @@ class Plant(Symbolic):
         known = {"x": self.x, "u": self.u, "w": self.w, "p": self.p}
         g, guess = as_expression("algebraic", algebraic), as_expression("z_guess", guess)
         check_known("algebraic", g, **known, z=z)
+        check_numbers("algebraic", g)
         check_known("z_guess", guess, **known)
         check_numbers("z_guess", guess)
         guess = ca.SX.ones(z.shape) * guess if guess.numel() == 1 else guess

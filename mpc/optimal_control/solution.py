@@ -226,6 +226,9 @@ class Solution:
 
     def z(self, t: ArrayLike) -> Array:
         """Algebraic variables (..., nz) at times (...), of their phase."""
+        if not any(phase.part.phase.algebraics for phase in self.phases):
+            cure = "By shooting and in discrete phases z is an expression of x and u: evaluate your equations there."
+            raise InputError("z", "a solution without unknown z", "one of algebraic equations by collocation", cure)
         return self._of_phases("z", t)
 
     def costate(self, t: ArrayLike) -> Array:

@@ -119,10 +119,20 @@ def test_nonlinear_mpc_holds_a_pendulum_upright_by_its_rod():
     ({"algebraic": None}, "'z'"),
     ({"algebraic": lambda x, z: ca.vertcat(z[0], z[0])}, "2 equations"),
     ({"algebraic": lambda x, z: z[0] ** 2 - x[0] * 0, "z_guess": 0.0}, "singular at `z_guess`"),
-    ({"z_guess": [1.0, 2.0]}, "z_guess"),
+    ({"z_guess": [1.0, 2.0]}, "z_guess"), ({"z_guess": None}, "z_guess"),
     ({"z_guess": np.nan}, "z_guess"),
-    ({"algebraics": -1}, "algebraics"),
+    ({"algebraics": -1}, "algebraics"), ({"algebraics": 2}, "1 equations"),
+    ({"algebraic": lambda x, z: ca.log(z[0]) - x[0], "z_guess": -1.0}, "z_guess"),
+    ({"algebraic": lambda x, z: 0.0}, "equation 1, 0 = 0"),
+    ({"terminal_cost": lambda x, z: z[0]}, "terminal_cost"), ({"boundary": lambda x, z: z[0]}, "boundary"),
 ])  # fmt: skip
 def test_wrong_algebraic_statements_are_named(changes, said):
     with pytest.raises(InputError, match=said):
         build(swing(**changes), Radau(3), 5)
+
+
+def test_where_z_is_no_unknown_it_is_not_returned():
+    short = swing(duration=0.5, end=None, guess=None)
+    for found in (solve(build(short, MultipleShooting(), 5)), solve(build(by_angle(), Radau(3), 5))):
+        with pytest.raises(InputError, match="without unknown z"):
+            found.z(0.1)
