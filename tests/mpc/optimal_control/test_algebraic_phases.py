@@ -121,7 +121,7 @@ def test_nonlinear_mpc_holds_a_pendulum_upright_by_its_rod():
     ({"algebraic": lambda x, z: z[0] ** 2 - x[0] * 0, "z_guess": 0.0}, "singular at `z_guess`"),
     ({"z_guess": [1.0, 2.0]}, "z_guess"), ({"z_guess": None}, "z_guess"),
     ({"z_guess": np.nan}, "z_guess"),
-    ({"algebraics": -1}, "algebraics"), ({"algebraics": 2}, "1 equations"),
+    ({"algebraics": -1}, "algebraics"), ({"algebraics": 2, "z_guess": 1.0}, "1 equations"),
     ({"algebraic": lambda x, z: ca.log(z[0]) - x[0], "z_guess": -1.0}, "z_guess"),
     ({"algebraic": lambda x, z: 0.0}, "equation 1, 0 = 0"),
     ({"terminal_cost": lambda x, z: z[0]}, "terminal_cost"), ({"boundary": lambda x, z: z[0]}, "boundary"),
