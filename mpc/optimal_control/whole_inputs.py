@@ -82,10 +82,9 @@ def round_inputs(solution: Solution, *, inputs: Sequence[int] | None = None, one
     if not np.array_equal(bounds, np.round(bounds)):
         raise InputError("inputs", own, f"places of inputs with whole bounds, each once, below {len(free)}")
     lower, upper, points = program.lower.copy(), program.upper.copy(), len(part.layout.held)
-    weights = part.scheme.matrix[-1] if points > 1 else np.ones(1)  # of quadrature
+    weights = part.scheme.matrix[-1] if points > 1 else np.ones(1)  # type: ignore[union-attr]  # shooting has 1 point
     relaxed = np.einsum("g,kgi->ki", weights, found.stages.inputs[:, :, own])
     rounded = sum_up_rounding(relaxed, np.diff(found.times), one_of=one_of)
-    for number, column in zip(own, rounded.inputs.T):
-        places = part.first + np.flatnonzero(part.coordinates[0] == part.layout.nx + number)
-        lower[places] = upper[places] = np.repeat(column, points)
+    places = part.first + np.array([np.flatnonzero(part.coordinates[0] == part.layout.nx + i) for i in own]).T
+    lower[places] = upper[places] = np.repeat(rounded.inputs, points, axis=0)
     return rounded, solve(replace(program, lower=lower, upper=upper), start=solution, **options)
