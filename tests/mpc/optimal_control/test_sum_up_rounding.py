@@ -46,10 +46,10 @@ def test_exactly_one_is_on_and_the_bound_is_kept(m):
     rng = np.random.default_rng(10 + m)
     for _ in range(50):
         n = int(rng.integers(1, 80))
-        relaxed, durations = rng.dirichlet(np.full(m, 0.3), n), np.full(n, 0.5)
+        relaxed, durations = rng.dirichlet(np.full(m, 0.3), n), rng.uniform(0.01, 1.0, n)
         found = sum_up_rounding(relaxed, durations, one_of=True)
         np.testing.assert_array_equal(found.inputs.sum(axis=1), np.ones(n))
-        assert gap_of(relaxed, found.inputs, durations) <= found.bound
+        assert gap_of(relaxed, found.inputs, durations) <= found.bound == pytest.approx((m - 1) * durations.max())
 
 
 def test_unequal_intervals_keep_the_bound():
