@@ -31,7 +31,9 @@ _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD an
 def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """Read-only float64 copy of `value`; None in `shape` matches any length."""
     array = as_floats(name, value)
-    if array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape)):
+    if array.shape != shape and (
+        array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape))
+    ):
         expected = (
             "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
         )

@@ -173,7 +173,8 @@ def spread_signals(problem: MPCProblem, signals: dict[str, ArrayLike | None]) ->
             raise InputError(name, f"unknown signal {name!r}", f"some of {sorted(shapes)}")
         rows, n = shapes[name]
         array = as_floats(name, value)
-        given[name] = as_array(name, np.tile(array, (rows, 1)) if array.ndim <= 1 else array, (rows, n)).ravel()
+        held = array.reshape(1, -1).repeat(rows, axis=0) if array.ndim <= 1 else array
+        given[name] = as_array(name, held, (rows, n)).ravel()
     if problem.rate_limit is not None and "u_prev" not in given:
         raise InputError("u_prev", "nothing", "the last input", "The controller has a rate limit: pass u_prev.")
     if problem.rate_limit is None and "u_prev" in given:

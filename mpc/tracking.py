@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, null_space
 
 from mpc.checks import Array, Immutable, as_array, as_count, as_floats
-from mpc.dense_qp import DenseQP, QPResult
+from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.linear_mpc import LinearMPC
 from mpc.plan import Plan
@@ -258,31 +258,36 @@ class SteadyStates:
         self.size = sizes_of(problem)
         # (A - I)x + Bu + push = 0, states and inputs in units of their limits
         self._M = np.hstack([A - np.eye(problem.nx), B]) / problem.state_extent[:, None] * self.size
-        self._particular = np.linalg.pinv(self._M)
+        self._particular = -np.linalg.pinv(self._M)
+        self._residue = np.eye(problem.nx) + self._M @ self._particular
         output = np.hstack([C, np.zeros((len(C), problem.nu))]) * self.size
-        self._unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
-        self._T = output / self._unit
+        unit = max(float(np.linalg.norm(output)), np.finfo(float).tiny)
         W = problem.stage_weight * self.size * self.size[:, None]
-        self._W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(self.size))
-        (HX, self._hX), (HU, self._hU) = problem.state_rows, problem.input_rows
+        W = W / max(float(np.trace(W)), np.finfo(float).tiny) + NEGLIGIBLE * np.eye(len(self.size))
+        self._cost = (output / unit).T @ (output / unit) + TARGET_COST * W
+        self._aim = output.T / unit**2
+        (HX, hX), (HU, hU) = problem.state_rows, problem.input_rows
         self._rows = block_diag(HX, HU) * self.size
+        self._right = np.concatenate([hX, hU])
 
     def nearest(self, push: Array, r: Array) -> Target:
         """Target whose outputs are nearest to r, steady or least drifting."""
         scaled = push / self.problem.state_extent
-        particular = -self._particular @ scaled
-        drift = self._M @ particular + scaled
-        steady = np.abs(drift).max() <= STEADY * max(1.0, np.abs(scaled).max())
+        particular = self._particular @ scaled
+        steady = np.abs(self._residue @ scaled).max() <= STEADY * max(1.0, np.abs(scaled).max())
+        # the particular solution has the least drift, so the drift has no slope there
+        slope = self._cost @ particular - self._aim @ r
+        right = self._right - self._rows @ particular
         basis, qp = self._kept_steady
-        result = None if qp is None else self._solved(qp, basis, particular, r)
+        result = None if qp is None else qp.solve(basis.T @ slope, right, confirm_infeasible=True)
         if result is None or result.infeasible or not steady:
             basis, qp = self._drifting
             steady = False
-            result = self._solved(qp, basis, particular, r)
+            result = qp.solve(slope, right, confirm_infeasible=True)
         point = particular + basis @ result.z
         drift = (self._M @ point + scaled) * self.problem.state_extent
-        state, action = np.split(point * self.size, [self.problem.nx])
-        return Target(state, action, drift, bool(steady))
+        nx = self.problem.nx
+        return Target(point[:nx] * self.size[:nx], point[nx:] * self.size[nx:], drift, bool(steady))
 
     @cached_property
     def _kept_steady(self) -> tuple[Array, DenseQP | None]:
@@ -299,17 +304,8 @@ class SteadyStates:
 
     def _over(self, basis: Array, drift: Array) -> DenseQP:
         """QP over particular + basis z: output error, cost and drift."""
-        full = self._T.T @ self._T + TARGET_COST * self._W + drift
         units = np.concatenate([self.problem.row_units["state"], self.problem.row_units["input"]])
-        return DenseQP(basis.T @ full @ basis, self._rows @ basis, units)
-
-    def _solved(self, qp: DenseQP, basis: Array, particular: Array, r: Array) -> QPResult:
-        """Solution of a QP from `_over`."""
-        T = self._T
-        # the particular solution has the least drift, so the drift has no slope there
-        q = basis.T @ (T.T @ (T @ particular - r / self._unit) + TARGET_COST * self._W @ particular)
-        right = np.concatenate([self._hX, self._hU]) - self._rows @ particular
-        return qp.solve(q, right, confirm_infeasible=True)
+        return DenseQP(basis.T @ (self._cost + drift) @ basis, self._rows @ basis, units)
 
 
 def sizes_of(problem: MPCProblem) -> Array:

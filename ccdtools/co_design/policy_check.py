@@ -46,15 +46,20 @@ class Retuned:
     problem : CoDesignProblem
     policy : LearnedPolicy
     scenarios : tensors (n, nx) and (n, T, nw)
+    precision : torch.dtype
+        That of policy and model; returns are sums in double.
     """
 
-    def __init__(self, problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> None:
-        agent = copy.deepcopy(policy.agent).double()
-        p = torch.tensor(policy.design)
-        self._stepper = Stepper.at(in_double(problem), p)
+    def __init__(
+        self, problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors,
+        precision: torch.dtype = torch.float64,
+    ) -> None:  # fmt: skip
+        agent = copy.deepcopy(policy.agent).to(precision)
+        p = torch.tensor(policy.design, dtype=precision)
+        self._stepper = Stepper.at(in_double(problem) if precision == torch.float64 else problem, p)
         self._latent = latent_law(agent, p)
         self._range = agent.action_range(p)
-        self.scenarios = (scenarios[0].double(), scenarios[1].double())
+        self.scenarios = _in(precision, scenarios)
         self._hidden = problem.hidden
         self.shape = (problem.model.nu, 2 + problem.model.nx - problem.hidden)
         x, latent = self._root_mean_squares()
@@ -82,17 +87,22 @@ class Retuned:
     def on(self, scenarios: ScenarioTensors) -> Retuned:
         """This policy in other scenarios."""
         other = copy.copy(self)
-        other.scenarios = (scenarios[0].double(), scenarios[1].double())
+        other.scenarios = _in(self._unit.dtype, scenarios)
         return other
 
     def _root_mean_squares(self) -> tuple[Tensor, Tensor]:
         """Sizes of visited states (nx,) and latent actions (nu,)."""
-        limit = self._stepper.limit.double()
+        limit = self._stepper.limit
         x, *_ = visited(self._stepper, lambda x: scaled(self._latent(x), self._range), self.scenarios)
         with torch.no_grad():
             found = (x.clamp(-limit, limit)[:, self._hidden :], self._latent(x).clamp(-1.0, 1.0))
         states, latents = (value.square().mean(dim=0).sqrt() for value in found)
         return states, latents
+
+
+def _in(precision: torch.dtype, scenarios: ScenarioTensors) -> ScenarioTensors:
+    """Scenarios in a precision."""
+    return scenarios[0].to(precision), scenarios[1].to(precision)
 
 
 def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors) -> GradientCheck:
@@ -134,18 +144,18 @@ def _check(pathwise: Tensor, by_difference: Tensor, scale: float) -> GradientChe
 def better_by_search(
     problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
 ) -> PairedDifference:
-    """Gain on fresh scenarios of the best policy by search.
+    """Gain on fresh scenarios of the best policy by search, in the precision of training.
 
     None that leaves the limits further, or loses more runs, counts.
     """
-    retuned = Retuned(problem, policy, scenarios)
+    retuned = Retuned(problem, policy, scenarios, torch.float32)
     count = int(np.prod(retuned.shape))
-    nothing = torch.zeros(retuned.shape, dtype=torch.float64)
+    nothing = torch.zeros(retuned.shape)
     most = _left(retuned.episode(nothing, depths=True))
 
     def cost(z: Array) -> float:
         """Cost of a vector; infinite where limits are left further."""
-        seen = retuned.episode(torch.tensor(z.reshape(retuned.shape)), depths=True)
+        seen = retuned.episode(torch.as_tensor(z.reshape(retuned.shape), dtype=torch.float32), depths=True)
         return -float(problem.risk.values(seen.total).mean()) if (_left(seen) <= most).all() else np.inf
 
     gain, offset, law = (RETUNE_STEPS[name] for name in ("gain", "offset", "law"))
@@ -154,7 +164,7 @@ def better_by_search(
     options = {"initial_simplex": simplex, "maxfev": min(10 * count, 60), "adaptive": True}
     found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
     again = retuned.on(fresh)
-    better = again.values(torch.tensor(found.reshape(retuned.shape)))
+    better = again.values(torch.as_tensor(found.reshape(retuned.shape), dtype=torch.float32))
     return paired_difference(better.numpy(), again.values(nothing).numpy())
 
 
