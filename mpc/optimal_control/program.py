@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -285,3 +286,28 @@ def shaken(program: NonlinearProgram, seed: int = 0) -> Array:
         begin, rise = random.uniform(-SHAKEN, SHAKEN, (2, part.layout.nx + part.layout.nu))
         move[part.first : part.last] = begin[of] + rise[of] * fractions
     return np.clip(program.guess + move * program.scale, program.lower, program.upper)
+
+
+def unwound(program: NonlinearProgram, v: Array) -> Array:
+    """Unknowns whose unbounded inputs are as continuous as they can be, if they are angles.
+
+    An input is one, in radians or degrees, if whole turns of it leave cost and rows as they are: it begins within half
+    a turn, and each value is within half a turn of the one before.
+    """
+
+    def values(v: Array) -> Array:
+        """Cost and rows, in their sizes."""
+        f, g = (np.asarray(value, dtype=float).ravel() for value in program.derivatives.values(v))
+        return np.concatenate([f / program.cost_scale, g / program.row_scale])
+
+    for part, turn in product(program.parts, (2 * np.pi, 360.0)):
+        numbers, at = part.coordinates
+        for i in range(part.layout.nx, part.layout.nx + part.layout.nu):
+            own = np.flatnonzero(numbers == i)
+            own = part.first + own[np.argsort(at[own], kind="stable")]
+            if len(own) and not np.isfinite([program.lower[own], program.upper[own]]).any():
+                angle, turned = np.unwrap(v[own], period=turn), v.copy()
+                turned[own] = angle - turn * np.round(angle[0] / turn)
+                if np.abs(values(turned) - values(v)).max() <= np.sqrt(np.finfo(float).eps):
+                    v = turned
+    return v

@@ -209,6 +209,9 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     ask = f"Ask for {_rounded_up(worst):g}{more}."
     if reason.startswith(FINER) or passed:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
+    swinging = max(float(np.diff(one.part.mesh) @ _crossings(one)[1]) for one in solution.phases)
+    if swinging > 0:
+        ask += f" Inputs swing over {swinging:.0%} of the time, as along singular arcs: MultipleShooting() holds them."
     cure = f"This is the optimum on its mesh, but {missed} where {run.tolerance:.1e} was asked for. {ask}"
     status = solution.status if passed else OptimalControlStatus.STOPPED
     return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
@@ -241,14 +244,19 @@ def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: f
 
 
 def _jumps(phase: PhaseSolution) -> Array:
-    """Intervals (N,) within which an input jumps.
+    """Intervals (N,) within which an input jumps, which it does not where it swings."""
+    crossing, swinging = _crossings(phase)
+    return crossing & ~swinging
 
-    Not where it crosses back and forth in neighbours, as inputs do along a singular arc: there is no jump to find.
+
+def _crossings(phase: PhaseSolution) -> tuple[Array, Array]:
+    """Intervals (N,) in which an input crosses much of its range, and those of them with neighbours that do.
+
+    There inputs swing back and forth, as along a singular arc, and there is no jump to find.
     """
     inputs = phase.stages.inputs
     if not inputs.size:
-        return np.zeros(len(inputs), dtype=bool)
+        return (np.zeros(len(inputs), dtype=bool),) * 2
     whole = np.ptp(inputs, axis=(0, 1))
     crossing = (np.ptp(inputs, axis=1) > JUMP_SHARE * np.where(whole > 0, whole, np.inf)).any(axis=1)
-    beside = np.convolve(crossing, [1, 0, 1])[1:-1] > 0
-    return np.asarray(crossing & ~beside)
+    return crossing, crossing & (np.convolve(crossing, [1, 0, 1])[1:-1] > 0)

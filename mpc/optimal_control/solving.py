@@ -21,7 +21,7 @@ from mpc.optimal_control.notes import notes_of, undefined
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken
+from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken, unwound
 from mpc.optimal_control.solution import OptimalControlStatus, Solution
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SIZED
@@ -196,7 +196,8 @@ class Run:
 
     def _packed(self, found: Found, status: OptimalControlStatus, conflicts: tuple[str, ...]) -> Solution:
         """Solution with its trajectories."""
-        program, v, multipliers = self.program, found.v, found.multipliers
+        program, multipliers = self.program, found.multipliers
+        v = unwound(program, found.v)
         cost = float(program.derivatives.values(v)[0])
         p = v[program.parameters]
         weights = program.problem.weights

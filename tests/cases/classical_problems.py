@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from scipy.optimize import brentq
 
-from mpc.optimal_control import Phase
+from mpc.optimal_control import MultipleShooting, Phase
 
 INF = np.inf
 V = ca.vertcat
@@ -16,11 +17,12 @@ V = ca.vertcat
 
 @dataclass(frozen=True, eq=False)
 class Classical:
-    """A problem, its optimal cost, and where that is published."""
+    """A problem, its optimal cost, where that is published, and how it is refined."""
 
     phase: Phase
     cost: float
     source: str
+    options: dict[str, Any] = field(default_factory=dict)
 
 
 def brachistochrone_time(x: float, y: float, g: float) -> float:
@@ -44,6 +46,30 @@ def _transfer(x: ca.SX, u: ca.SX, t: ca.SX) -> ca.SX:
 def _goddard(x: ca.SX, u: ca.SX) -> ca.SX:
     drag = 310 * x[1] ** 2 * ca.exp(-500 * (x[0] - 1))
     return V(x[1], (u - drag) / x[2] - 1 / x[0] ** 2, -u / 0.5)
+
+
+def _protein(x: ca.SX, u: ca.SX) -> ca.SX:
+    grows = x[2] / (14.35 + x[2] + x[2] ** 2 / 111.5) * (x[5] + 0.22 / (0.22 + x[4]) * x[6])
+    made = 0.233 * x[2] / (14.35 + x[2] + x[2] ** 2 / 111.5) * (0.0005 + x[4]) / (0.022 + x[4])
+    shock = 0.09 * x[4] / (0.034 + x[4])
+    feed = u[0] + u[1]
+    return V(
+        feed, grows * x[1], 100 * u[0] / x[0] - grows * x[1] / 0.51, made * x[1], 4 * u[1] / x[0], -shock * x[5],
+        shock * (1 - x[6]),
+    ) - feed / x[0] * V(0, x[1], x[2], x[3], x[4], 0, 0)  # fmt: skip
+
+
+def _secreted(x: ca.SX, u: ca.SX) -> ca.SX:
+    grows = 21.87 * x[3] / ((x[3] + 0.4) * (x[3] + 62.5))
+    made = x[3] / (0.1 + x[3]) * ca.exp(-5 * x[3])
+    leaves = 4.75 * grows / (0.12 + grows)
+    feed = V(0, 0, 0, 20, 0) - V(x[:4], 0)
+    return V(leaves * (x[1] - x[0]), made * x[2], grows * x[2], -7.3 * grows * x[2], u) + u / x[4] * feed
+
+
+def _flying(x: ca.SX, u: ca.SX) -> ca.SX:
+    left, right = u[0] - u[1], u[2] - u[3]
+    return V(x[3:], (left + right) * ca.cos(x[2]), (left + right) * ca.sin(x[2]), 0.2 * (left - right))
 
 
 CLASSICAL = {
@@ -212,4 +238,64 @@ CLASSICAL = {
         9.14093,
         "COPS 3.0, 2004, problem 8",
     ),
+    "Zermelo, from no guess": Classical(
+        Phase(
+            dynamics=lambda x, u: V(ca.cos(u) - x[1], ca.sin(u)),
+            states=2,
+            inputs=1,
+            start=[3.66, -1.86],
+            end=[0, 0],
+            duration=(0.1, 20),
+            terminal_cost=lambda t: t,
+        ),
+        5.4579,
+        "Bryson and Ho 1975, section 2.7",
+    ),
+    "Lee-Ramirez bioreactor": Classical(
+        Phase(
+            dynamics=_protein,
+            states=7,
+            inputs=2,
+            start=[1, 0.1, 40, 0, 0, 1, 0],
+            u_bounds=(0, 1),
+            x_bounds=(0, None),
+            duration=10.0,
+            terminal_cost=lambda x: -x[0] * x[3],
+        ),
+        -6.1516,
+        "Lee and Ramirez, AIChE Journal 40(5), 1994; value: PROPT collection",
+        {"scheme": MultipleShooting(4), "intervals": 20},
+    ),
+    "Park-Ramirez bioreactor": Classical(
+        Phase(
+            dynamics=_secreted,
+            states=5,
+            inputs=1,
+            start=[0, 0, 1, 5, 1],
+            u_bounds=(0, 2),
+            x_bounds=(0, None),
+            duration=15.0,
+            terminal_cost=lambda x: -x[0] * x[4],
+            guess=([0, 1], [[0, 0, 1, 5, 1], [0.5, 1, 1.5, 0.1, 14]], [[1], [1]]),
+        ),
+        -32.69,
+        "Park and Ramirez, AIChE Journal 34(9), 1988; value: PROPT collection",
+        {"scheme": MultipleShooting(4), "intervals": 40},
+    ),
 }
+FREE_FLYING_ROBOT = Classical(
+    Phase(
+        dynamics=_flying,
+        states=6,
+        inputs=4,
+        stage_cost=lambda u: ca.sum1(u),
+        start=[-10, -10, np.pi / 2, 0, 0, 0],
+        end=[0] * 6,
+        duration=12.0,
+        u_bounds=(0, 1),
+        path=lambda u: V(u[0] + u[1], u[2] + u[3]) - 1,
+    ),
+    7.91014874,
+    "Betts, 2nd ed. 2010, section 6.13; Sakawa 1999",
+    {"intervals": 60},
+)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from classical_problems import CLASSICAL
+from classical_problems import CLASSICAL, FREE_FLYING_ROBOT
 from scipy.integrate import quad
 
 from mpc.optimal_control import HermiteSimpson, Radau, build, refine, solve
@@ -12,7 +12,7 @@ from mpc.optimal_control import HermiteSimpson, Radau, build, refine, solve
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_published_optimum_is_reached(name):
     case = CLASSICAL[name]
-    solution = refine(case.phase)
+    solution = refine(case.phase, **case.options)
     assert solution.solved, (solution.message, solution.conflicts)
     assert solution.cost == pytest.approx(case.cost, rel=1e-4), case.source
 
@@ -47,3 +47,10 @@ def test_refinement_finds_the_arc():
         assert np.abs(cut - corner).min() < 0.02
     assert np.minimum(np.abs(cut - 1 / 3), np.abs(cut - 2 / 3)).max() < 0.125  # within the interval that it was in
     assert solution.cost == pytest.approx(4.0, rel=1e-6)
+
+
+@pytest.mark.check
+def test_a_robot_of_four_thrusters_reaches_its_published_least_fuel():
+    solution = refine(FREE_FLYING_ROBOT.phase, **FREE_FLYING_ROBOT.options)
+    assert solution.solved, solution.advice
+    assert solution.cost <= FREE_FLYING_ROBOT.cost * (1 + 1e-6)

@@ -3,10 +3,11 @@
 import casadi as ca
 import numpy as np
 import pytest
+from classical_problems import CLASSICAL
 from scipy.integrate import quad
 from scipy.optimize import brentq, fsolve
 
-from mpc.optimal_control import OptimalControlProblem, Phase, refine
+from mpc.optimal_control import HermiteSimpson, OptimalControlProblem, Phase, Radau, build, refine, solve
 
 V = ca.vertcat
 UNITS = pytest.mark.parametrize(("length", "time"), [(1.0, 1.0), (1e3, 1 / 60), (1e-3, 1e3)])
@@ -84,3 +85,43 @@ def test_a_phase_without_inputs_is_refined():
     assert found.solved
     assert found.duration == pytest.approx(np.log(5), rel=1e-6)
     assert found.phases[0].inputs.shape[1] == 0
+
+
+@UNITS
+@pytest.mark.parametrize("scheme", [Radau(3), HermiteSimpson()], ids=lambda scheme: scheme.name)
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_a_heading_without_bounds_turns_no_further_than_it_has_to(length, time, scheme, turn):
+    # Bryson and Ho, section 2.7: in a current that grows with y, tan(heading) falls with time at a steady rate
+    speed = length / time
+    found = refine(
+        Phase(
+            lambda x, u: V(ca.cos(u * 2 * np.pi / turn) - x[1] / length, ca.sin(u * 2 * np.pi / turn)) * speed, 2, 1,
+            start=[3.66 * length, -1.86 * length], end=[0, 0], duration=(0.1 * time, 20 * time),
+            terminal_cost=lambda t: t / time,
+        ), scheme,
+    )  # fmt: skip
+    assert found.solved, found.advice
+    assert found.cost == pytest.approx(5.457865, rel=1e-6)
+    heading = 2 * np.pi / turn * found.u(np.linspace(0, found.duration, 200))[:, 0]
+    assert np.abs(np.diff(heading)).max() < 0.1
+    assert np.abs(heading[0]) <= np.pi
+    ends = np.tan(heading[[0, -1]])
+    assert abs(ends[1] - ends[0]) == pytest.approx(found.cost, rel=1e-3)
+
+
+def test_an_input_that_is_no_angle_keeps_its_jump():
+    # a state that has to rise by 9 and to fall by 9, with a price of u² alone: u is 9 and then −9
+    found = solve(build(Phase(
+        lambda u: u, 1, 1, stage_cost=lambda u: u**2, start=[0], end=[0], duration=2.0,
+        path=lambda x, t: 9 - x - 1e3 * (t - 1) ** 2,
+    ), Radau(3), 40))  # fmt: skip
+    assert found.solved_on_mesh
+    assert found.u(0.5) == pytest.approx([9.0], rel=0.05)
+    assert found.u(1.5) == pytest.approx([-9.0], rel=0.05)
+
+
+def test_what_swings_along_a_singular_arc_is_said():
+    bioreactor = CLASSICAL["Lee-Ramirez bioreactor"].phase
+    found = refine(bioreactor, intervals=20, rounds=2)
+    assert not found.solved
+    assert "MultipleShooting() holds them" in found.advice
