@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from mpc.budgets import LEAST_SECONDS, MESHES_WITHOUT_GAIN, MOST_PARTS
-from mpc.checks import Array, as_count, as_seconds
+from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
@@ -243,13 +243,13 @@ def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: f
     return np.append(np.concatenate(inner), 1.0)
 
 
-def _jumps(phase: PhaseSolution) -> Array:
+def _jumps(phase: PhaseSolution) -> Flags:
     """Intervals (N,) within which an input jumps, which it does not where it swings."""
     crossing, swinging = _crossings(phase)
     return crossing & ~swinging
 
 
-def _crossings(phase: PhaseSolution) -> tuple[Array, Array]:
+def _crossings(phase: PhaseSolution) -> tuple[Flags, Flags]:
     """Intervals (N,) in which an input crosses much of its range, and those of them with neighbours that do.
 
     There inputs swing back and forth, as along a singular arc, and there is no jump to find.
