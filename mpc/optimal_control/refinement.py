@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from ccdtools_ground.door import brief
 from mpc.budgets import LEAST_SECONDS, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, Flags, as_count, as_seconds
+from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
@@ -24,6 +26,8 @@ from mpc.optimal_control.solving import solve
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import (
     AT_BOUND,
+    COARSE_MESH,
+    COST_ROUNDING,
     JUMP_PLACE,
     JUMP_SHARE,
     JUMPED_LIMIT,
@@ -39,8 +43,8 @@ PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, Opt
 
 
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
-           tolerance: float = 1e-6, rounds: int = 10, time_limit: float | None = None, progress: bool = False,
-           **options: Any) -> Solution:  # fmt: skip
+           tolerance: float = 1e-6, of: str = "dynamics", rounds: int = 10, time_limit: float | None = None,
+           progress: bool = False, **options: Any) -> Solution:  # fmt: skip
     """Solve on meshes refined until the dynamics are met.
 
     Intervals in which a limit is passed between the points are cut, too. Where that does not help, as a trajectory
@@ -57,7 +61,9 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     intervals : int, or one a phase
         Of the first mesh.
     tolerance : float
-        Of `Solution.errors`.
+    of : {"dynamics", "cost"}
+        What the tolerance is of: `Solution.errors`, or the part of the cost by which `cost_error` estimates it to be
+        off. Intervals are then cut where the cost feels it, and dynamics are met as SOLVED asks for.
     rounds : int
         Meshes at most.
     time_limit : float, optional
@@ -75,9 +81,11 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
     """
     asked = as_share("tolerance", tolerance)
+    if of not in ("dynamics", "cost"):
+        raise InputError("of", brief(repr(of)), "'dynamics' or 'cost'")
     began, meshes, seconds = time.perf_counter(), as_count("rounds", rounds), as_seconds("time_limit", time_limit)
     with tqdm(total=meshes, desc="refining", disable=not progress, leave=False) as bar:
-        run = _Rounds(options, asked, meshes - 1, began + seconds, bar)
+        run = _Rounds(options, asked, of, meshes - 1, began + seconds, bar)
         program = build(problem, scheme, intervals)
         solution, reason = run.refined(run.solved(program, None))
         for seed in range(3):  # each guess on a mesh twice as fine
@@ -99,9 +107,10 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
 class _Rounds:
     """Solves on finer and finer meshes."""
 
-    def __init__(self, options: dict[str, Any], tolerance: float, left: int, end: float, bar: Any) -> None:
+    def __init__(self, options: dict[str, Any], tolerance: float, of: str, left: int, end: float, bar: Any) -> None:
         self.options = options
         self.tolerance = tolerance
+        self.of_cost = of == "cost"
         self.left = left
         self.end = end
         self.bar = bar
@@ -129,8 +138,23 @@ class _Rounds:
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
 
     def missed(self, solution: Solution) -> float:
-        """Error of the dynamics or a limit, in tolerances [-]."""
-        return max(solution.mesh_error / self.tolerance, solution.excess / LIMIT_PASSED)
+        """Error of the dynamics, the cost or a limit, in tolerances [-]."""
+        error = solution.mesh_error / self.tolerance
+        if self.of_cost:
+            error = max(solution.mesh_error / COARSE_MESH, self.off(solution) / self.tolerance)
+        return max(error, solution.excess / LIMIT_PASSED)
+
+    def off(self, solution: Solution) -> float:
+        """Part of the cost by which it may be off [-]."""
+        return solution.cost_error / max(abs(solution.cost), COST_ROUNDING * solution.program.cost_scale)
+
+    def of_intervals(self, solution: Solution) -> list[Array]:
+        """Errors (N,) of the intervals of every phase, in tolerances: of the cost in shares of all, alike for each."""
+        if not self.of_cost:
+            return [one.dynamics / self.tolerance for one in solution.missed]
+        share = solution.cost_error / sum(len(one.cost) for one in solution.missed) or 1.0
+        whole = self.off(solution) / self.tolerance
+        return [np.maximum(one.cost / share * whole, one.dynamics / COARSE_MESH) for one in solution.missed]
 
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""
@@ -175,7 +199,7 @@ class _Rounds:
     def _meshes(self, solution: Solution) -> list[Array] | None:
         """Finer meshes; None where none are needed."""
         meshes = []
-        for k, (phase, error) in enumerate(zip(solution.phases, solution.errors)):
+        for k, (phase, error) in enumerate(zip(solution.phases, self.of_intervals(solution))):
             excess = solution.path_excess[k].intervals / LIMIT_PASSED
             meshes.append(_finer_mesh(phase, error, excess, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
@@ -203,8 +227,8 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     found = replace(solution, iterations=run.iterations[0], solve_time=time.perf_counter() - began)
     if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found
-    worst, passed = solution.mesh_error, _jumps_over(solution)
-    missed = f"{reason}: the mesh misses the dynamics by {worst:.1e}"
+    worst, passed = run.off(solution) if run.of_cost else solution.mesh_error, _jumps_over(solution)
+    missed = f"{reason}: the mesh misses the {'cost' if run.of_cost else 'dynamics'} by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
     ask = f"Ask for {_rounded_up(worst):g}{more}."
     if reason.startswith(FINER) or passed:
@@ -224,15 +248,12 @@ def _rounded_up(value: float) -> float:
 
 
 def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
-    """Mesh cut where errors, violations or jumps ask for it.
-
-    Of an excess (N,) that counts from 1 on; where an input jumps, too.
-    """
+    """Mesh cut where errors and violations (N,), which count from 1 on, or jumps ask for it."""
     part = phase.part
     order = part.scheme.stages + 1 if isinstance(part.scheme, Collocation) else 5
-    asked = np.clip((np.maximum(errors, tolerance) / (MESH_SAFETY * tolerance)) ** (1 / order), 2, MOST_PARTS)
+    asked = np.clip((np.maximum(errors, 1.0) / MESH_SAFETY) ** (1 / order), 2, MOST_PARTS)
     steps = np.diff(part.mesh)
-    parts = np.where(errors > tolerance, np.ceil(asked).astype(int), 1)
+    parts = np.where(errors > 1, np.ceil(asked).astype(int), 1)
     long = steps > JUMP_PLACE * np.sqrt(tolerance)
     parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
     parts[_jumps(phase) & long] = MOST_PARTS

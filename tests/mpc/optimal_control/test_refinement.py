@@ -95,3 +95,28 @@ def test_refinement_begins_at_a_mesh_of_one_or_two_intervals(intervals):
     found = refine(phase, Radau(3), intervals=intervals)
     assert found.cost == pytest.approx(refine(phase, Radau(3), intervals=8).cost, rel=1e-5)
     assert len(found.phases[0].times) > intervals + 1
+
+
+@pytest.mark.parametrize(
+    "name", ["Bryson-Denham", "brachistochrone", "hypersensitive", "shortest time", "orbit raising"]
+)
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+def test_a_tolerance_of_the_cost_asks_for_no_finer_mesh_than_the_cost_needs(name, tolerance):
+    case = CLASSICAL[name]
+    best = refine(case.phase, tolerance=1e-8).cost
+    found, finer = (refine(case.phase, tolerance=tolerance, of=of) for of in ("cost", "dynamics"))
+    assert found.solved, found.advice
+    assert abs(found.cost - best) <= tolerance * abs(best)
+    assert found.cost_error <= tolerance * abs(found.cost)
+    assert len(found.times) <= 1.1 * len(finer.times)
+
+
+def test_a_tolerance_is_of_dynamics_or_cost():
+    with pytest.raises(InputError, match="of: got 'inputs', expected 'dynamics' or 'cost'"):
+        refine(CLASSICAL["Bryson-Denham"].phase, of="inputs")
+
+
+def test_what_misses_a_tolerance_of_the_cost_says_by_how_much():
+    short = refine(CLASSICAL["hypersensitive"].phase, tolerance=1e-9, of="cost", rounds=2)
+    assert short.status is OptimalControlStatus.STOPPED
+    assert "the mesh misses the cost by" in short.advice

@@ -51,7 +51,7 @@ def test_the_place_of_a_jump_is_looked_for_to_a_tenth_of_the_root_of_the_toleran
 @pytest.mark.parametrize(("length", "shorter"), [(3e-10, False), (3e-9, True)])
 def test_intervals_are_as_short_as_they_may_be(length, shorter):
     level = [[[0.0], [0.0]], [[1.0], [1.0]]]
-    assert (cut(length, [1, 0], level) > 2) == shorter
+    assert (cut(length, [1e4, 0], level) > 2) == shorter
 
 
 @pytest.mark.parametrize(("excess", "meshes"), [(3e-3, 2), (3e-2, 1)])
@@ -62,7 +62,7 @@ def test_a_limit_that_a_finer_mesh_leaves_as_passed_is_jumped_over(excess, meshe
     )  # fmt: skip
     made = []
     monkeypatch.setattr(refinement, "build", lambda *a, **k: SimpleNamespace(lower=[]))
-    rounds = _Rounds({}, 1e-4, 10, np.inf, None)
+    rounds = _Rounds({}, 1e-4, "dynamics", 10, np.inf, None)
     monkeypatch.setattr(rounds, "_meshes", lambda solution: [])
     monkeypatch.setattr(rounds, "solved", lambda program, start: made.append(start) or passed)
     _, reason = rounds.refined(passed)
