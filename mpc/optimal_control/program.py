@@ -308,6 +308,7 @@ def unwound(program: NonlinearProgram, v: Array) -> Array:
             if len(own) and not np.isfinite([program.lower[own], program.upper[own]]).any():
                 angle, turned = np.unwrap(v[own], period=turn), v.copy()
                 turned[own] = angle - turn * np.round(angle[0] / turn)
-                if np.abs(values(turned) - values(v)).max() <= np.sqrt(np.finfo(float).eps):
+                moved = (turned != v).any()
+                if moved and np.abs(values(turned) - values(v)).max() <= np.sqrt(np.finfo(float).eps):
                     v = turned
     return v

@@ -146,15 +146,14 @@ class _Rounds:
 
     def off(self, solution: Solution) -> float:
         """Part of the cost by which it may be off [-]."""
-        return solution.cost_error / max(abs(solution.cost), COST_ROUNDING * solution.program.cost_scale)
+        return solution.cost_error / _size_of_cost(solution)
 
     def of_intervals(self, solution: Solution) -> list[Array]:
         """Errors (N,) of the intervals of every phase, in tolerances: of the cost in shares of all, alike for each."""
         if not self.of_cost:
             return [one.dynamics / self.tolerance for one in solution.missed]
-        share = solution.cost_error / sum(len(one.cost) for one in solution.missed) or 1.0
-        whole = self.off(solution) / self.tolerance
-        return [np.maximum(one.cost / share * whole, one.dynamics / COARSE_MESH) for one in solution.missed]
+        share = self.tolerance * _size_of_cost(solution) / sum(len(one.cost) for one in solution.missed)
+        return [np.maximum(one.cost / share, one.dynamics / COARSE_MESH) for one in solution.missed]
 
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""
@@ -204,6 +203,11 @@ class _Rounds:
             meshes.append(_finer_mesh(phase, error, excess, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
+
+
+def _size_of_cost(solution: Solution) -> float:
+    """Size of the cost, beside which that of a cost that vanishes is rounding."""
+    return max(abs(solution.cost), COST_ROUNDING * solution.program.cost_scale)
 
 
 def _reach_bounds(solution: Solution) -> bool:

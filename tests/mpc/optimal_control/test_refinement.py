@@ -120,3 +120,10 @@ def test_what_misses_a_tolerance_of_the_cost_says_by_how_much():
     short = refine(CLASSICAL["hypersensitive"].phase, tolerance=1e-9, of="cost", rounds=2)
     assert short.status is OptimalControlStatus.STOPPED
     assert "the mesh misses the cost by" in short.advice
+
+
+def test_a_cost_that_vanishes_is_met_by_its_size():
+    # from rest to rest with nothing to do: the cost is 0
+    still = refine(Phase(lambda u: u, 1, 1, stage_cost=lambda x, u: x**2 + u**2, start=[0], end=[0]), of="cost")
+    assert still.solved, still.advice
+    assert still.cost == pytest.approx(0.0, abs=1e-12)
