@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ccdtools_ground.door import brief
-from mpc.budgets import LEAST_SECONDS, MESHES_WITHOUT_GAIN, MOST_PARTS
+from mpc.budgets import LEAST_SECONDS, MESH_SAFETY, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_share
@@ -34,7 +34,6 @@ from mpc.tolerances import (
     LEAST_INTERVAL,
     LIMIT_PASSED,
     MESH_GAIN,
-    MESH_SAFETY,
     SHARPER,
 )
 

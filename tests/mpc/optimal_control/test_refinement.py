@@ -127,3 +127,11 @@ def test_a_cost_that_vanishes_is_met_by_its_size():
     still = refine(Phase(lambda u: u, 1, 1, stage_cost=lambda x, u: x**2 + u**2, start=[0], end=[0]), of="cost")
     assert still.solved, still.advice
     assert still.cost == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_cost_of_inputs_that_jump_is_found_more_sharply_than_the_dynamics():
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], u_bounds=(-1, 1), duration=(0.1, 5),
+        terminal_cost=lambda t: t,
+    )  # fmt: skip
+    assert refine(phase, tolerance=1e-4).cost == pytest.approx(2.0, abs=1e-6)
