@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import differential_evolution
 
-from ccdtools import BlackBox, CoDesignProblem, codesign, load_study
+from ccdtools import CoDesignProblem, codesign, load_study
+from ccdtools.plants import BlackBox
 
 PLANTS = (
     "dc_servo", "suspension", "mass_chain", "wind_turbine", "illustrative", "quarter_car", "half_car", "two_tanks",

@@ -10,11 +10,9 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize_scalar
 
 from ccdtools import (
-    BlackBox,
     CoDesignConfig,
     CoDesignProblem,
     DesignSpace,
-    EpisodeEnv,
     FixedStart,
     Gaussian,
     InputError,
@@ -23,9 +21,10 @@ from ccdtools import (
     QuadraticObjective,
     Search,
     codesign,
-    from_gymnasium,
     load_study,
 )
+from ccdtools.co_design import EpisodeEnv
+from ccdtools.plants import BlackBox, from_gymnasium
 from learning import NetworkConfig
 
 
