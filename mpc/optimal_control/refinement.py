@@ -63,7 +63,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     tolerance : float
     of : {"dynamics", "cost"}
         What the tolerance is of: `Solution.errors`, or the part of the cost by which `cost_error` estimates it to be
-        off. Intervals are then cut where the cost feels it, and dynamics are met as SOLVED asks for.
+        off. Intervals are cut where either is missed; the other is met as SOLVED asks for.
     rounds : int
         Meshes at most.
     time_limit : float, optional
@@ -77,8 +77,8 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     -------
     Solution
         SOLVED if its mesh meets the tolerance and limits are kept between the points. Else of the mesh that missed
-        least, LIMITS_PASSED or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed as much
-        as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
+        least, LIMITS_PASSED, COARSE or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed
+        as much as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
     """
     asked = as_share("tolerance", tolerance)
     if of not in ("dynamics", "cost"):
@@ -150,10 +150,12 @@ class _Rounds:
 
     def of_intervals(self, solution: Solution) -> list[Array]:
         """Errors (N,) of the intervals of every phase, in tolerances: of the cost in shares of all, alike for each."""
-        if not self.of_cost:
-            return [one.dynamics / self.tolerance for one in solution.missed]
-        share = self.tolerance * _size_of_cost(solution) / sum(len(one.cost) for one in solution.missed)
-        return [np.maximum(one.cost / share, one.dynamics / COARSE_MESH) for one in solution.missed]
+        allowed = solution.cost_tolerance
+        dynamics, cost = self.tolerance, np.inf if solution.cost_error <= allowed else allowed
+        if self.of_cost:
+            dynamics, cost = COARSE_MESH, self.tolerance * _size_of_cost(solution)
+        share = cost / sum(len(one.cost) for one in solution.missed)
+        return [np.maximum(one.cost / share, one.dynamics / dynamics) for one in solution.missed]
 
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""

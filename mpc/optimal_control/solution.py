@@ -161,10 +161,15 @@ class Solution:
         return replace(self, status=status) if self.solved_on_mesh else self
 
     @property
+    def cost_tolerance(self) -> float:
+        """Estimated error of the cost that SOLVED accepts."""
+        size = max(self.cost_size, self.program.cost_scale)
+        return max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
+
+    @property
     def _cost_is_fine(self) -> bool:
         """Whether the mesh hardly changes the cost."""
-        size = max(self.cost_size, self.program.cost_scale)
-        return self.cost_error <= max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
+        return self.cost_error <= self.cost_tolerance
 
     def _missed(self) -> list[str]:
         """Limits exceeded and errors made between the points, in words."""

@@ -127,3 +127,14 @@ def test_a_cost_that_vanishes_is_met_by_its_size():
     still = refine(Phase(lambda u: u, 1, 1, stage_cost=lambda x, u: x**2 + u**2, start=[0], end=[0]), of="cost")
     assert still.solved, still.advice
     assert still.cost == pytest.approx(0.0, abs=1e-12)
+
+
+def test_where_dynamics_are_met_at_once_the_mesh_is_cut_for_the_cost():
+    """An integrator along a fast sine: polynomials meet its dynamics, whatever the mesh."""
+    phase = Phase(lambda x, u: u, 1, 1, stage_cost=lambda x, u, t: (x - ca.sin(10 * t)) ** 2 + 1e-4 * u**2, start=[0.0],
+                  duration=4.0)  # fmt: skip
+    best = refine(phase, Radau(5), intervals=40, of="cost", tolerance=1e-8)
+    for intervals in (8, 12, 20):
+        found = refine(phase, intervals=intervals)
+        assert found.status.name == "SOLVED"
+        assert found.cost == pytest.approx(best.cost, rel=0.003)
