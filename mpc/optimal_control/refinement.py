@@ -78,7 +78,8 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     Solution
         SOLVED if its mesh meets the tolerance and limits are kept between the points. Else of the mesh that missed
         least, LIMITS_PASSED, COARSE or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed
-        as much as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
+        as much as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the
+        cost's error.
     """
     asked = as_share("tolerance", tolerance)
     if of not in ("dynamics", "cost"):
