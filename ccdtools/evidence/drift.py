@@ -53,10 +53,11 @@ class Drift:
         return DriftStatus.NONE if self.found is None else DriftStatus.DRIFT
 
     def __str__(self) -> str:
+        alarms = f"(false alarms: {self.level:.0%} where errors are correlated over no more than {self.block} samples)"
         if self.found is None:
-            return f"no drift in {self.samples} samples (false alarms: {self.level:.0%})"
+            return f"no drift in {self.samples} samples {alarms}"
         since = f"drift since about sample {self.began}, known after {self.found} of {self.samples}"
-        return f"{since} (false alarms: {self.level:.0%}). {self.status.advice}"
+        return f"{since} {alarms}. {self.status.advice}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""
