@@ -105,6 +105,18 @@ def test_a_bound_that_is_just_met_is_flagged_by_name():
     assert any("bound of u1 at t = " in name for name in found.weakly_active)
 
 
+@pytest.mark.parametrize(("price", "smooth"), [(4.2e-7, False), (1.3e-6, True)])
+def test_a_linear_price_holds_an_input_at_its_bound_where_it_is_beyond_the_blur(price, smooth):
+    # a thousandth of the curvature of the first input is taken for that of the second, which has none
+    phase = Phase(
+        dynamics=lambda u: u[0], states=1, inputs=2, start=[0], end=[1], u_bounds=([-5, 0], [5, 1]),
+        stage_cost=lambda u: u[0] ** 2 + price * u[1],
+    )  # fmt: skip
+    found = tight(build(phase, MultipleShooting(), 2), None).sensitivity()
+    assert found.smooth == smooth
+    assert bool(found.weakly_active) != smooth
+
+
 def test_inputs_without_a_cost_have_no_derivatives():
     phase = Phase(
         dynamics=lambda x, u: ca.vertcat(u[0] + 0 * u[1]), states=1, inputs=2, start=[1.0], duration=1.0,
