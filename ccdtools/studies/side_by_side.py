@@ -151,7 +151,9 @@ class SideBySideRun:
         method = Learned(config=replace(self.config.codesign, starts=1), history=self.study.history)
         learned: Any = codesign(problem, method=method, design=lqg.design, rng=rng, progress=self.progress)
         report = [f"{one.method}: {one.described}, {one.status.value}" for one in (lqg, learned)]
-        return Stage({"report": report}, {"LQG": np.asarray(lqg.design), "design": learned.design}, {"agent": learned.agent})
+        return Stage(
+            {"report": report}, {"LQG": np.asarray(lqg.design), "design": learned.design}, {"agent": learned.agent}
+        )
 
     def _controllers(self, use: str, p: Array, found: Stage) -> Iterator[tuple[str, Controller]]:
         """Controllers that a design has in a use, by name."""

@@ -20,15 +20,17 @@ from ccdtools.studies.cases._cars import CAR, WHEELBASE, by_kind, stop
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.trajectory import Trajectory
+from ccdtools.vehicles.iso8608 import RoadClass
 from ccdtools.vehicles.iso_road import ISORoad
 from ccdtools.vehicles.ride import Ride
+from ccdtools.vehicles.roads import Driver
 from invariant_sets import Polytope
 
 HEIGHT = 0.5  # m, of the centre of mass above the road's reaction; a typical value
 MANOEUVRE = 1.0  # s, for which a driver keeps on; a typical value
 # Standard deviations of longitudinal and lateral acceleration [m/s²]: half of what `generate_speed` has at most, and
-# half of 2 and 4 m/s² in curves, which drivers on a test track call too slow and too fast (PsyArXiv kcw2d, 2025).
-DRIVERS: dict[Any, tuple[float, float]] = {"mild": (0.25, 1.0), "aggressive": (1.5, 2.0)}
+# half of 2 and 4 m/s² in curves, which participants on a test track often call too slow and too fast (PsyArXiv kcw2d).
+DRIVERS: dict[Driver, tuple[float, float]] = {"mild": (0.25, 1.0), "aggressive": (1.5, 2.0)}
 SENSORS = {"travel [m]": 0.002, "heave acceleration [m/s²]": 0.1, "pitch and roll rates [rad/s]": 0.005,
            "accelerations [m/s²]": 0.1}  # fmt: skip
 GOOD = {"acceleration": 1.0, "tyre": 0.01, "travel": 0.05, "force": 1000.0}  # m/s² and rad/s², m, m, N: Bryson's rule
@@ -59,7 +61,7 @@ def stage_cost(x: Any, u: Any, p: Any) -> Any:
     return sum(ca.sumsqr(part / GOOD[name]) for name, part in parts.items())
 
 
-def drive(driver: Any, *classes: Any) -> Stacked:
+def drive(driver: Driver, *classes: RoadClass) -> Stacked:
     """Roads of the classes in turn under a driver's car, and the driver's manoeuvres."""
     under = {"track": 2 * CAR.half_track, "wheelbase": WHEELBASE, "spacing": 0.08}  # m
     roads = (ISORoad(one, driver, NOMINAL.dt, **under) for one in classes)
