@@ -369,7 +369,8 @@ def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     from ccdtools.studies.report.report import write_report
     from ccdtools.studies.report.side_by_side_page import write_side_by_side
     from ccdtools.studies.report.tables import console_table
-    from ccdtools.studies.side_by_side import SideBySide, SideBySideRun
+    from ccdtools.studies.side_by_side import SideBySide
+    from ccdtools.studies.side_by_side_run import SideBySideRun
 
     options = prepared.options
     study = prepared.study

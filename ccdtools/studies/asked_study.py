@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from ccdtools.checks import as_choice
@@ -13,6 +13,7 @@ from ccdtools.disturbances.recordings import read_disturbance, read_road, read_s
 from ccdtools.exceptions import InputError
 from ccdtools.studies.loading import load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
+from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
@@ -26,6 +27,8 @@ def asked_study(options: Options, recording: Recorded | None = None) -> tuple[St
         If there is no such study, or an option does not fit it.
     """
     study, sources = load_with_sources(options.study)
+    if isinstance(study, SideBySide):
+        _check_side_by_side(options, study)
     _check_effect(options, study)
     source = recording if recording is not None else _source(options, study)
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
@@ -58,6 +61,14 @@ def _check_effect(options: Options, study: Study) -> None:
         raise InputError("--method", got, "ppo with that preset, or --preset default")
     if options.design_gradient is not None and not study.plant.design.allowed.free.any():
         raise InputError("--design-gradient", "it for a design that has no gradient", "an entry that is free to move")
+
+
+def _check_side_by_side(options: Options, study: SideBySide) -> None:
+    """Raise an `InputError` if an option of generations or of a single use is given."""
+    for field in fields(Options)[1:]:
+        if field.name not in ("seed", "quick", "p0") and getattr(options, field.name) != field.default:
+            got = f"it for {study.name!r}, whose designs stand side by side"
+            raise InputError(f"--{field.name.replace('_', '-')}", got, "--seed, --quick and --p0 alone")
 
 
 def _source(options: Options, study: Study) -> Disturbance | None:

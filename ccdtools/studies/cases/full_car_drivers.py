@@ -1,11 +1,10 @@
 """A full car for a mild and an aggressive driver: a design for each, on sensors alone.
 
-Tsai, Chen, Karkaria and Chen, "Digital Twin-based Control Co-Design of Full Vehicle Active Suspensions via Deep
-Reinforcement Learning", arXiv 2512.03891, have two such drivers, whose numbers are not taken from there. A driver has a
-way to change speed, see `generate_speed`, and accelerates, brakes and corners at random, which tips the body.
+As in Tsai, Chen, Karkaria and Chen, "Digital Twin-based Control Co-Design of Full Vehicle Active Suspensions via Deep
+Reinforcement Learning", arXiv 2512.03891, without its numbers. A driver has a way to change speed, see
+`generate_speed`, and accelerates, brakes and corners at random, which tips the body.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -31,8 +30,6 @@ MANOEUVRE = 1.0  # s, for which a driver keeps on; a typical value
 # Standard deviations of longitudinal and lateral acceleration [m/s²]: half of what `generate_speed` has at most, and
 # half of 2 and 4 m/s² in curves, which participants on a test track often call too slow and too fast (PsyArXiv kcw2d).
 DRIVERS: dict[Driver, tuple[float, float]] = {"mild": (0.25, 1.0), "aggressive": (1.5, 2.0)}
-SENSORS = {"travel [m]": 0.002, "heave acceleration [m/s²]": 0.1, "pitch and roll rates [rad/s]": 0.005,
-           "accelerations [m/s²]": 0.1}  # fmt: skip
 GOOD = {"acceleration": 1.0, "tyre": 0.01, "travel": 0.05, "force": 1000.0}  # m/s² and rad/s², m, m, N: Bryson's rule
 
 
@@ -49,11 +46,6 @@ def driven(car: Plant) -> Plant:
     )  # fmt: skip
 
 
-NOMINAL = driven(full_car())
-LIMITS = np.append(by_kind(full_car().state_names)[0], [10.0, 10.0])  # m/s², beyond what tyres give
-FORCE = np.full(4, 1500.0)  # N, of each strut; below the 2500 N at which the real actuator ends
-
-
 def stage_cost(x: Any, u: Any, p: Any) -> Any:
     """Squares of body accelerations, tyre deflections, travels and forces, beside tolerable ones."""
     accelerations = NOMINAL.right_hand_side(x, u, 0, p)[12:15]
@@ -65,21 +57,23 @@ def drive(driver: Driver, *classes: RoadClass) -> Stacked:
     """Roads of the classes in turn under a driver's car, and the driver's manoeuvres."""
     under = {"track": 2 * CAR.half_track, "wheelbase": WHEELBASE, "spacing": 0.08}  # m
     roads = (ISORoad(one, driver, NOMINAL.dt, **under) for one in classes)
-    white = np.sqrt(2 * MANOEUVRE / NOMINAL.dt) * np.array(DRIVERS[driver])  # which the state filters to that size
+    white = np.sqrt(2 * MANOEUVRE / NOMINAL.dt) * np.array(DRIVERS[driver])  # which the states filter to that size
     return Stacked((Cases(tuple(roads)), Gaussian(white)))
 
 
-FRONT, REAR = CAR.loads
-RIDE = Ride(12, range(4, 8), range(4), CAR.tyre, [FRONT, FRONT, REAR, REAR], stop())
+def metrics(run: Trajectory) -> dict[str, float]:
+    """Cost of a step, control effort and ride."""
+    cost = -float(run.returns(OBJECTIVE).mean()) / run.inputs.shape[1]
+    peak = float(np.abs(run.inputs).max(axis=(1, 2)).mean())
+    return {"cost": cost, "mean square force [kN²]": 1e-6 * float(np.mean(run.inputs**2)), "peak force [N]": peak,
+            **RIDE(run)}  # fmt: skip
 
 
-def metrics(run: Trajectory) -> Mapping[str, float]:
-    """Control effort and ride."""
-    peak = np.abs(run.inputs).max(axis=(1, 2)).mean()
-    effort = {"mean square force [kN²]": 1e-6 * float(np.mean(run.inputs**2)), "peak force [N]": float(peak)}
-    return effort | RIDE(run)
-
-
+NOMINAL = driven(full_car())
+LIMITS = np.append(by_kind(full_car().state_names)[0], [10.0, 10.0])  # m/s², beyond what tyres give
+FORCE = np.full(4, 1500.0)  # N, of each strut; below the 2500 N at which the real actuator ends
+OBJECTIVE = CustomObjective(stage_cost)
+RIDE = Ride(12, range(4, 8), range(4), CAR.tyre, np.repeat(CAR.loads, 2), stop())
 USES = {driver: drive(driver, "C") for driver in DRIVERS}
 
 study = SideBySide(
@@ -88,7 +82,7 @@ study = SideBySide(
     plant=NOMINAL,
     X=Polytope.from_bounds(-LIMITS, LIMITS),
     U=Polytope.from_bounds(-FORCE, FORCE),
-    objective=CustomObjective(stage_cost),
+    objective=OBJECTIVE,
     disturbance=USES["mild"],
     x0=np.zeros(NOMINAL.nx),
     p0=(28000.0, 2500.0, 21000.0, 2000.0),
@@ -100,6 +94,6 @@ study = SideBySide(
     limit_tolerance="off",
     metrics=metrics,
     uses=USES,
+    noise=[0.002, 0.002, 0.002, 0.002, 0.1, 0.005, 0.005, 0.1, 0.1],  # m, m/s², rad/s, m/s²
     history=4,
-    noise=np.repeat(list(SENSORS.values()), [4, 1, 2, 2]),
 )  # fmt: skip
