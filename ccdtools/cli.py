@@ -8,7 +8,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -378,16 +378,13 @@ def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
     start = time.perf_counter()
     _single_thread()
-    shown = sys.stderr.isatty()
+    asked: dict[str, Any] = {"seed": options.seed, "echo": typer.echo, "progress": sys.stderr.isatty()}
     with blamed_on_source(options.study):
         if isinstance(study, SideBySide):
-            found = SideBySideRun(study, prepared.config, folder, options.seed, typer.echo, shown).run()
+            found = SideBySideRun(study, prepared.config, folder, **asked).run()
             text, report = write_side_by_side(study, *found, folder, quick=options.quick)
         else:
-            results = Generations(
-                study, prepared.config, folder, generations=options.generations, seed=options.seed, echo=typer.echo,
-                progress=shown,
-            ).run()  # fmt: skip
+            results = Generations(study, prepared.config, folder, generations=options.generations, **asked).run()
             typer.echo("Figures and report")
             report = write_report(study, folder)
             text = f"{results['headline']}\n\n{console_table(results)}"

@@ -27,8 +27,6 @@ def asked_study(options: Options, recording: Recorded | None = None) -> tuple[St
         If there is no such study, or an option does not fit it.
     """
     study, sources = load_with_sources(options.study)
-    if isinstance(study, SideBySide):
-        _check_side_by_side(options, study)
     _check_effect(options, study)
     source = recording if recording is not None else _source(options, study)
     with blamed_on_options({name: f"--{name}" for name in ("x0", "p0") if getattr(options, name) is not None}):
@@ -49,6 +47,11 @@ def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
 
 
 def _check_effect(options: Options, study: Study) -> None:
+    if isinstance(study, SideBySide):
+        for field in fields(Options)[1:]:
+            if field.name not in ("seed", "quick", "p0") and getattr(options, field.name) != field.default:
+                got = f"it for {study.name!r}, whose designs stand side by side"
+                raise InputError(f"--{field.name.replace('_', '-')}", got, "--seed, --quick and --p0 alone")
     if options.expert is not None:
         as_choice("--expert", options.expert, (*EXPERTS, *study.laws))
     sets = study.sets if options.sets is None else options.sets
@@ -61,14 +64,6 @@ def _check_effect(options: Options, study: Study) -> None:
         raise InputError("--method", got, "ppo with that preset, or --preset default")
     if options.design_gradient is not None and not study.plant.design.allowed.free.any():
         raise InputError("--design-gradient", "it for a design that has no gradient", "an entry that is free to move")
-
-
-def _check_side_by_side(options: Options, study: SideBySide) -> None:
-    """Raise an `InputError` if an option of generations or of a single use is given."""
-    for field in fields(Options)[1:]:
-        if field.name not in ("seed", "quick", "p0") and getattr(options, field.name) != field.default:
-            got = f"it for {study.name!r}, whose designs stand side by side"
-            raise InputError(f"--{field.name.replace('_', '-')}", got, "--seed, --quick and --p0 alone")
 
 
 def _source(options: Options, study: Study) -> Disturbance | None:

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.measured import observed
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.comparison.metrics import MetricChange, metric_changes, metrics_of
-from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.estimation.measurement import Measurement
@@ -25,6 +23,7 @@ from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.stage_storage import Stage
+from ccdtools.trajectory import Trajectory
 
 START = "start"  # the first design of the study
 Place = tuple[str, str]  # names of a design and of a controller
@@ -69,20 +68,10 @@ class SideBySideRun:
         report = [f"{use}, {one.method}: {one.described}; {one.status.value}" for one in (lqg, found)]
         return Stage({"report": report}, {"design": found.design}, {"agent": found.agent})
 
-    def _controllers(self, use: str, p: Array, found: Stage) -> dict[str, Controller]:
-        """Controllers that a design has in a use, by name."""
-        problem = self.study.problems[use]
-        return {
-            "LQG": observed(problem, saturated_lqr(problem, p), p),
-            "MPC": observed(problem, linear_mpc(problem, p), p),
-            "learned": History(LearnedPolicy(found.networks["agent"], p), self.study.history),
-        }
-
     def _tried(self, use: str, found: Mapping[str, Stage]) -> Trial:
         """All designs in one use, under disturbances that no co-design met."""
         self.echo(f"Trial of all designs by {use}")
-        study, judged = self.study, self.study.metrics
-        assert judged is not None
+        study, problem, own = self.study, self.study.problems[use], (use, "LQG")
         rng = np.random.default_rng([self.seed, 1, *use.encode()])
         runs = TRIAL_RUNS // 5 if self.config.quick else TRIAL_RUNS
         scenario = Scenario(
@@ -90,17 +79,17 @@ class SideBySideRun:
             study.real.fresh[use].sample(runs, self.config.held_out_steps, rng),
             output=Measurement(study.real.plant, noise=study.noise), seed=int(rng.integers(2**31)),
         )  # fmt: skip
-        designs = {START: study.p0} | {name: stage.arrays["design"] for name, stage in found.items()}
-        driven = {
-            (name, kind): scenario.run(controller, design=p)
-            for name, p in designs.items() for kind, controller in self._controllers(use, p, found[use]).items()
-        }  # fmt: skip
-        own = (use, "LQG")
+        driven: dict[Place, Trajectory] = {}
+        for name, p in {START: study.p0, **{one: stage.arrays["design"] for one, stage in found.items()}}.items():
+            policy = LearnedPolicy(found[use].networks["agent"], p)
+            controllers = {"LQG": observed(problem, saturated_lqr(problem, p), p),
+                           "MPC": observed(problem, linear_mpc(problem, p), p),
+                           "learned": History(policy, study.history)}  # fmt: skip
+            driven |= {(name, kind): scenario.run(one, design=p) for kind, one in controllers.items()}
         pairs: dict[str, tuple[Place, Place]] = {
             "design": ((START, "LQG"), own), "policy, for LQG": (own, (use, "learned")),
             "design and policy": ((START, "LQG"), (use, "learned")), "MPC, for LQG": (own, (use, "MPC")),
         } | {f"design, for that of {other}": ((other, "LQG"), own) for other in found if other != use}  # fmt: skip
-        return Trial(
-            {place: metrics_of(judged, run) for place, run in driven.items()},
-            {name: metric_changes(judged, *(driven[one] for one in pair)) for name, pair in pairs.items()},
-        )
+        assert study.metrics is not None
+        changes = {what: metric_changes(study.metrics, driven[one], driven[two]) for what, (one, two) in pairs.items()}
+        return Trial({place: metrics_of(study.metrics, run) for place, run in driven.items()}, changes)

@@ -15,32 +15,31 @@ from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.side_by_side_run import START, Trial
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.table import Table, csv_text
+from ccdtools.table import Table
 
 
 def write_side_by_side(
     study: SideBySide, found: Mapping[str, Stage], trials: Mapping[str, Trial], folder: RunFolder, *, quick: bool
 ) -> tuple[str, Path]:
-    """Write side_by_side.csv, its picture and report.html; return what is printed, and the page's path."""
+    """Write side_by_side.png and report.html; return what is printed, and the page's path."""
     names = list(next(iter(next(iter(trials.values())).values.values())))
     changes = [
         (use, what, *(percent_interval(one.change.mean, one.change.ci95, one.before) for one in changed))
         for use, trial in trials.items() for what, changed in trial.changes.items()
     ]  # fmt: skip
     values = [
-        (use, *place, *map(number, found.values()))
-        for use, trial in trials.items() for place, found in trial.values.items()
+        (use, *place, *map(number, metrics.values()))
+        for use, trial in trials.items() for place, metrics in trial.values.items()
     ]  # fmt: skip
-    numbers = frozenset(range(3, 3 + len(names)))
+    head = ("use", "design", "controller", *names)
     tables = [
-        Table(("use", "change, with its 95 % interval, of", *names), changes, right=numbers),
-        Table(("use", "design", "controller", *names), values, right=numbers),
+        Table(("use", "change, with its 95 % interval, of", *names), changes, right=frozenset(range(2, len(head)))),
+        Table(head, values, right=frozenset(range(3, len(head)))),
     ]
-    start = f"{START}: {study.plant.design.describe(study.p0)}"
-    designs = [start, *(line for stage in found.values() for line in stage.values["report"])]
+    designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
+    designs += [line for stage in found.values() for line in stage.values["report"]]
     image = style.png(plot_side_by_side(study, found, trials, quick=quick))
     folder.write_bytes("side_by_side.png", image)
-    folder.write_text("side_by_side.csv", csv_text([dict(zip(tables[1].head, line)) for line in values]))
     body = "".join(f"<p>{line}</p>" for line in designs) + "".join(f"<div>{table.html}</div><br>" for table in tables)
     page = folder.write_text("report.html", page_of(study.title, body, image, "Designs, and changes in every use"))
     return "\n\n".join("\n".join(lines) for lines in (designs, *(table.aligned() for table in tables))), page
@@ -51,11 +50,10 @@ def plot_side_by_side(
 ) -> Any:
     """Plot designs in their box, and changes in every use, as a matplotlib Figure."""
     space = study.plant.design
-    designs = {START: study.p0} | {use: stage.arrays["design"] for use, stage in found.items()}
     with style.styled():
         figure = style.blank(4.0 + 4.5 * len(trials), 5.4, quick=quick)
         first, *others = figure.subplots(1, 1 + len(trials), width_ratios=(0.7, *(1 for _ in trials)))
-        for name, p in designs.items():
+        for name, p in {START: study.p0, **{use: stage.arrays["design"] for use, stage in found.items()}}.items():
             first.plot(space.names, space.to_unit(p), "o-", lw=0.8, label=name)
         first.set(ylim=(-0.05, 1.05), ylabel="place in the box of designs", title="designs")
         for ax, (use, trial) in zip(others, trials.items()):
@@ -75,7 +73,7 @@ def _plot_changes(ax: Any, trial: Trial) -> None:
             continue
         size = np.array([abs(one.before) or np.nan for one in changes])
         mean, low, high = 100 * np.array([(one.change.mean, *one.change.ci95) for one in changes]).T / size
-        at = np.arange(len(names)) + 0.7 * (i / max(len(trial.changes) - 1, 1) - 0.5)
+        at = np.arange(len(names)) + 0.7 * (i / (len(trial.changes) - 1) - 0.5)
         ax.errorbar(mean, at, xerr=[mean - low, high - mean], fmt="o", ms=3.5, lw=1.2, label=what)
         far = max(far, 1.3 * np.nanmax(np.abs(mean)))
     ax.axvline(0.0, color="#444444", lw=0.9)
