@@ -1,18 +1,18 @@
 """One design per use, on sensors: the study of two drivers, and another one of two seas."""
 
+import re
 from dataclasses import replace
+from itertools import pairwise, product
 
 import casadi as ca
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from ccdtools import CoDesignConfig, CustomObjective, DesignSpace, Gaussian, InputError, Plant, RealPlant, simulate
+from ccdtools import Gaussian, InputError, simulate
 from ccdtools.cli import app
 from ccdtools.controllers import Passive
-from ccdtools.studies import SideBySide, configuration, load_study
-from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.side_by_side_run import SideBySideRun
+from ccdtools.studies import RunFolder, load_study
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +39,10 @@ def test_tyre_loads_hold_the_body_against_the_manoeuvres_of_its_driver(drivers, 
 @pytest.mark.parametrize(("driver", "sizes"), [("mild", [0.25, 1.0]), ("aggressive", [1.5, 2.0])])
 def test_drivers_manoeuvre_as_hard_as_is_said_and_the_aggressive_one_is_faster(drivers, driver, sizes):
     run = simulate(
-        drivers.plant, Passive(4), x0=np.zeros((2, 17)), steps=20_000, design=drivers.p0,
+        drivers.plant, Passive(4), x0=np.zeros((60, 17)), steps=1000, design=drivers.p0,
         disturbance=Gaussian(np.r_[np.zeros(4), drivers.uses[driver].terms[1].std]), rng=np.random.default_rng(1),
     )  # fmt: skip
-    np.testing.assert_allclose(run.states[:, 1000:, 15:].std(axis=(0, 1)), sizes, rtol=0.15)
+    np.testing.assert_allclose(run.states[:, 400:, 15:].std(axis=(0, 1)), sizes, rtol=0.15)
     felt = {name: use.sample(6, 300, np.random.default_rng(0))[..., :4].std() for name, use in drivers.uses.items()}
     assert felt["aggressive"] > 1.1 * felt["mild"]
 
@@ -64,49 +64,55 @@ def test_cost_and_effort_are_those_of_the_trajectory(drivers):
     assert found["peak force [N]"] == 300.0
     by_hand = 0.0
     for x in run.states:
-        for before, after in zip(x, x[1:]):
+        for before, after in pairwise(x):
             by_hand += sum(((after - before)[12:15] / 0.01) ** 2) + sum((after[:4] / 0.01) ** 2)
             by_hand += sum((after[4:8] / 0.05) ** 2) + 0.3**2 + 0.2**2 + 0.1**2
     assert found["cost"] == pytest.approx(by_hand / 100)
 
 
-def boat(**changes):
-    """A float on a spring whose stiffness and damping suit a sea, on a sensor of its position."""
+BOAT = """
+import casadi as ca
+import numpy as np
+from ccdtools import CustomObjective, DesignSpace, Gaussian, Plant, RealPlant
+from ccdtools.studies import SideBySide
+
+def plant(drag):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    rate = ca.vertcat(x[1], -p[0] * x[0] - p[1] * x[1] - drag * x[1] * ca.fabs(x[1]) + u + w)
+    return Plant(x, u, w, p, rate, DesignSpace(["k", "c"], [0.5, 0.1], [4.0, 2.0]), dt=0.1, outputs=[x[0]])
 
-    def plant(drag):
-        rate = ca.vertcat(x[1], -p[0] * x[0] - p[1] * x[1] - drag * x[1] * ca.fabs(x[1]) + u + w)
-        space = DesignSpace(["k", "c"], [0.5, 0.1], [4.0, 2.0])
-        return Plant(x, u, w, p, rate, space, dt=0.1, outputs=[x[0]])
+calm, rough = Gaussian([0.3]), Gaussian([2.0])
+study = SideBySide(
+    name="boat", title="A boat in two seas", plant=plant(0.0), X=(-20, 20), U=(-3, 3), disturbance=calm,
+    objective=CustomObjective(lambda x, u, p: x[0] ** 2 + 0.1 * u[0] ** 2 + 0.01 * p[0] ** 2), steps=40,
+    x0=[1.0, 0.0], p0=[1.0, 0.5], uses={"calm": calm, "rough": rough}, noise=[0.05], history=3, limit_tolerance="off",
+    real=RealPlant(plant(0.1), calm, [1.0, 0.0], 10, 60, held_out={"calm": calm, "rough": rough}),
+    metrics=lambda run: {"mean square input": float(np.mean(run.inputs**2))},
+)
+"""
 
-    calm, rough = Gaussian([0.3]), Gaussian([2.0])
-    given = {
-        "name": "boat", "title": "A boat", "plant": plant(0.0), "X": (-20, 20), "U": (-3, 3), "disturbance": calm,
-        "objective": CustomObjective(lambda x, u, p: x[0] ** 2 + 0.1 * u[0] ** 2 + 0.01 * p[0] ** 2), "steps": 40,
-        "x0": [1.0, 0.0], "p0": [1.0, 0.5], "uses": {"calm": calm, "rough": rough}, "noise": [0.05], "history": 3,
-        "limit_tolerance": "off",
-        "real": RealPlant(plant(0.1), calm, [1.0, 0.0], 10, 60, held_out={"calm": calm, "rough": rough}),
-        "metrics": lambda run: {"mean square input": float(np.mean(run.inputs**2))},
-    }  # fmt: skip
-    return SideBySide(**(given | changes))
+
+@pytest.fixture
+def boat(tmp_path):
+    (tmp_path / "boat.py").write_text(BOAT)
+    return tmp_path / "boat.py"
 
 
 @pytest.mark.check
-def test_every_use_gets_a_design_and_meets_the_designs_of_all(tmp_path):
-    study = boat()
-    few = CoDesignConfig(iterations=4, block=2, pathwise_runs=32, evaluation_runs=64)
-    config = replace(configuration(study, quick=True), codesign=few)
-    folder = RunFolder.create(tmp_path / "run")
-    found, trials = SideBySideRun(study, config, folder, 0, print).run()
-    assert list(found) == list(trials) == ["calm", "rough"]
-    for use, trial in trials.items():
-        assert set(trial.values) == {(design, kind) for design in ("start", *found) for kind in ("LQG", "MPC", "learned")}
-        (change,) = trial.changes["design"]
-        assert change.before == trial.values["start", "LQG"]["mean square input"]
-        assert change.after == trial.values[use, "LQG"]["mean square input"]
-        assert change.change.mean == pytest.approx(change.after - change.before)
-    again = SideBySideRun(study, config, folder, 0, pytest.fail if False else print).run()
-    assert again[1]["calm"].values == trials["calm"].values
+def test_every_use_gets_a_design_and_meets_the_designs_of_all(boat):
+    out = boat.with_name("out")
+    done = CliRunner().invoke(app, ["run", str(boat), "--quick", "--output", str(out)])
+    assert done.exit_code == 0, done.output
+    designs, changes, values = (part.splitlines() for part in done.output.split("\n\n")[1:4])
+    assert [line.split(":")[0] for line in designs] == [
+        "start", *(f"{use}, {method}" for use in ("calm", "rough") for method in ("nested LQG", "pathwise"))
+    ]  # fmt: skip
+    found = {tuple(line.split()[:3]): float(line.split()[3]) for line in values[1:]}
+    assert set(found) == set(product(("calm", "rough"), ("start", "calm", "rough"), ("LQG", "MPC", "learned")))
+    for use in ("calm", "rough"):
+        line = next(line for line in changes if re.match(rf"{use} +design +[−+\d]", line))
+        percent = 100 * (found[use, use, "LQG"] / found[use, "start", "LQG"] - 1)
+        assert float(re.search(r"[−+]?[\d.]+", line)[0].replace("−", "-")) == pytest.approx(percent, abs=0.6)
 
 
 @pytest.mark.parametrize(
@@ -120,9 +126,9 @@ def test_every_use_gets_a_design_and_meets_the_designs_of_all(tmp_path):
         ({"metrics": None}, "no metrics"),
     ],
 )
-def test_wrong_studies_are_named(changes, words):
+def test_wrong_studies_are_named(boat, changes, words):
     with pytest.raises(InputError, match=words):
-        boat(**changes)
+        replace(load_study(boat), **changes)
 
 
 @pytest.mark.check
@@ -136,10 +142,10 @@ def test_the_command_designs_a_softer_car_for_the_mild_driver_with_less_effort_f
     assert (mild < [28000.0, 2500.0, 21000.0, 2000.0]).all()
     assert aggressive[0] > 1.2 * mild[0]
     assert aggressive[2] > 1.2 * mild[2]
-    lines = done.output.splitlines()
-    rows = {line.split()[0]: line.split("%") for line in lines if line.split()[1:2] == ["design"] and "LQG" not in line}
-    assert set(rows) >= {"mild", "aggressive"}
-    assert all("[−" in row[1] and row[1].rstrip().endswith("]") is False for row in rows.values())
+    rows = [line for line in done.output.splitlines() if line.split()[1:2] == ["design"] and "[" in line]
+    own = [row for row in rows if row.split()[2].startswith("−")]  # of the design alone: cost falls, and effort
+    assert [row.split()[0] for row in own] == ["mild", "aggressive"]
+    assert all(re.findall(r"([−+][\d.]+) %", row)[1].startswith("−") for row in own)
     assert (folder.path / "report.html").read_text().count("<tr>") == 1 + 10 + 1 + 18
     assert (folder.path / "side_by_side.png").read_bytes().startswith(b"\x89PNG")
     again = runner.invoke(app, ["resume", str(folder.path)])
