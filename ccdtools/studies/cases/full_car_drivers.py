@@ -12,7 +12,7 @@ import numpy as np
 
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.disturbances.combinations import Cases, Stacked
-from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.disturbances.disturbance import Disturbance, Gaussian
 from ccdtools.plants.library import full_car
 from ccdtools.plants.plant import Plant
 from ccdtools.studies.cases._cars import CAR, WHEELBASE, by_kind, stop
@@ -55,8 +55,8 @@ def stage_cost(x: Any, u: Any, p: Any) -> Any:
 
 def drive(driver: Driver, *classes: RoadClass) -> Stacked:
     """Roads of the classes in turn under a driver's car, and the driver's manoeuvres."""
-    under = {"track": 2 * CAR.half_track, "wheelbase": WHEELBASE, "spacing": 0.08}  # m
-    roads = (ISORoad(one, driver, NOMINAL.dt, **under) for one in classes)
+    track = 2 * CAR.half_track
+    roads = (ISORoad(one, driver, NOMINAL.dt, track=track, wheelbase=WHEELBASE, spacing=0.08) for one in classes)
     white = np.sqrt(2 * MANOEUVRE / NOMINAL.dt) * np.array(DRIVERS[driver])  # which the states filter to that size
     return Stacked((Cases(tuple(roads)), Gaussian(white)))
 
@@ -75,7 +75,7 @@ NOMINAL = driven(full_car())
 LIMITS = np.append(by_kind(full_car().state_names)[0], [10.0, 10.0])  # m/s², beyond what tyres give
 FORCE = np.full(4, 1500.0)  # N, of each strut; below the 2500 N at which the real actuator ends
 RIDE = Ride(12, range(4, 8), range(4), CAR.tyre, np.repeat(CAR.loads, 2), stop())
-USES = {driver: drive(driver, "C") for driver in DRIVERS}
+USES: dict[str, Disturbance] = {driver: drive(driver, "C") for driver in DRIVERS}
 
 study = SideBySide(
     name="full_car_drivers",
