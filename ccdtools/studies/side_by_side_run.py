@@ -50,13 +50,11 @@ class SideBySideRun:
 
     def run(self) -> tuple[dict[str, Stage], dict[str, Trial]]:
         """Co-designs and trials by use."""
-        found: dict[str, Stage] = {}
         for use in self.study.uses:
-            name = f"design-{use}"
-            if not self.folder.has(name):
+            if not self.folder.has(f"design-{use}"):
                 self.echo(f"Design for {use}")
-                self.folder.keep_stage(name, self._designed(use))
-            found[use] = self.folder.read_stage(name)
+                self.folder.keep_stage(f"design-{use}", self._designed(use))
+        found = {use: self.folder.read_stage(f"design-{use}") for use in self.study.uses}
         return found, {use: self._tried(use, found) for use in self.study.uses}
 
     def _designed(self, use: str) -> Stage:
@@ -81,10 +79,9 @@ class SideBySideRun:
         )  # fmt: skip
         driven: dict[Place, Trajectory] = {}
         for name, p in {START: study.p0, **{one: stage.arrays["design"] for one, stage in found.items()}}.items():
-            policy = LearnedPolicy(found[use].networks["agent"], p)
             controllers = {"LQG": observed(problem, saturated_lqr(problem, p), p),
                            "MPC": observed(problem, linear_mpc(problem, p), p),
-                           "learned": History(policy, study.history)}  # fmt: skip
+                           "learned": History(LearnedPolicy(found[use].networks["agent"], p), study.history)}  # fmt: skip
             driven |= {(name, kind): scenario.run(one, design=p) for kind, one in controllers.items()}
         pairs: dict[str, tuple[Place, Place]] = {
             "design": ((START, "LQG"), own), "policy, for LQG": (own, (use, "learned")),

@@ -23,7 +23,6 @@ from ccdtools.vehicles.iso8608 import RoadClass
 from ccdtools.vehicles.iso_road import ISORoad
 from ccdtools.vehicles.ride import Ride
 from ccdtools.vehicles.roads import Driver
-from invariant_sets import Polytope
 
 HEIGHT = 0.5  # m, of the centre of mass above the road's reaction; a typical value
 MANOEUVRE = 1.0  # s, for which a driver keeps on; a typical value
@@ -48,17 +47,16 @@ def driven(car: Plant) -> Plant:
 
 def stage_cost(x: Any, u: Any, p: Any) -> Any:
     """Squares of body accelerations, tyre deflections, travels and forces, beside tolerable ones."""
-    accelerations = NOMINAL.right_hand_side(x, u, 0, p)[12:15]
-    parts = {"acceleration": accelerations, "tyre": x[:4], "travel": x[4:8], "force": u}
+    rates = NOMINAL.right_hand_side(x, u, 0, p)
+    parts = {"acceleration": rates[12:15], "tyre": x[:4], "travel": x[4:8], "force": u}
     return sum(ca.sumsqr(part / GOOD[name]) for name, part in parts.items())
 
 
 def drive(driver: Driver, *classes: RoadClass) -> Stacked:
-    """Roads of the classes in turn under a driver's car, and the driver's manoeuvres."""
+    """Roads of the classes in turn under a driver's car, and white noise that its states filter to manoeuvres."""
     track = 2 * CAR.half_track
     roads = (ISORoad(one, driver, NOMINAL.dt, track=track, wheelbase=WHEELBASE, spacing=0.08) for one in classes)
-    white = np.sqrt(2 * MANOEUVRE / NOMINAL.dt) * np.array(DRIVERS[driver])  # which the states filter to that size
-    return Stacked((Cases(tuple(roads)), Gaussian(white)))
+    return Stacked((Cases(tuple(roads)), Gaussian(np.sqrt(2 * MANOEUVRE / NOMINAL.dt) * np.array(DRIVERS[driver]))))
 
 
 def metrics(run: Trajectory) -> dict[str, float]:
@@ -73,7 +71,6 @@ def metrics(run: Trajectory) -> dict[str, float]:
 
 NOMINAL = driven(full_car())
 LIMITS = np.append(by_kind(full_car().state_names)[0], [10.0, 10.0])  # m/s², beyond what tyres give
-FORCE = np.full(4, 1500.0)  # N, of each strut; below the 2500 N at which the real actuator ends
 RIDE = Ride(12, range(4, 8), range(4), CAR.tyre, np.repeat(CAR.loads, 2), stop())
 USES: dict[str, Disturbance] = {driver: drive(driver, "C") for driver in DRIVERS}
 
@@ -81,8 +78,8 @@ study = SideBySide(
     name="full_car_drivers",
     title="A full car for two drivers",
     plant=NOMINAL,
-    X=Polytope.from_bounds(-LIMITS, LIMITS),
-    U=Polytope.from_bounds(-FORCE, FORCE),
+    X=(-LIMITS, LIMITS),
+    U=(-1500.0, 1500.0),  # N, of each strut; below the 2500 N at which the real actuator ends
     objective=CustomObjective(stage_cost),
     disturbance=USES["mild"],
     x0=np.zeros(NOMINAL.nx),

@@ -31,11 +31,9 @@ def write_side_by_side(
         (use, *place, *map(number, metrics.values()))
         for use, trial in trials.items() for place, metrics in trial.values.items()
     ]  # fmt: skip
-    head = ("use", "design", "controller", *names)
-    tables = [
-        Table(("use", "change, with its 95 % interval, of", *names), changes, right=frozenset(range(2, len(head)))),
-        Table(head, values, right=frozenset(range(3, len(head)))),
-    ]
+    right = frozenset(range(3, 3 + len(names)))
+    tables = [Table(("use", "change, with its 95 % interval, of", *names), changes, right),
+              Table(("use", "design", "controller", *names), values, right)]  # fmt: skip
     designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
     designs += [line for stage in found.values() for line in stage.values["report"]]
     image = style.png(plot_side_by_side(study, found, trials, quick=quick))
@@ -57,14 +55,13 @@ def plot_side_by_side(
             first.plot(space.names, space.to_unit(p), "o-", lw=0.8, label=name)
         first.set(ylim=(-0.05, 1.05), ylabel="place in the box of designs", title="designs")
         for ax, (use, trial) in zip(others, trials.items()):
-            _plot_changes(ax, trial)
-            ax.set_title(use)
+            _plot_changes(ax, use, trial)
         for ax in (first, *others):
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
     return figure
 
 
-def _plot_changes(ax: Any, trial: Trial) -> None:
+def _plot_changes(ax: Any, use: str, trial: Trial) -> None:
     """Plot changes of metrics with their intervals, a colour per question."""
     names = list(next(iter(trial.values.values())))
     far = 1.0
@@ -77,5 +74,5 @@ def _plot_changes(ax: Any, trial: Trial) -> None:
         ax.errorbar(mean, at, xerr=[mean - low, high - mean], fmt="o", ms=3.5, lw=1.2, label=what)
         far = max(far, 1.3 * np.nanmax(np.abs(mean)))
     ax.axvline(0.0, color="#444444", lw=0.9)
-    ax.set_yticks(range(len(names)), [style.label(name) for name in names])
-    ax.set(xlim=(-far, far), ylim=(len(names) - 0.5, -0.5), xlabel="change [%], 95 % interval")
+    ax.set(title=use, xlim=(-far, far), ylim=(len(names) - 0.5, -0.5), xlabel="change [%], 95 % interval",
+           yticks=range(len(names)), yticklabels=map(style.label, names))  # fmt: skip
