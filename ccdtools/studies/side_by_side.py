@@ -58,7 +58,8 @@ class SideBySide(Study):
     @cached_property
     def problems(self) -> dict[str, CoDesignProblem]:
         """Co-design problem of every use, on the nominal model and its sensors."""
-        own, sensors = self.problem(), Measurement(self.plant, noise=self.noise)
+        own = self.problem()
+        sensors = Measurement(self.plant, noise=self.noise)
         return {
             use: replace(own, scenarios=FixedStart(self.x0, disturbance), measurement=sensors)
             for use, disturbance in self.uses.items()

@@ -27,14 +27,8 @@ from ccdtools.trajectory import Trajectory
 
 START = "start"  # the first design of the study
 Place = tuple[str, str]  # names of a design and of a controller
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """Metrics in one use, by design and controller, and their changes by what changes."""
-
-    values: dict[Place, dict[str, float]]
-    changes: dict[str, tuple[MetricChange, ...]]
+# Metrics in one use, by design and controller, and their changes by what changes.
+Trial = tuple[dict[Place, dict[str, float]], dict[str, tuple[MetricChange, ...]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +53,8 @@ class SideBySideRun:
 
     def _designed(self, use: str) -> Stage:
         """Co-design of LQG from the start of the study, and from there of a policy of outputs."""
-        problem, rng = self.study.problems[use], np.random.default_rng([self.seed, *use.encode()])
+        problem = self.study.problems[use]
+        rng = np.random.default_rng([self.seed, *use.encode()])
         lqg = codesign(problem, method=Nested("lqg", starts=1), design=self.study.p0, rng=rng, progress=self.progress)
         method = Learned(config=replace(self.config.codesign, starts=1), history=self.study.history)
         found: Any = codesign(problem, method=method, design=lqg.design, rng=rng, progress=self.progress)
@@ -69,7 +64,10 @@ class SideBySideRun:
     def _tried(self, use: str, found: Mapping[str, Stage]) -> Trial:
         """All designs in one use, under disturbances that no co-design met."""
         self.echo(f"Trial of all designs by {use}")
-        study, problem, own = self.study, self.study.problems[use], (use, "LQG")
+        study = self.study
+        problem = study.problems[use]
+        agent = found[use].networks["agent"]
+        own = (use, "LQG")
         rng = np.random.default_rng([self.seed, 1, *use.encode()])
         runs = TRIAL_RUNS // 5 if self.config.quick else TRIAL_RUNS
         scenario = Scenario(
@@ -81,7 +79,7 @@ class SideBySideRun:
         for name, p in {START: study.p0, **{one: stage.arrays["design"] for one, stage in found.items()}}.items():
             controllers = {"LQG": observed(problem, saturated_lqr(problem, p), p),
                            "MPC": observed(problem, linear_mpc(problem, p), p),
-                           "learned": History(LearnedPolicy(found[use].networks["agent"], p), study.history)}  # fmt: skip
+                           "learned": History(LearnedPolicy(agent, p), study.history)}  # fmt: skip
             driven |= {(name, kind): scenario.run(one, design=p) for kind, one in controllers.items()}
         pairs: dict[str, tuple[Place, Place]] = {
             "design": ((START, "LQG"), own), "policy, for LQG": (own, (use, "learned")),
@@ -89,4 +87,4 @@ class SideBySideRun:
         } | {f"design, for that of {other}": ((other, "LQG"), own) for other in found if other != use}  # fmt: skip
         assert study.metrics is not None
         changes = {what: metric_changes(study.metrics, driven[one], driven[two]) for what, (one, two) in pairs.items()}
-        return Trial({place: metrics_of(study.metrics, run) for place, run in driven.items()}, changes)
+        return {place: metrics_of(study.metrics, run) for place, run in driven.items()}, changes

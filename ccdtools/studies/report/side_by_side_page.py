@@ -22,14 +22,14 @@ def write_side_by_side(
     study: SideBySide, found: Mapping[str, Stage], trials: Mapping[str, Trial], folder: RunFolder, *, quick: bool
 ) -> tuple[str, Path]:
     """Write side_by_side.png and report.html; return what is printed, and the page's path."""
-    names = list(next(iter(next(iter(trials.values())).values.values())))
+    names = list(next(iter(next(iter(trials.values()))[0].values())))
     changes = [
         (use, what, *(percent_interval(one.change.mean, one.change.ci95, one.before) for one in changed))
-        for use, trial in trials.items() for what, changed in trial.changes.items()
+        for use, (_, by_question) in trials.items() for what, changed in by_question.items()
     ]  # fmt: skip
     values = [
         (use, *place, *map(number, metrics.values()))
-        for use, trial in trials.items() for place, metrics in trial.values.items()
+        for use, (by_place, _) in trials.items() for place, metrics in by_place.items()
     ]  # fmt: skip
     right = frozenset(range(3, 3 + len(names)))
     tables = [Table(("use", "change, with its 95 % interval, of", *names), changes, right),
@@ -63,14 +63,15 @@ def plot_side_by_side(
 
 def _plot_changes(ax: Any, use: str, trial: Trial) -> None:
     """Plot changes of metrics with their intervals, a colour per question."""
-    names = list(next(iter(trial.values.values())))
+    values, by_question = trial
+    names = list(next(iter(values.values())))
     far = 1.0
-    for i, (what, changes) in enumerate(trial.changes.items()):
+    for i, (what, changes) in enumerate(by_question.items()):
         if not changes:  # one of both lost every run
             continue
         size = np.array([abs(one.before) or np.nan for one in changes])
         mean, low, high = 100 * np.array([(one.change.mean, *one.change.ci95) for one in changes]).T / size
-        at = np.arange(len(names)) + 0.7 * (i / (len(trial.changes) - 1) - 0.5)
+        at = np.arange(len(names)) + 0.7 * (i / (len(by_question) - 1) - 0.5)
         ax.errorbar(mean, at, xerr=[mean - low, high - mean], fmt="o", ms=3.5, lw=1.2, label=what)
         far = max(far, 1.3 * np.nanmax(np.abs(mean)))
     ax.axvline(0.0, color="#444444", lw=0.9)
