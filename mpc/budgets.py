@@ -18,6 +18,7 @@ LAWS_AT_ONCE = 4096  # Laws checked at once, which bounds the memory
 POINTS_ANYWHERE = 4  # Random parameters, and as many near the border, at which holes are looked for
 POINTS_BETWEEN = 100  # Points between facets at which holes are looked for
 POINTS_BEHIND = 500  # Points behind facets that led to a region, at which holes are looked for
+FARTHEST_BEHIND = 0.01  # Holes are looked for so far behind a facet at most, scaled parameters [-].
 REGIONS_PER_POINT = 8  # Regions of a large law for which each way of looking for holes takes one more point
 QPS_AT_ONCE = 16  # Points at which the QP is solved before the others are checked against the new regions
 
@@ -36,6 +37,7 @@ HIGHEST_DEGREE = 50  # Highest degree of collocation: matrices of so many points
 OBSTACLE_DOUBLINGS = 11  # Doublings of its depth beyond which an obstacle must go on: 1/1000 of a radius [-]
 LIMIT_CHECKS = 16  # Places of an interval, and again about each largest violation, at which limits are checked
 CLOSER_LOOKS = 5  # A largest violation is looked at so many times, each time eight times as close.
+MESH_SAFETY = 0.05  # New intervals aim at this part of the tolerance [-], so that fewer meshes are made.
 MOST_PARTS = 6  # Parts at most that an interval is cut into at once
 MESHES_WITHOUT_GAIN = 2  # Meshes in a row without a gain, rounding alone, after which none is made
 GUESSED_STEPS = 10  # Gauss–Newton steps from outputs to the states that a parameter estimation starts from.

@@ -13,7 +13,7 @@ import numpy as np
 from mpc.budgets import DAQP_ITERATIONS
 from mpc.checks import Array
 from mpc.plan import Residuals
-from mpc.tolerances import EPS, INTERIOR_POINT, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL
+from mpc.tolerances import EPS, KKT, NEGLIGIBLE, NO_BOUND, PRIMAL, SOLVERS
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def clarabel_solution(H: Any, q: Array, K: Any, b: Array, unit: float, equal: in
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = INTERIOR_POINT
+    settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = SOLVERS
     cones = [clarabel.ZeroConeT(equal)] * (equal > 0) + [clarabel.NonnegativeConeT(len(b) - equal)]
     solution = clarabel.DefaultSolver(H, q / unit, K, b / unit, cones, settings).solve()
     infeasible = "PrimalInfeasible" in str(solution.status)

@@ -12,7 +12,7 @@ from mpc.dense_qp import DenseQP
 from mpc.exceptions import InputError
 from mpc.parametric_qp import Constraint, ParametricQP
 from mpc.problem import MPCProblem
-from mpc.tolerances import EPS, FARTHEST, FEASIBLE, KKT_REPORTED, LP, LP_OPTIONS, OVERFLOW
+from mpc.tolerances import EPS, FEASIBLE, KKT_REPORTED, LP_OPTIONS, OVERFLOW, RUNAWAY, SOLVERS
 
 Rows = list[int]
 
@@ -87,7 +87,7 @@ def explain_infeasibility(
     G = qp.G * scale / units[:, None]
     b = b / units
     # the LP solver takes 1e20 for infinite: far away, bounds are compared in units of the largest
-    far = max(1.0, float(np.abs(b).max(initial=0.0)) / FARTHEST)
+    far = max(1.0, float(np.abs(b).max(initial=0.0)) / RUNAWAY)
     b = b / far
     everything = list(range(qp.m))
     if runaway is None and not _impossible(G, b, everything):
@@ -195,7 +195,7 @@ def _least_sum(G: Array, b: Array, givable: Rows) -> dict[int, float]:
 def _contradiction(G: Array, b: Array, rows: Rows) -> Rows:
     """Minimal infeasible subset of the rows."""
     _, proof = _least_maximum(G, b, rows)
-    support = [i for i, y in zip(rows, proof) if y > LP]
+    support = [i for i, y in zip(rows, proof) if y > SOLVERS]
     current = support if _least_maximum(G, b, support)[0] > FEASIBLE else list(rows)
     for i in list(current):
         without = [j for j in current if j != i]

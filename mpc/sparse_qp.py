@@ -29,7 +29,7 @@ from mpc.solving import (
     timed,
 )
 from mpc.stages import StagewiseQP
-from mpc.tolerances import INTERIOR_POINT, KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, RUNAWAY
+from mpc.tolerances import KKT, KKT_REPORTED, NEGLIGIBLE, OVERFLOW, RUNAWAY, SOLVERS
 
 
 class SparseSolver:
@@ -217,7 +217,7 @@ class SparseSolver:
         unit = float(np.abs(v).max(initial=0.0))
         left, largest = self._gradient(Hv, q, pushed, unit) if self._remembers else (np.zeros(1), 0.0)
         gradient = float(np.linalg.norm(left)) / largest if largest > 0 else 0.0
-        least = INTERIOR_POINT / KKT_REPORTED * self._weight * unit**2  # that the solver knows of
+        least = SOLVERS / KKT_REPORTED * self._weight * unit**2  # that the solver knows of
         cost = max(abs(float(v @ Hv)), abs(float(q @ v)), least)
         gap = abs(float(y @ (high[self._equal :] - self._limits @ v)))
         doubt = max(gradient, gap / cost if cost > 0 else 0.0)

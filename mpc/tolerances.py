@@ -6,6 +6,7 @@ scaled coordinates has no unit and means the same whatever units the user measur
 
 from __future__ import annotations
 
+import math
 import sys
 
 EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
@@ -16,7 +17,7 @@ EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
 # beside its parts, at which a row that depends on acting ones leaves its bound by rounding alone [-]
 KKT = 1e-7
 # Size of terms, in units of their difference, beyond which it has fewer digits than `KKT` asks for [-]: of a feedback
-# Kx beside the limits of u = v - Kx, and of what an unstable plant makes of costates
+# Kx beside the limits of u = v - Kx, of what an unstable plant makes of costates, and of bounds beside their units
 RUNAWAY = KKT / EPS
 # Relative optimality residual, or Newton step in units of the limits, above which a plan is INACCURATE; so a row that
 # is nearer to its bound, and would be passed by less if it did not act, neither acts nor leaves the plan alone [-]
@@ -26,7 +27,10 @@ KKT_REPORTED = 1e-6
 # opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws, a part of a
 # row outside the span of those that act
 PRIMAL = 1e-9
-INTERIOR_POINT = 1e-11  # Residuals and gap at which Clarabel stops, and Ipopt at a steady state, on scaled data [-]
+# Residuals on scaled data at which HiGHS, Clarabel and, at a steady state, Ipopt stop, and multiplier of a proof of
+# infeasibility above which its row takes part [-]: the least that HiGHS allows
+SOLVERS = 1e-10
+LP_OPTIONS = {"primal_feasibility_tolerance": SOLVERS, "dual_feasibility_tolerance": SOLVERS}
 # Violation, relative to the unit of its row, up to which a problem counts as feasible [-]: that which a plan may have,
 # well above what the LP and QP solvers themselves accept on scaled rows
 FEASIBLE = KKT_REPORTED
@@ -68,11 +72,6 @@ RICCATI = 1e-4
 SETTLED_MARGIN = 0.1
 
 # ---- explained infeasibility ----
-# Violation of a row, in its unit, that HiGHS accepts, and multiplier of a proof of infeasibility above which its row
-# takes part [-]: the least that HiGHS allows
-LP = 1e-10
-LP_OPTIONS = {"primal_feasibility_tolerance": LP, "dual_feasibility_tolerance": LP}
-FARTHEST = 1e12  # Bounds larger than this, relative to their unit, are scaled down for the LP solver [-]
 STEADY = 1e-9  # Residual of the steady-state equation, relative to its terms or sizes, that counts as none [-]
 
 # ---- stage-by-stage solution, in scaled variables ----
@@ -85,19 +84,19 @@ TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both o
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
 # Newton step, in sizes of inputs and states, at which a stagewise plan or a target is found and from which on
-# derivatives are taken [-]; their error is of this size
-NEWTON = 1e-9
+# derivatives are taken [-]: what it leaves is its square, which is rounding
+NEWTON = math.sqrt(EPS)
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
 # Squared distance of a unit row from the span of others below which it depends on them, and no projection moves along
 # it [-]
 DEPENDENT_ROW = 1e-12
-# Squared distance of a unit row from the span of others below which multipliers are refined by their residual, and laws
-# computed by orthogonal directions [-]
-REFINED_ROW = 1e-5
+# Squared distance of a unit row from the span of others below which rounding, which it magnifies, is not none: then
+# multipliers are refined by their residual, and laws computed by orthogonal directions [-]
+REFINED_ROW = ROUNDED_SUM / PRIMAL
 # Size of the variables, in units of the largest bound, up to which a proof of infeasibility holds though its rows are
 # rounded; and the largest such unit, in units of the bounds [-]
-EXCLUDED = 1e4
+EXCLUDED = PRIMAL / ROUNDED_SUM
 # Distance of the unconstrained optimum from the bounds, in units of their size, beyond which rounding decides which
 # rows hold with equality and which lie in front of others [-]: the problem is a linear program but for its last digits
 FAR_OPTIMUM = 1e8
@@ -120,9 +119,6 @@ INSIDE = 1e-7
 INSIDE_FLOAT = 1e-5  # Distance `INSIDE` in generated code of single precision [-]
 SAME_HYPERPLANE_DIGITS = 8  # Decimal digits in which unit normals and offsets of rows agree that are one
 
-# ---- explicit laws: exploration and the search for holes ----
-FARTHEST_BEHIND = 0.01  # Largest distance behind a facet at which a hole is looked for, scaled parameters [-]
-
 # ---- optimal control: solving ----
 OPTIMAL = 1e-5  # Residual of the optimality conditions, relative to the multipliers or terms, of an optimum [-]
 WELL_SIZED = 10.0  # Ratio of sizes found to sizes assumed up to which no solve is repeated [-]
@@ -132,18 +128,15 @@ IN_THE_WAY = 0.01  # Part of the largest multiplier from which on a limit is nam
 # Distance from a bound, in sizes or ranges of the unknown, up to which a value is at it [-]: Ipopt moves bounds by 1e-8
 AT_BOUND = 1e-6
 SHORTEST_DURATION = 1e-4  # Part of its lower bound within which a duration counts as shortest [-]
-# Part of the squared costs of scenarios that is rounding [-]: added to the variance of equal costs it
-# gives their spread a slope
-COST_DIGITS = 1e-12
 
 # ---- optimal control: meshes ----
 LIMIT_PASSED = 1e-5  # Relative violation of a limit between the points that a solution may have [-]
 COARSE_MESH = 0.05  # Relative error of the dynamics over an interval that a solution may have [-]
 COST_ERROR = 0.003  # Estimated relative error of the cost that a solution may have; the true one is up to thrice it [-]
-# Error or gain of the cost, and difference from a reference, in sizes of the cost or of its slope, that is rounding [-]
+# Error or gain of the cost, difference from a reference, and spread of equal costs, which so has a slope, in sizes of
+# the cost or of its slope, that is rounding [-]
 COST_ROUNDING = 1e-6
 LEAST_LIMIT_SIZE = 0.01  # Least size of a limit between the points, beside its size in the program [-]
-MESH_SAFETY = 0.05  # Part of the tolerance that new intervals aim at [-]
 JUMP_PLACE = 0.1  # Precision to which the place of a jump is known, in roots of the tolerance [-]
 JUMP_SHARE = 0.5  # Part of an input's range that, crossed within one interval, makes a jump [-]
 LEAST_INTERVAL = 1e-9  # Part of the phase below which no interval is cut [-]

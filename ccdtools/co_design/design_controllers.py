@@ -16,8 +16,8 @@ from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
 from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
-from ccdtools.plants.sampled_model import SampledModel
 from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ ON_TANGENT = "The plant is not linear: LQR, MPC, expert and landscape are of its
 
 def tangent_note(problem: CoDesignProblem) -> str:
     """Note that LQR uses the tangent at rest; empty if linear."""
-    return ON_TANGENT if isinstance(problem.model, SampledModel) else ""
+    return "" if isinstance(problem.model, LinearModel) else ON_TANGENT
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:

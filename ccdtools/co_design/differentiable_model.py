@@ -23,7 +23,7 @@ from torch.utils.checkpoint import checkpoint
 
 from ccdtools.co_design.budgets import HELD_SAMPLES, LONGEST_SEGMENT
 from ccdtools.co_design.risk import fewest_runs
-from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.linear_model import LinearModel
 from learning.networks import ActorCritic, scaled
 
 if TYPE_CHECKING:
@@ -59,6 +59,14 @@ def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return M[..., : model.nx], M[..., model.nx : model.nx + model.nu], M[..., model.nx + model.nu :]
 
 
+def _needed_matrices(problem: CoDesignProblem, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Matrices A, B, E where a step needs them; else, of a model that is not linear, none."""
+    carried = getattr(problem.discrepancy, "transport", None) is not None
+    if carried or isinstance(problem.model, LinearModel):
+        return matrices(problem.model, p)
+    return p.new_zeros(0), p.new_zeros(0), p.new_zeros(0)
+
+
 def in_double(problem: CoDesignProblem) -> CoDesignProblem:
     """Problem with learned errors in double precision."""
     learned = problem.discrepancy
@@ -87,12 +95,12 @@ class Stepper:
     @classmethod
     def at(cls, problem: CoDesignProblem, p: Tensor) -> Stepper:
         """Model at design `p` (np,) or (n, np), differentiable in `p`."""
-        return cls._of(problem, p, matrices(problem.model, p))
+        return cls._of(problem, p, _needed_matrices(problem, p))
 
     @classmethod
     def for_each(cls, problem: CoDesignProblem, designs: Tensor, runs: int) -> Stepper:
         """Model at designs (m, np), each for `runs` consecutive runs."""
-        A, B, E = (M.repeat_interleave(runs, dim=0) for M in matrices(problem.model, designs))
+        A, B, E = (M.repeat_interleave(runs, dim=0) for M in _needed_matrices(problem, designs))
         return cls._of(problem, designs.repeat_interleave(runs, dim=0), (A, B, E))
 
     @classmethod
@@ -112,7 +120,7 @@ class Stepper:
 
         The disturbance itself where the model is not linear, the noise itself where errors are learned.
         """
-        plain = self.problem.discrepancy is not None or isinstance(self.problem.model, SampledModel)
+        plain = self.problem.discrepancy is not None or not isinstance(self.problem.model, LinearModel)
         return w if plain else _times(self.E, w)
 
     def advance(self, x: Tensor, e: Tensor, u: Tensor, drive: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
@@ -124,7 +132,7 @@ class Stepper:
             penalty = (paid,)
             error = e[..., : x.shape[-1]]  # the rest is what draws remember
             drive = error if self.carry is None else _times(self.carry, error[:, None])[:, 0]
-        if not isinstance(model, SampledModel):
+        if isinstance(model, LinearModel):
             return _plus_times(_plus_times(drive, self.A, x), self.B, u), e, penalty
         if discrepancy is None:
             return model.pathwise(x, u, drive, self.p), e, penalty

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +26,8 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EDGE_OF_SET, IMITATED
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
-from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.progress import Echo, telling
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_control_invariant_set
 
@@ -110,7 +111,7 @@ def admissible_inputs(
     return AdmissibleInputs(A, B, into, U, W=W)
 
 
-def _leaving(model: SampledModel, begin: Starts, x: Array, u: Array) -> float:
+def _leaving(model: Any, begin: Starts, x: Array, u: Array) -> float:
     """Fraction of states (n, nx) in known sets that a step leads outside."""
     after = np.asarray(model.advance(x, u, np.zeros(model.nw), begin.p))
     kept = [S.contains(after[i], EDGE_OF_SET) for i, S in enumerate(begin.sets) if S is not None and S.contains(x[i])]
@@ -203,7 +204,7 @@ def expert_dataset(
     inputs = np.concatenate([states, designs_of_all], axis=2)
     lost = float(np.isnan(values[0, : begin.candidates]).mean())
     counts = begin.counts
-    if isinstance(problem.model, SampledModel):
+    if not isinstance(problem.model, LinearModel):
         leaving = _leaving(problem.model, begin, states[0], actions[0])
         counts = replace(counts, local=True, leaving=leaving)
     return ExpertData(inputs[known], actions[known], values[known], begin.acceptance, lost, counts)

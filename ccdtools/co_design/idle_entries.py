@@ -24,6 +24,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.simulated_model import SimulatedModel
 
 EXPECTED = "entries that change the dynamics, a cost, a limit, a constraint or a measured output"
 CURE = "Remove it from the DesignSpace, or state what it acts on."
@@ -35,9 +36,10 @@ def check_every_entry_acts(problem: Any) -> None:
 
     An entry acts if a term depends on it by its expression and takes another value at another design, at one of 500
     states within ten times X, with inputs within ten times U. One that scales nothing but a disturbance does not act
-    where that is always zero. With a Python function as sensor nothing is said.
+    where that is always zero. Of a simulator or with a Python function as sensor nothing is said.
     """
-    if callable(getattr(problem.measurement, "output", None)):  # what it does with an entry is not known
+    sensed = callable(getattr(problem.measurement, "output", None))
+    if sensed or isinstance(problem.model, SimulatedModel):  # what it does with an entry is not known
         return
     free = np.flatnonzero(problem.design.free)
     undisturbed = _idle(problem, free, disturbance=0.0)
@@ -56,7 +58,7 @@ def acting_together(problem: Any) -> str:
     disturbances. Of a problem with learned errors nothing is said.
     """
     space = problem.design
-    if np.sum(space.free) < 2 or problem.discrepancy is not None:
+    if np.sum(space.free) < 2 or problem.discrepancy is not None or isinstance(problem.model, SimulatedModel):
         return ""
     rng = np.random.default_rng(0)
     width = space.upper - space.lower  # of a fixed entry zero

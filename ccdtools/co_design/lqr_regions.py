@@ -24,7 +24,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import NEARLY_LINEAR
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.tolerances import ON_LIMIT
 
 
@@ -43,7 +43,7 @@ class LQRRegions:
     # tenth of the ellipsoid of its linearisation in every direction: there it is as good as linear
     shapes: Array
     designs: Array  # (n, np)
-    sampled: SampledModel | None = None  # the model where it is not linear; A, B and E are then its linearisation
+    sampled: Any = None  # the model where it is not linear; A, B and E are then its linearisation
 
     @classmethod
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
@@ -59,7 +59,7 @@ class LQRRegions:
             for i in np.flatnonzero(np.isfinite(K).all(axis=(1, 2))):
                 limits = np.vstack([rows[i], -K[i] / upper[i][:, None], -K[i] / lower[i][:, None]])
                 shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
-        sampled = problem.model if isinstance(problem.model, SampledModel) else None
+        sampled = None if isinstance(problem.model, LinearModel) else problem.model
         shapes = shapes if sampled is None else shapes / NEARLY_LINEAR**2
         return cls(A, B, E, K, lower, upper, rows, shapes, designs, sampled)
 

@@ -28,8 +28,10 @@ from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, limits_of
+from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.models import Model, as_regulated_model
+from ccdtools.plants.models import as_regulated_model, check_at_rest
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools.tolerances import DIVERGENCE
 from invariant_sets import Polytope
@@ -89,9 +91,10 @@ class CoDesignProblem(Immutable):
 
     Parameters
     ----------
-    model : LinearModel or SampledModel
+    model : LinearModel, SampledModel or BlackBox
         x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design.
-        LQR, MPC and sets are then those of its linearisation there.
+        LQR, MPC and sets are then those of its linearisation there. The slopes of a simulator are
+        central differences, a thousandth of X, U and the box of designs wide.
     X, U : Polytope, bounds (lower, upper), or function of p
         State and input limits; both bounded and around 0, U a box. Each bound is a number for all coordinates, or one
         number each. Leaving X is counted, it does not end an episode. A function of the design returns bounds, as
@@ -136,7 +139,7 @@ class CoDesignProblem(Immutable):
         fixed changes nothing, or nothing but how a disturbance of zero enters.
     """
 
-    model: Model
+    model: Any  # a Model once the problem is made
     X: Limits
     U: Limits
     objective: Objective
@@ -152,15 +155,7 @@ class CoDesignProblem(Immutable):
     divergence: float = DIVERGENCE
 
     def __post_init__(self) -> None:
-        model = as_regulated_model("model", self.model)
-        if model.design is None or model.design.dim == 0:
-            raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
-        if not model.design.free.any():
-            raise InputError(
-                "model", "a box of designs whose entries are all fixed", "at least one with lower < upper",
-                "To keep a design that could be changed, set CoDesignConfig.design_rate to 0.",
-            )  # fmt: skip
-        _check_widths(model.design)
+        model = self._designable()
         self._set(X=_bounded_limits("X", self.X, model.nx, "one per state", model.design))
         self._set(U=_bounded_limits("U", self.U, model.nu, "one per input", model.design))
         if not widest(self.X).contains(np.zeros(model.nx)):
@@ -179,6 +174,7 @@ class CoDesignProblem(Immutable):
             )  # fmt: skip
         self._set(steps=as_count("steps", self.steps))
         self._set(objective=self.objective.over(self.steps))
+        self._set(model=self._differenced(self.model))
         as_risk("risk", self.risk)
         if isinstance(self.risk, WorstCase):
             risk = self.risk.over(self.scenarios) if self.discrepancy is None else of_logged_runs(self.risk)
@@ -196,6 +192,21 @@ class CoDesignProblem(Immutable):
         self._check_scenarios()
         self._check_measurement()
         check_every_entry_acts(self)
+
+    def _designable(self) -> Any:
+        """The model, which rests at 0 and has a design to choose; of a simulator its rest is looked at later."""
+        model = self.model
+        if not isinstance(model, BlackBox | SimulatedModel):
+            as_regulated_model("model", model)
+        if model.design is None or model.design.dim == 0:
+            raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
+        if not model.design.free.any():
+            raise InputError(
+                "model", "a box of designs whose entries are all fixed", "at least one with lower < upper",
+                "To keep a design that could be changed, set CoDesignConfig.design_rate to 0.",
+            )  # fmt: skip
+        _check_widths(model.design)
+        return model
 
     def _check_over_designs(self) -> None:
         """Raise an `InputError` unless designs have finite costs and weights for LQR and MPC."""
@@ -219,16 +230,31 @@ class CoDesignProblem(Immutable):
         if size != (self.model.nx, self.model.nx):
             raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")
 
-    def _check_scenarios(self) -> None:
-        """Raise an `InputError` unless a sample of the scenarios fits."""
+    def _differenced(self, box: Any) -> Any:
+        """Model of a simulator, with steps by the sizes of X, U and the disturbance; other models as they are."""
+        if not isinstance(box, BlackBox):
+            return box
+        w = np.abs(self._drawn()[1]).max(axis=(0, 1), initial=0.0)
+        w = w if w.shape == (box.nw,) else np.zeros(box.nw)  # what is wrong with it is said later
+        extent = np.r_[self.state_scale, np.max(np.abs(self.input_bounds), axis=0), w + (w == 0)]
+        model = SimulatedModel(box, extent)
+        check_at_rest("model", model, as_names("state_names", (), box.nx, "x"))
+        return model
+
+    def _drawn(self) -> tuple[Array, Array]:
+        """Sample of the scenarios, numbers at least."""
         has_method("scenarios", self.scenarios, "sample", "scenarios, such as FixedStart(x0, disturbance)")
         drawn = self.scenarios.sample(1, self.steps, np.random.default_rng(0))
         if not (isinstance(drawn, tuple) and len(drawn) == 2):
             got = f"{shown(drawn)} from sample(runs, steps, rng)"
             raise InputError("scenarios", got, "initial states and disturbances", "Use FixedStart(x0, disturbance).")
-        for what, array in zip(("initial states", "disturbances"), drawn):
-            finite(f"scenarios, {what}", as_floats(f"scenarios, {what}", array))
-        x0, w = (np.shape(array) for array in drawn)
+        x0, w = (finite(f"scenarios, {what}", as_floats(f"scenarios, {what}", array))
+                 for what, array in zip(("initial states", "disturbances"), drawn))  # fmt: skip
+        return x0, w
+
+    def _check_scenarios(self) -> None:
+        """Raise an `InputError` unless a sample of the scenarios fits."""
+        x0, w = (array.shape for array in self._drawn())
         if x0 != (1, self.model.nx):
             raise InputError("scenarios", f"initial states of shape {x0[1:]}", f"({self.model.nx},)")
         if callable(getattr(self.scenarios, "check_for", None)):
@@ -294,8 +320,8 @@ class CoDesignProblem(Immutable):
     @property
     def design(self) -> DesignSpace:
         """Box of designs."""
-        assert self.model.design is not None
-        return self.model.design
+        space: DesignSpace = self.model.design
+        return space
 
     def weights(self, p: Array) -> Weights:
         """Weights of LQR and MPC at a design (np,)."""

@@ -39,7 +39,7 @@ from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
-from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import NOT_WORSE
@@ -147,7 +147,7 @@ class Settling:
         """LQR of the tangent at rest, if any, and of a better secant."""
         with suppress(MPCError, InputError):
             yield f"LQR of the same design{self._behind}", saturated_lqr(self.problem, design)
-        if isinstance(self.problem.model, SampledModel):
+        if not isinstance(self.problem.model, LinearModel):
             with suppress(MPCError, InputError):
                 secant = fitted(self.problem, design, visited(self.problem, copy.deepcopy(self.scenarios)))
                 if secant.better:

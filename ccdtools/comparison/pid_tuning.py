@@ -17,7 +17,6 @@ from ccdtools.comparison.tolerances import RECOVERED, UNSTABLE_COST
 from ccdtools.controllers.controllers import PID, Controller, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
-from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 
@@ -63,7 +62,7 @@ def tuned_pid(
     for name, number in (("runs", runs), ("screened", screened), ("starts", starts), ("refinements", refinements)):
         as_count(name, number)
     trial = _Trial.from_problem(problem, problem.design.check_one(design), runs, rng)
-    steep = isinstance(problem.model, SampledModel)  # a step of it costs a hundred of its linearisation's
+    steep = not isinstance(problem.model, LinearModel)  # a step of it costs a hundred of its linearisation's
     own = trial
     if steep:
         trial = replace(trial, plant=_linearised(problem, trial.design))
@@ -160,8 +159,9 @@ def _linearised(problem: CoDesignProblem, p: Array) -> LinearModel:
 
 def _tried(problem: CoDesignProblem) -> Simulable:
     """Nominal model, or the updated one driven by replayed errors."""
+    model: Simulable = problem.model
     if problem.discrepancy is None:
-        return problem.model
+        return model
     if problem.discrepancy.noise != "replayed":
         got = f"noise {problem.discrepancy.noise!r}, which no offset can be added to"
         raise InputError("problem.discrepancy", got, "'replayed', or no discrepancy", "Pass updated_problem(…).")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,10 +53,11 @@ class Drift:
         return DriftStatus.NONE if self.found is None else DriftStatus.DRIFT
 
     def __str__(self) -> str:
+        alarms = f"(false alarms: {self.level:.0%} where errors are correlated over no more than {self.block} samples)"
         if self.found is None:
-            return f"no drift in {self.samples} samples (false alarms: {self.level:.0%})"
+            return f"no drift in {self.samples} samples {alarms}"
         since = f"drift since about sample {self.began}, known after {self.found} of {self.samples}"
-        return f"{since} (false alarms: {self.level:.0%}). {self.status.advice}"
+        return f"{since} {alarms}. {self.status.advice}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for results.json."""
@@ -116,7 +118,7 @@ def _features(known: Array, new: Array, length: int) -> tuple[Array, Array]:
     first = known[: fitted * length]
     centre = first.mean(axis=0)
     sizes, axes = np.linalg.eigh(np.cov((first - centre).T).reshape(known.shape[1], -1))
-    scale = np.sqrt(np.maximum(sizes, max(NO_RESIDUAL**2 * sizes[-1], np.finfo(float).tiny)))
+    scale = np.sqrt(np.maximum(sizes, NO_RESIDUAL**2 * sizes[-1] or 1.0))
 
     def told(residuals: Array) -> Array:
         whole = residuals[: len(residuals) // length * length]
@@ -135,11 +137,11 @@ def _features(known: Array, new: Array, length: int) -> tuple[Array, Array]:
 def _alarm(known: Array, new: Array, enough: float) -> tuple[int, int] | None:
     """Block of the alarm, and of the change; None without."""
     count = len(known) + np.arange(len(new))
-    series = np.concatenate([known, new])
-    before = np.arange(len(series)) < count[:, None]
-    above = ((series > new[:, None]) & before).sum(axis=1)
-    ties = ((series == new[:, None]) & before).sum(axis=1) + 1
-    p = (above + ties / 2) / (count + 1)  # the mean over the random part of a rank: bets are convex in it
+    series, below = np.sort(known).tolist(), np.zeros((2, len(new)))
+    for k, value in enumerate(new.tolist()):
+        below[:, k] = bisect_left(series, value), bisect_right(series, value)
+        insort(series, value)
+    p = (count - below.mean(axis=0) + 0.5) / (count + 1)  # the mean over a rank's random part: bets are convex in it
     logs = np.log(POWERS) + (POWERS - 1) * np.log(np.stack([p, 1 - p])[..., None])
     stakes = np.full(len(new), -np.log(2 * len(POWERS) * len(new)))
     logs = np.hstack([*logs])

@@ -170,10 +170,9 @@ class Vectorised:
         return out, run
 
 
-def check_sizes(function: ca.Function, arguments: Sequence[Any]) -> None:
-    """Raise an `InputError` unless last axes fit the function."""
-    for i, (name, value) in enumerate(zip("xuwp", arguments)):
-        size = function.numel_in(i)
+def check_sizes(sizes: Sequence[int], arguments: Sequence[Any]) -> None:
+    """Raise an `InputError` unless x, u, w and p have these last axes."""
+    for name, size, value in zip("xuwp", sizes, arguments):
         if len(value.shape) == 0 or value.shape[-1] != size:
             raise InputError(name, f"shape {tuple(value.shape)}", f"(..., {size})")
 

@@ -57,7 +57,7 @@ class ImplicitStep:
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
-        check_sizes(self.f, (x, u, w, p))
+        check_sizes([self.f.numel_in(i) for i in range(4)], (x, u, w, p))
         if isinstance(x, np.ndarray):
             double = [np.asarray(a, dtype=float) for a in (x, u, w, p)]
             with np.errstate(all="ignore"):

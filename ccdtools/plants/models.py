@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, TypeAlias
 
@@ -68,17 +69,21 @@ def for_long_work(model: Model, samples: int) -> Model:
 def as_regulated_model(argument: str, value: Any) -> Model:
     """`value`, if it is a model that rests at 0 at every design."""
     model = as_model(argument, value)
-    if isinstance(model, LinearModel):
-        if model.affine:
-            raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", DEVIATIONS)
-        return model
+    if isinstance(model, SampledModel):
+        check_at_rest(argument, model, model.plant.state_names)
+    elif model.affine:
+        raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", DEVIATIONS)
+    return model
+
+
+def check_at_rest(argument: str, model: Any, names: Sequence[str]) -> None:
+    """Raise an `InputError` unless a nonlinear model rests at 0 at every design."""
     for p in sample_designs(model.design):
         A, B, _ = model.matrices(p)
         moved = np.abs(model.undisturbed(p)(np.zeros(model.nx), np.zeros(model.nu)))
         size = np.maximum(np.abs(A).sum(axis=1), np.abs(B).sum(axis=1))
         if not (moved <= MODEL_AT_REST * np.maximum(size, np.finfo(float).tiny)).all():
             i = int(np.argmax(moved))
-            where = f"{model.plant.state_names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
+            where = f"{names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
             got = f"a plant that does not rest at x = 0, u = 0: {where}"
             raise InputError(argument, got, "one that does", DEVIATIONS)
-    return model

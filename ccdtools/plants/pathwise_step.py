@@ -16,18 +16,19 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import check_sizes
-from ccdtools.plants.runge_kutta import ExplicitStep
 
 
-def pathwise(step: ExplicitStep, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:
+def pathwise(step: Any, x: Tensor, u: Tensor, w: Tensor, p: Tensor) -> Tensor:
     """Next states (n, nx) of torch tensors (n, ·), in double precision.
+
+    The step is an `ExplicitStep` or a `SimulatedModel`.
 
     Raises
     ------
     InputError
         If a size is wrong, or the rows of one are not as many as those of x.
     """
-    check_sizes(step.substep, (x, u, w, p))
+    check_sizes(step.sizes, (x, u, w, p))
     for name, given in zip("xuwp", (x, u, w, p)):
         if len(given.shape) != 2 and (name == "x" or len(given.shape) != 1):
             raise InputError(name, f"shape {tuple(given.shape)}", "rows (n, ·), or one (·,) for all but x")
@@ -41,7 +42,7 @@ class _Taken(torch.autograd.Function):
     """Step of NumPy arrays within a torch graph."""
 
     @staticmethod
-    def forward(ctx: Any, step: ExplicitStep, *tensors: Tensor) -> Tensor:
+    def forward(ctx: Any, step: Any, *tensors: Tensor) -> Tensor:
         """x⁺ (n, nx)."""
         x, *held = _arrays(*tensors)
         ctx.step = step
@@ -60,7 +61,7 @@ class _Slopes(torch.autograd.Function):
     """Slopes of a step, without second derivatives."""
 
     @staticmethod
-    def forward(ctx: Any, step: ExplicitStep, states: list[Array], *tensors: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, step: Any, states: list[Array], *tensors: Tensor) -> tuple[Tensor, ...]:
         """Slopes in the shapes of x, u, w and p."""
         multiplier, x, *held = _arrays(*tensors)
         found = step.slopes(x, tuple(held), states, multiplier)

@@ -32,6 +32,11 @@ class ExplicitStep:
         self.substep = substep
         self.substeps = substeps
 
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Sizes of x, u, w and p."""
+        return tuple(self.substep.numel_in(i) for i in range(4))
+
     @classmethod
     def of(cls, f: ca.Function, dt: float, substeps: int) -> ExplicitStep:
         """Runge–Kutta steps of dx/dt = f(x, u, w, p) over `dt` seconds, u and w held.
@@ -80,7 +85,7 @@ class ExplicitStep:
 
     def __call__(self, x: Any, u: Any, w: Any, p: Any) -> Any:
         """x⁺ (..., nx) of arrays or tensors (..., n); leading shapes broadcast."""
-        check_sizes(self.substep, (x, u, w, p))
+        check_sizes(self.sizes, (x, u, w, p))
         if all(isinstance(a, np.ndarray) for a in (x, u, w, p)):
             return self._of_arrays(x, u, w, p)
         for _ in range(self.substeps):
@@ -131,7 +136,7 @@ class ExplicitStep:
 
         For many runs `states` are those of `path`; for few they are empty.
         """
-        ends = np.cumsum([self.substep.numel_in(i) for i in range(3)])
+        ends = np.cumsum(self.sizes[:3])
         if not states:
             return np.split(self._slopes_of_sample(x, *held, multiplier), ends, axis=1)
         state = np.empty_like(states[0])

@@ -40,3 +40,4 @@ DEPENDENT_PIVOT = 1e-9  # A row or column of the Jacobian below this part of the
 # Stations, with Newton steps at each, are tried in this order.
 PATHS = ((1, 0), (1, 1), (1, 2), (1, 4), *((n, 2) for n in (2, 4, 8, 16, 32, 64)))
 SAME_REST = 1e-3  # Two ways end at one rest if they end nearer than this part of an entry's largest value.
+SIMULATED_STEP = 1e-3  # Differences of a simulator step by this part of X, U and the box of designs, and by twice it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ccdtools.checks import as_choice, as_positive
+from ccdtools.checks import as_choice, as_positive, as_share
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.risk import check_followed
@@ -70,6 +70,10 @@ class StudyConfig:
     online: OnlineConfig = field(default_factory=OnlineConfig)
     quantile: QuantileConfig = field(default_factory=QuantileConfig)
     drift: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.drift is not None:
+            as_share("drift", self.drift)
 
 
 def configuration(

@@ -91,12 +91,12 @@ class RedesignJudge:
             return None
         steps = self.evaluation.deployment_steps
         deployment = study.real.runs * steps / study.steps
-        gain = verdict.gain
-        error = (gain.ci95[1] - gain.ci95[0]) / (2 * NORMAL_95)
+        gain, logs = verdict.gain, len(self.twin.logs)
+        part = study.steps / (steps * logs if self.evaluation.single else steps)  # a gain of one run is over all logs
+        error = part * (gain.ci95[1] - gain.ci95[0]) / (2 * NORMAL_95)
         left = max(study.redesign_cost.serves - waited * deployment, deployment)
         return of_normal(
-            gain.mean * study.steps / steps, error * study.steps / steps,
-            error * study.steps / steps * np.sqrt(len(self.twin.logs)), replace(study.redesign_cost, serves=left),
+            part * gain.mean, error, error * np.sqrt(logs), replace(study.redesign_cost, serves=left),
             deployment=deployment, allowed=verdict.replaces,
         )  # fmt: skip
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_number, as_positive, shown
+from ccdtools.checks import as_array, as_floats, as_instance, as_number, as_positive, shown
 from ccdtools.evidence.percent import number, with_minus
 from ccdtools.exceptions import InputError
 from ccdtools.studies.budgets import LONGEST_LOG
@@ -125,7 +125,7 @@ def decide_redesign(
         Gain of the redesign over what is deployed, one measurement a deployment [return of an evaluation].
     terms : RedesignCost
     noise : float, optional
-        Standard deviation of a measurement; that of the gains by default.
+        Standard deviation of a measurement; by default that of the gains, widened as Student's t asks for so few.
     prior : (float, float), optional
         Mean and standard deviation of the gain before any measurement; by default nothing was known.
     deployment : float
@@ -136,10 +136,12 @@ def decide_redesign(
     InputError
         If a gain is not finite, or there are too few: two, or one with `noise`, or none with a `prior` besides.
     """
-    measured = np.asarray(gains, dtype=float)
+    as_instance("terms", terms, RedesignCost, "a RedesignCost")
+    deployment = as_positive("deployment", deployment)
+    measured = as_floats("gains", gains)
     fewest = (2, 1 - (prior is not None))[noise is not None]
     if measured.shape != (0,):
-        measured = as_array("gains", gains, ("n",))
+        measured = as_array("gains", measured, ("n",))
     if len(measured) < fewest:
         raise InputError("gains", f"{len(measured)} of them", f"at least {fewest}, or `noise` and `prior`")
     spread = float(measured.std(ddof=1)) if noise is None else as_number("noise", noise, low=0.0)
@@ -147,7 +149,8 @@ def decide_redesign(
     if prior is not None:
         mean, before = as_array("prior", prior, (2,))
         precision = as_positive("prior", before) ** -2
-    each = max(spread, np.finfo(float).tiny ** 0.25) ** -2
+    wide = 1.0 if noise is not None else float(stats.t.ppf(0.975, len(measured) - 1)) / NORMAL_95
+    each = max(wide * spread, np.finfo(float).tiny ** 0.25) ** -2
     known = precision + each * len(measured)
     return of_normal(
         (precision * mean + each * float(measured.sum())) / known, known**-0.5, spread, terms, deployment=deployment

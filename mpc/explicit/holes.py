@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mpc.budgets import POINTS_ANYWHERE, POINTS_BEHIND, POINTS_BETWEEN, QPS_AT_ONCE, REGIONS_PER_POINT
+from mpc.budgets import FARTHEST_BEHIND, POINTS_ANYWHERE, POINTS_BEHIND, POINTS_BETWEEN, QPS_AT_ONCE, REGIONS_PER_POINT
 from mpc.checks import Array, Ints
 from mpc.explicit.kernels import active_sets, places
 from mpc.explicit.kernels.data import FLAT, FULL, INFEASIBLE, ROWS
@@ -17,7 +17,7 @@ from mpc.explicit.linear_programs import OnlineQP
 from mpc.explicit.partition import MPQPStatus
 from mpc.explicit.region_graph import Found, RegionGraph
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import CROSSING, FARTHEST_BEHIND, ROUNDED_SUM, THIN
+from mpc.tolerances import CROSSING, ROUNDED_SUM, THIN
 
 
 def points_beyond(rows: Array, facet: int, qp: ScaledQP) -> Array:

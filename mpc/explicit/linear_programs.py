@@ -11,7 +11,7 @@ from scipy.optimize import linprog, nnls
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.explicit.scaled_qp import ScaledQP
-from mpc.tolerances import KKT, LP, LP_OPTIONS, PRIMAL, TIE
+from mpc.tolerances import KKT, LP_OPTIONS, PRIMAL, SOLVERS, TIE
 
 SOLVED, INFEASIBLE = 0, 2  # what `status` says
 
@@ -42,7 +42,7 @@ def proves_infeasible(y: Array, rows: Array, right: Array, reach: float) -> bool
         return False
     if y @ right < -reach * np.abs(y @ rows).sum():
         return True
-    taken = np.flatnonzero(y > LP * y.max(initial=0.0))
+    taken = np.flatnonzero(y > SOLVERS * y.max(initial=0.0))
     if not len(taken) or not y @ right < 0:
         return False
     own = y[taken] - np.linalg.lstsq(rows[taken].T, rows[taken].T @ y[taken], rcond=None)[0]

@@ -16,7 +16,7 @@ from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.quadratic_phase import priced, quadratic_parameters, quadratic_phase
 from mpc.sensitivities.changes import PlanModel
-from mpc.tolerances import INTERIOR_POINT, TARGET_COST
+from mpc.tolerances import SOLVERS, TARGET_COST
 from mpc.tracking import sizes_of
 
 
@@ -229,6 +229,6 @@ def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
         "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
     }  # fmt: skip
     return ca.nlpsol("steady_state", "ipopt", program, {
-        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": INTERIOR_POINT,
+        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": SOLVERS,
         "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
     })  # fmt: skip

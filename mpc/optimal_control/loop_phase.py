@@ -189,7 +189,7 @@ class LoopPhase(Immutable):
 
         def path(x: Any, u: Any, p: Any, t: Any) -> Any:
             at = self._at(x, u, p, t)
-            return ca.vertcat(f.path_at(*at), x[own], *(u - at[-1] for _ in rates))
+            return ca.vertcat(f.path_at(*at), *(x[i] for i in own), *(u - at[-1] for _ in rates))
 
         sides = zip(f.path_bounds, phase.x_bounds, (-1.0, 1.0))
         bounds = [np.concatenate([a, b[self.limited], *(sign * limit for limit in rates)]) for a, b, sign in sides]
@@ -207,7 +207,7 @@ class LoopPhase(Immutable):
         def boundary(x0: Any, x: Any, t0: Any, t: Any, p: Any) -> Any:
             (first, *_), (last, _, w, known, end, _) = self._at(x0, 0, p, t0), self._at(x, 0, p, t)
             stated = [] if f.boundary is None else [f.boundary(first, last, w, p[-1] + self.dt * t0, end, known)]
-            return ca.vertcat(*stated, x[own])
+            return ca.vertcat(*stated, *(x[i] for i in own))
 
         bounds = tuple(np.concatenate([a, b[self.ending]]) for a, b in zip(f.boundary_bounds, self.phase.end))
         names = [*f.boundary_names, *(f"end of {self.phase.state_names[i]}" for i in own)]

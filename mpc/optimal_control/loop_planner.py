@@ -25,7 +25,7 @@ from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
 from mpc.plan import Plan, Status
 from mpc.rollout import Given, finite, no_faster
-from mpc.tolerances import FEASIBLE, INTERIOR_POINT, KKT, VIOLATION_PRICE as PRICE
+from mpc.tolerances import FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
 
 RANKS = (Status.SOLVED, Status.SOFTENED, Status.INACCURATE, Status.REPLACED)
 ASKED = {"u_prev": "the input applied a sample ago (nu,)", "t": "the time at which the sample is taken"}
@@ -155,7 +155,7 @@ class LoopPlanner:
         if not (np.isfinite(states).all() and np.isfinite(inputs).all()):
             return None
         program = replace(self._sample(x, given), cost_scale=cost)
-        settings = replace(self._settings, tolerance=INTERIOR_POINT)
+        settings = replace(self._settings, tolerance=SOLVERS)
         found = once(program, self._unknowns(program, states, inputs, given), None, settings)
         nodes, own, _, _ = program.parts[0].unknowns(found.v)
         return nodes[: len(x)].T.copy(), own.T.copy()

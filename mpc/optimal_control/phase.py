@@ -85,7 +85,7 @@ class Phase:
     algebraic : function, optional
         g (nz, 1), kept at 0 by z; of index 1, which is that ∂g/∂z is regular.
     algebraics : int
-        nz. Without `algebraic`, so many of the last inputs are returned as z.
+        nz. Without `algebraic`, so many of the last inputs are z, and of the last path limits their equations.
     z_guess : (nz,) array or number
         Where z starts from.
 
@@ -173,6 +173,8 @@ class Phase:
                 _, names = _with_limits(self, name, function)
             if name == "path":
                 as_prices(self.path_prices, len(names))
+                if self.algebraic is None and self.algebraics > min(len(names), self.inputs):
+                    raise InputError("algebraics", self.algebraics, "0 without `algebraic`, their equations")
 
     @property
     def free_duration(self) -> bool:

@@ -80,7 +80,7 @@ class PhaseSolution:
     def x(self, t: ArrayLike) -> Array:
         """States (..., nx) at times (...), held beyond both ends."""
         k, tau, shape = self._located(t)
-        return self.states_within(k, tau).reshape(*shape, -1)
+        return self.states_within(k, tau).reshape(*shape, self.states.shape[1])
 
     def u(self, t: ArrayLike) -> Array:
         """Inputs (..., nu) at times (...)."""
@@ -109,7 +109,7 @@ class PhaseSolution:
         if not isinstance(self.part.scheme, Collocation) or self.part.phase.discrete:
             return np.asarray(inputs[:, 0])
         inputs = np.asarray(np.einsum("nj,nji->ni", self.part.scheme.basis(tau), inputs))
-        return self._with_solved_z(k, tau, inputs) if self.part.phase.algebraics else inputs
+        return self._with_solved_z(k, tau, inputs) if self.part.phase.algebraics and tau.size else inputs
 
     def _with_solved_z(self, k: Any, tau: Array, inputs: Array) -> Array:
         """Inputs (n, nu + nz) with z after one Newton step from the polynomials."""

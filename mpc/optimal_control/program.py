@@ -19,7 +19,7 @@ from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.schemes import Scheme
-from mpc.tolerances import COST_DIGITS, NEGLIGIBLE, VIOLATION_PRICE
+from mpc.tolerances import COST_ROUNDING, NEGLIGIBLE, VIOLATION_PRICE
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def costs_of_scenarios(program: NonlinearProgram, v: Array) -> Array:
         return np.atleast_1d(each.max())
     parts = program.problem.weights / program.problem.weights.sum()
     about = each - parts @ each
-    spread = np.sqrt(parts @ about**2 + COST_DIGITS * (parts @ each**2))
+    spread = np.sqrt(parts @ about**2 + COST_ROUNDING**2 * (parts @ each**2))
     return np.concatenate([each, [spread]])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ccdtools_ground.door import brief
-from mpc.budgets import LEAST_SECONDS, MESHES_WITHOUT_GAIN, MOST_PARTS
+from mpc.budgets import LEAST_SECONDS, MESH_SAFETY, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import as_share
@@ -34,7 +34,6 @@ from mpc.tolerances import (
     LEAST_INTERVAL,
     LIMIT_PASSED,
     MESH_GAIN,
-    MESH_SAFETY,
     SHARPER,
 )
 
@@ -63,7 +62,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     tolerance : float
     of : {"dynamics", "cost"}
         What the tolerance is of: `Solution.errors`, or the part of the cost by which `cost_error` estimates it to be
-        off. Intervals are then cut where the cost feels it, and dynamics are met as SOLVED asks for.
+        off. Intervals are cut where either is missed; the other is met as SOLVED asks for.
     rounds : int
         Meshes at most.
     time_limit : float, optional
@@ -77,8 +76,9 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     -------
     Solution
         SOLVED if its mesh meets the tolerance and limits are kept between the points. Else of the mesh that missed
-        least, LIMITS_PASSED or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed as much
-        as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the cost's error.
+        least, LIMITS_PASSED, COARSE or STOPPED: when rounds or time were up, or when twice in a row a finer mesh missed
+        as much as the one before; `advice` says which, and what tolerance was reached. `cost_error` estimates the
+        cost's error.
     """
     asked = as_share("tolerance", tolerance)
     if of not in ("dynamics", "cost"):
@@ -111,6 +111,7 @@ class _Rounds:
         self.options = options
         self.tolerance = tolerance
         self.of_cost = of == "cost"
+        self.dynamics = COARSE_MESH if self.of_cost else tolerance
         self.left = left
         self.end = end
         self.bar = bar
@@ -139,10 +140,8 @@ class _Rounds:
 
     def missed(self, solution: Solution) -> float:
         """Error of the dynamics, the cost or a limit, in tolerances [-]."""
-        error = solution.mesh_error / self.tolerance
-        if self.of_cost:
-            error = max(solution.mesh_error / COARSE_MESH, self.off(solution) / self.tolerance)
-        return max(error, solution.excess / LIMIT_PASSED)
+        error = self.off(solution) / self.tolerance if self.of_cost else 0.0
+        return max(error, solution.mesh_error / self.dynamics, solution.excess / LIMIT_PASSED)
 
     def off(self, solution: Solution) -> float:
         """Part of the cost by which it may be off [-]."""
@@ -150,10 +149,10 @@ class _Rounds:
 
     def of_intervals(self, solution: Solution) -> list[Array]:
         """Errors (N,) of the intervals of every phase, in tolerances: of the cost in shares of all, alike for each."""
-        if not self.of_cost:
-            return [one.dynamics / self.tolerance for one in solution.missed]
-        share = self.tolerance * _size_of_cost(solution) / sum(len(one.cost) for one in solution.missed)
-        return [np.maximum(one.cost / share, one.dynamics / COARSE_MESH) for one in solution.missed]
+        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
+        fine = not self.of_cost and solution.cost_error <= allowed
+        share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)
+        return [np.maximum(one.cost / share, one.dynamics / self.dynamics) for one in solution.missed]
 
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""
@@ -231,16 +230,18 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     found = replace(solution, iterations=run.iterations[0], solve_time=time.perf_counter() - began)
     if not solution.solved_on_mesh or run.missed(solution) <= 1:
         return found
-    worst, passed = run.off(solution) if run.of_cost else solution.mesh_error, _jumps_over(solution)
-    missed = f"{reason}: the mesh misses the {'cost' if run.of_cost else 'dynamics'} by {worst:.1e}"
+    of_cost = run.of_cost and run.off(solution) / run.tolerance >= solution.mesh_error / run.dynamics
+    worst, asked = (run.off(solution), run.tolerance) if of_cost else (solution.mesh_error, run.dynamics)
+    passed = _jumps_over(solution)
+    missed = f"{reason}: the mesh misses the {'cost' if of_cost else 'dynamics'} by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
-    ask = f"Ask for {_rounded_up(worst):g}{more}."
+    ask = f"Ask for {_rounded_up(worst):g}{more}." if asked == run.tolerance else "Take more intervals."
     if reason.startswith(FINER) or passed:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
     swinging = max(float(np.diff(one.part.mesh) @ _crossings(one)[1]) for one in solution.phases)
     if swinging > 0:
         ask += f" Inputs swing over {swinging:.0%} of the time, as along singular arcs: MultipleShooting() holds them."
-    cure = f"This is the optimum on its mesh, but {missed} where {run.tolerance:.1e} was asked for. {ask}"
+    cure = f"This is the optimum on its mesh, but {missed} where {asked:.1e} was asked for. {ask}"
     status = solution.status if passed else OptimalControlStatus.STOPPED
     return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
 

@@ -161,10 +161,15 @@ class Solution:
         return replace(self, status=status) if self.solved_on_mesh else self
 
     @property
+    def cost_tolerance(self) -> float:
+        """Estimated error of the cost that SOLVED accepts."""
+        size = max(self.cost_size, self.program.cost_scale)
+        return max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
+
+    @property
     def _cost_is_fine(self) -> bool:
         """Whether the mesh hardly changes the cost."""
-        size = max(self.cost_size, self.program.cost_scale)
-        return self.cost_error <= max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
+        return self.cost_error <= self.cost_tolerance
 
     def _missed(self) -> list[str]:
         """Limits exceeded and errors made between the points, in words."""
@@ -263,10 +268,11 @@ class Solution:
         cure = f"Ask one of `phases`: solution.phases[0].{name}(t)."
         if not self.program.problem.linked:
             raise InputError(name, "scenarios, which run side by side", "phases that follow one another", cure)
-        if len({phase.states.shape[1] for phase in self.phases}) > 1:
-            raise InputError(name, "phases with different states", "phases with the same", cure)
+        sizes = {getattr(phase, name)(phase.times[0]).size for phase in self.phases}
+        if len(sizes) > 1:
+            raise InputError(name, f"phases with {sorted(sizes)} of them", "phases with the same number", cure)
         given = as_floats("t", t)
         ends = np.array([phase.times[-1] for phase in self.phases[:-1]])
         which = np.searchsorted(ends, given.ravel(), side="right")
         values = [getattr(self.phases[k], name)(one) for k, one in zip(which, given.ravel())]
-        return np.asarray(values).reshape(*given.shape, -1)
+        return np.asarray(values).reshape(*given.shape, *sizes)

@@ -21,7 +21,7 @@ from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_o
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
-from mpc.tolerances import COST_DIGITS, LEAST_INTERVAL
+from mpc.tolerances import COST_ROUNDING, LEAST_INTERVAL
 
 
 def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, intervals: Any = 20,
@@ -186,7 +186,7 @@ class _Assembly:
             z, spread = z[:-1], z[-1]
             parts = ca.DM(weights / weights.sum())
             mean = ca.dot(parts, z)
-            variance = ca.dot(parts, (z - mean) ** 2) + COST_DIGITS * ca.dot(parts, z**2)
+            variance = ca.dot(parts, (z - mean) ** 2) + COST_ROUNDING**2 * ca.dot(parts, z**2)
             return [mean + problem.spread / 2 * (variance / spread + spread)]
 
         unknowns = many + (not worst)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import brief
-from mpc.checks import Array, as_array
+from mpc.checks import Array, as_array, as_count
 from mpc.exceptions import InputError
 from mpc.optimal_control.solution import Solution
 from mpc.optimal_control.solving import solve
@@ -77,7 +77,8 @@ def round_inputs(solution: Solution, *, inputs: Sequence[int] | None = None, one
         raise InputError("solution", brief(repr(solution)), "a Solution of one phase, whose inputs may jump")
     (part,), (found,), program = parts, solution.phases, solution.program
     free = range(part.phase.inputs - part.phase.algebraics)
-    own = [*free] if inputs is None else [*inputs]
+    given = free if inputs is None else np.ravel(np.array(inputs, dtype=object))
+    own = [as_count("inputs", place, least=0) for place in given]
     bounds = np.array(part.phase.u_bounds)[:, own] if own and len({*own}) == len(own) and {*own} <= {*free} else np.nan
     if not np.array_equal(bounds, np.round(bounds)):
         raise InputError("inputs", own, f"places of inputs with whole bounds, each once, below {len(free)}")

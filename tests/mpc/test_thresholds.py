@@ -85,6 +85,16 @@ def test_limits_that_are_relaxed_by_no_more_than_they_must_leave_a_plan_to_be_fo
     assert regulator.solve([-1.3, -0.4, -1.1]).status is Status.SOFTENED
 
 
+def test_limits_that_contradict_each_other_are_passed_by_the_least_to_a_millionth():
+    # a held input u leads to 3 + u, then to 3 - u, where 1 is allowed
+    A, B = [[0, 1, 0], [0, 0, 1], [0, 0, 0]], [[1], [-2], [0]]
+    X, U = ([-1, -9, -9], [1, 9, 9]), (-9, 9)
+    held = LinearMPC(A, B, Q=np.zeros((3, 3)), R=1.0, P=np.diag([1, 0, 0]), horizon=2, blocks=(2,), X=X, U=U)
+    plan = held.solve([0, 3, 3])
+    assert plan.status is Status.SOFTENED
+    assert np.abs(plan.inputs).max() < 1e-6
+
+
 @pytest.mark.parametrize(("inside", "lasts"), [(3e-7, True), (3e-6, False)])
 def test_a_mode_that_costs_nothing_and_hardly_decays_is_on_the_unit_circle(inside, lasts):
     with pytest.raises(NotStabilisableError, match="on the unit circle") if lasts else nullcontext():

@@ -28,7 +28,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.exceptions import InputError
-from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.linear_model import LinearModel
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 
@@ -123,7 +123,7 @@ class Nested:
         search = partial(
             best_design, problem, design=design, rng=rng, name=self.name, evaluations=most, progress=progress
         )
-        if self.inner == "lqr" and self.linearisation != "tangent" and isinstance(problem.model, SampledModel):
+        if self.inner == "lqr" and self.linearisation != "tangent" and not isinstance(problem.model, LinearModel):
             return self._of_better_linearisation(problem, search, rng)
         return search(self._cost_from(problem, rng, progress), starts=starts)
 

@@ -88,6 +88,29 @@ def test_what_no_root_is_reached_for_is_no_number():
     assert np.isnan(rate(far, 1.0))
 
 
+@pytest.mark.parametrize(("jump", "none", "root"), [
+    (ca.floor, 2.7, None), (ca.sign, 0.5, None), (lambda z: ca.if_else(z > 1, 1, 0), 1.5, None),
+    (ca.sign, 3.0, 2.0), (lambda z: ca.if_else(z > 1, 1, 0), 0.5, 0.5),
+])  # fmt: skip
+def test_equations_that_jump_are_met_or_there_is_no_number(jump, none, root):
+    found = rate(stated(lambda x, z, u, p: z + jump(z) - x), none)
+    assert np.isnan(found) if root is None else found == pytest.approx(root)
+
+
+def test_equations_one_after_the_other_are_as_large_as_they_are_many():
+    def in_a_row(x, z, u, p):
+        return ca.vertcat(*(one + one**3 - before for one, before in zip(ca.vertsplit(z), (x, *ca.vertsplit(z)))))
+
+    plants = [stated(in_a_row, lambda x, z, u, p: z[-1], size=size) for size in (1, 2, 12)]
+    one, two, twelve = (plant.right_hand_side.n_instructions() for plant in plants)
+    assert twelve - one == pytest.approx(11 * (two - one), rel=0.01)
+    z = 1.5
+    for _ in range(12):
+        z = np.roots([1, 0, 1, -z])
+        z = float(z[np.abs(z.imag).argmin()].real)
+    assert rate(plants[2], 1.5) == pytest.approx(z, rel=1e-12)
+
+
 def test_random_equations_are_met_or_there_is_no_number(rng):
     found = 0
     for _ in range(40):

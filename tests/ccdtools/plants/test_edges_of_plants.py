@@ -42,6 +42,11 @@ def test_a_design_keeps_a_constraint_up_to_a_millionth_of_the_box(beyond, allowe
             HALF.check_feasible(design)
 
 
+@pytest.mark.parametrize(("beyond", "within"), [(0.3e-9, True), (3e-9, False)])
+def test_a_design_is_within_bounds_up_to_a_billionth_of_their_range(beyond, within):
+    assert DesignSpace(["p"], [0], [2]).feasible([2 + 2 * beyond]) == within
+
+
 @pytest.mark.parametrize(("beyond", "moved"), [(0.3e-10, False), (3e-10, True)])
 def test_a_violation_of_the_last_digits_is_rounding_and_is_left(beyond, moved):
     assert (HALF.project([1 + 2 * beyond, 1.0])[0] < 1 + beyond) == moved

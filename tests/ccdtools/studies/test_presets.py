@@ -66,3 +66,9 @@ def test_the_expert_of_a_study_may_be_one_of_its_laws(illustrative):
 def test_unknown_options_are_refused(study, options, message):
     with pytest.raises(InputError, match=message):
         configuration(study, **options)
+
+
+@pytest.mark.parametrize("drift", [0.0, 5.0, "5 %"])
+def test_a_probability_of_false_alarms_is_one(study, drift):
+    with pytest.raises(InputError, match="drift: got"):
+        replace(configuration(study), drift=drift)

@@ -75,11 +75,20 @@ def test_wrong_terms_are_named(options, said):
 
 @pytest.mark.parametrize(("gains", "options"), [
     ([1.0], {}), ([], {"noise": 1.0}), ([np.nan, 1.0], {}), ([1.0, 2.0], {"noise": -1.0}),
-    ([1.0, 2.0], {"prior": (0.0, 0.0)}),
+    ([1.0, 2.0], {"prior": (0.0, 0.0)}), ("many", {}), ([[1.0], [2.0, 3.0]], {}), ([1.0, 2.0], {"deployment": 0.0}),
+    ([1.0, 2.0], {"deployment": np.nan}), ([1.0, 2.0], {"deployment": -1.0}), ([1.0, 2.0], {"terms": None}),
 ])  # fmt: skip
 def test_wrong_measurements_are_named(gains, options):
-    with pytest.raises(InputError, match=r"gains|noise|prior"):
-        decide_redesign(gains, EUR, **options)
+    with pytest.raises(InputError, match=r"gains|noise|prior|deployment|terms"):
+        decide_redesign(gains, **{"terms": EUR} | options)
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_the_interval_covers_as_often_as_it_says(count):
+    rng = np.random.default_rng(count)
+    found = [decide_redesign(rng.normal(2.5, 4.0, count), EUR).redesign for _ in range(1000)]
+    covered = np.mean([low <= EUR.serves * EUR.worth * 2.5 - EUR.cost <= high for low, high in found])
+    assert abs(covered - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 1000)
 
 
 def test_without_a_measurement_the_prior_decides():

@@ -1,5 +1,6 @@
 """Updates decided by turns on the real plant, and drift of a plant from its twin."""
 
+import tracemalloc
 from dataclasses import replace
 
 import casadi as ca
@@ -193,6 +194,21 @@ def test_a_change_is_seen_and_none_is_invented(share):
     found = [one for one in seen if one.found is not None]
     assert len(found) >= 54
     assert np.median([one.began for one in found]) == pytest.approx(400, abs=60)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e6])
+def test_residuals_where_there_were_none_are_a_change(size):
+    assert detect_drift(np.zeros(900), np.full(900, size)).status.value == "drift"
+    assert detect_drift(np.zeros(900), np.zeros(900)).status.value == "no drift"
+
+
+def test_a_long_log_takes_memory_of_its_length():
+    e = np.random.default_rng(0).standard_normal(10_300)
+    tracemalloc.start()
+    detect_drift(e[:300], e[300:])
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1000 * e.nbytes
 
 
 def test_a_twin_does_not_call_its_own_plant_drifted(illustrative):

@@ -42,6 +42,18 @@ def test_newton_steps_of_the_riccati_equation_end_where_the_last_says_nothing(of
     assert (missed < 1e-12) == last  # one step more squares what the first leaves
 
 
+@pytest.mark.parametrize("first", [1e-3, 1e-2, 1e-1])
+def test_newton_steps_go_on_while_the_distance_from_the_unit_circle_halves(first):
+    # a mode on the circle that costs 1e-10 of the other: the scalar Riccati equation has its optimum in closed form
+    cost, axes = 1e-10, np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2)
+    A, Q, K = (axes @ np.diag(values) @ axes.T for values in ([1.0, 0.5], [cost, 1.0], [first, 0.2]))
+    regulation = _Regulation(A, np.eye(2), Q, np.eye(2), np.zeros((2, 2)))
+    found, _ = regulation._refined(regulation._root_of(K))
+    price = (cost + np.sqrt(cost**2 + 4 * cost)) / 2
+    margin = 1 - np.abs(np.linalg.eigvals(A - found)).max()
+    assert margin == pytest.approx(price / (1 + price), rel=0.01)
+
+
 @pytest.mark.parametrize(("size", "met"), [(3.0, True), (30.0, False)])
 def test_a_bound_much_larger_than_the_way_to_the_optimum_says_nothing_of_sizes(size, met):
     # z of least (z1 + t - 1)² + (z2 + t)², |z1| <= 0.001 and |z2| <= size

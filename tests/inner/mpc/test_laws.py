@@ -90,6 +90,17 @@ def test_dependent_rows_are_seen_in_any_order_where_no_pivot_is_small(size, kind
         assert (found == DEPENDENT) == (kind == DEPENDENT)
 
 
+@pytest.mark.parametrize(("apart", "kind"), [(3e-13, DEPENDENT), (3e-12, FULL)])
+def test_two_rows_depend_on_each_other_where_their_distance_is_rounding(apart, kind):
+    from mpc.explicit.kernels.region import region_rows
+
+    M = np.array([[1.0, 0.0], [np.sqrt(1 - apart), np.sqrt(apart)]])  # apart is the squared distance
+    D = np.array([[1.0, -10.0], [2.0, -10.0]])
+    data = QPData(M, D, np.ones(2), M @ M.T, np.array([[1.0], [-1.0]]), np.ones(2))
+    found = region_rows(data, np.arange(2), 2, np.empty((4, 1)), np.empty(4))
+    assert (found == DEPENDENT) == (kind == DEPENDENT)
+
+
 @pytest.fixture(scope="module")
 def explored():
     mpc = LinearMPC(*double_integrator(), Q=np.eye(2), R=[[0.1]], horizon=5, X=box([5, 5]), U=box([1]))

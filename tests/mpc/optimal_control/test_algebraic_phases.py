@@ -6,7 +6,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mpc import InputError
-from mpc.optimal_control import MultipleShooting, NonlinearMPC, Phase, Radau, build, refine, solve
+from mpc.optimal_control import (
+    MultipleShooting,
+    NonlinearMPC,
+    OptimalControlProblem,
+    Phase,
+    Radau,
+    build,
+    refine,
+    solve,
+)
 
 G = 9.81
 
@@ -129,6 +138,24 @@ def test_nonlinear_mpc_holds_a_pendulum_upright_by_its_rod():
 def test_wrong_algebraic_statements_are_named(changes, said):
     with pytest.raises(InputError, match=said):
         build(swing(**changes), Radau(3), 5)
+
+
+def test_algebraic_variables_without_equations_are_refused():
+    with pytest.raises(InputError, match="algebraics"):
+        Phase(lambda x, u: u, 1, 1, algebraics=1)
+
+
+def test_of_no_times_there_are_no_values_and_phases_of_other_sizes_are_asked_one_by_one():
+    found = solve(build(swing(duration=0.5, end=None, guess=None), Radau(3), 5))
+    assert [found.x([]).shape, found.u([]).shape, found.z([]).shape] == [(0, 4), (0, 1), (0, 1)]
+    tank = {"stage_cost": lambda x, u: (x - 1) ** 2 + u**2, "duration": 1.0}
+    flow = {"algebraic": lambda x, z: z + z**3 - 2 * x, "algebraics": 1, "z_guess": 1.0}
+    phases = [Phase(lambda x, u, z: u - z, 1, 1, start=[2.0], **tank, **flow), Phase(lambda x, u: u - x, 1, 1, **tank)]
+    found = solve(build(OptimalControlProblem(phases), Radau(3), [5, 5]))
+    assert found.x([0.5, 1.5]).shape == found.u([0.5, 1.5]).shape == (2, 1)
+    assert found.x([]).shape == (0, 1)
+    with pytest.raises(InputError, match=r"phases\[0\].z\(t\)"):
+        found.z([0.5, 1.5])
 
 
 def test_where_z_is_no_unknown_it_is_not_returned():

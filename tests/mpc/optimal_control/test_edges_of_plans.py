@@ -54,7 +54,7 @@ def test_a_target_of_a_nonlinear_model_that_drifts_by_rounding_is_steady(drift, 
 def test_an_input_that_crosses_most_of_its_range_within_an_interval_jumps_there(share, cut):
     phase = Phase(
         lambda x, u: u, 1, 1, start=[0], end=[None], duration=1.0,
-        stage_cost=lambda u, t: (u - (1 - share) * t - share * ca.if_else(t > 0.55, 1, 0)) ** 2,
+        stage_cost=lambda u, t: (u - (1 - share) * t - share * ca.if_else(t > 0.55, 1, 0)) ** 2 + 9,
     )  # fmt: skip
     found = refine(phase, Radau(2), intervals=10)
     assert (len(found.phases[0].times) > 11) == cut

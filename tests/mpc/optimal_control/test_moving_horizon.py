@@ -1,6 +1,7 @@
 """Moving-horizon estimates beside the Kalman filter, a conic solver, and a loop."""
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 
 import casadi as ca
 import clarabel
@@ -170,3 +171,10 @@ def test_beliefs_out_of_turn_are_named():
         estimator.update(begun, [[0.0]], NO_INPUT)
     with pytest.raises(InputError, match=r"belief: got one out of turn, expected one after `update`\. Update with NaN"):
         estimator.predict(estimator.predict(begun, NO_INPUT), NO_INPUT)
+
+
+@pytest.mark.parametrize(("apart", "regular"), [(3e-12, True), (3e-13, False)])
+def test_noises_that_are_one_but_for_rounding_have_no_covariance(apart, regular):
+    V = [[1, 1 - apart], [1 - apart, 1]]
+    with nullcontext() if regular else pytest.raises(InputError, match="singular"):
+        MovingHorizonEstimator(lambda x, w: x + w, lambda x: [x, 2 * x], 1, 0, **(WALK | {"V": V}))

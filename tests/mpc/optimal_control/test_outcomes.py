@@ -91,6 +91,17 @@ def test_a_cost_without_end_is_called_unbounded(cost):
     assert "Bound" in found.advice
 
 
+@pytest.mark.parametrize(("far", "found"), [(3e11, "SOLVED"), (3e12, "UNBOUNDED")])
+def test_an_optimum_that_is_very_far_away_is_none(far, found):
+    assert solve(block(end=None, stage_cost=lambda u: (u / far - 1) ** 2)).status is OptimalControlStatus[found]
+
+
+@pytest.mark.parametrize(("gain", "found"), [(3e11, "STOPPED"), (3e12, "UNBOUNDED")])
+def test_a_cost_that_has_fallen_very_far_is_without_end(gain, found):
+    falling = block(end=None, u_bounds=(-1, 1), stage_cost=lambda u: -gain * u)
+    assert solve(falling, max_iterations=3).status is OptimalControlStatus[found]
+
+
 def test_a_stationary_guess_that_is_no_minimum_is_left():
     # two wells, and the guess on the ridge between them
     wells = block(end=None, stage_cost=lambda u: 0.01 * u**2, terminal_cost=lambda x: (x[0] ** 2 - 1) ** 2)
@@ -121,6 +132,13 @@ def test_a_stopped_solve_returns_the_best_feasible_iterate():
 def test_a_time_limit_stops_a_solve():
     late = solve(build(block(path=lambda x: x[1] - 1.2), Radau(3), 400), time_limit=1e-3)
     assert late.status is OptimalControlStatus.STOPPED
+
+
+@pytest.mark.parametrize(("barrier", "status"), [(1e-4, "SOLVED"), (1e-3, "INACCURATE")])
+def test_an_optimum_is_one_up_to_what_its_conditions_miss(barrier, status):
+    found = solve(block(u_bounds=(-4.5, 4.5)), options={"mu_target": barrier})  # where Ipopt is told to stop
+    assert found.residuals.worst == pytest.approx(0.032 * barrier, rel=0.1)  # 3e-6, 3e-5
+    assert found.status is OptimalControlStatus[status]
 
 
 def test_dynamics_that_may_jump_are_told():

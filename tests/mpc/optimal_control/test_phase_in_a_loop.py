@@ -305,3 +305,14 @@ def test_samples_that_cannot_be_meant_are_told(phase, signals, argument):
 def test_what_needs_quadratic_costs_says_so(asked):
     with pytest.raises(InputError, match="got a Phase, expected quadratic costs"):
         asked(NonlinearMPC(push()))
+
+
+@pytest.mark.parametrize("limit", [
+    {"path": lambda x: x[0] ** 3, "path_bounds": (-np.inf, 0.125)}, {"boundary": lambda x: x[0] - 0.5},
+])  # fmt: skip
+def test_a_single_state_without_bounds_takes_limits_of_functions(limit):
+    """An integrator on its way to 1, whose limits stop it at a half."""
+    phase = Phase(lambda x, u: u, 1, 1, stage_cost=lambda x, u: (x - 1) ** 2 + 1e-3 * u**2, duration=1.0,
+                  u_bounds=(-1, 1), **limit)  # fmt: skip
+    law = NonlinearMPC(phase, horizon=10)
+    assert float(law.solve([0.2]).states[-1, 0]) == pytest.approx(0.5, abs=1e-5)

@@ -127,3 +127,31 @@ def test_a_cost_that_vanishes_is_met_by_its_size():
     still = refine(Phase(lambda u: u, 1, 1, stage_cost=lambda x, u: x**2 + u**2, start=[0], end=[0]), of="cost")
     assert still.solved, still.advice
     assert still.cost == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_cost_of_inputs_that_jump_is_found_more_sharply_than_the_dynamics():
+    phase = Phase(
+        lambda x, u: ca.vertcat(x[1], u), 2, 1, start=[0, 0], end=[1, 0], u_bounds=(-1, 1), duration=(0.1, 5),
+        terminal_cost=lambda t: t,
+    )  # fmt: skip
+    assert refine(phase, tolerance=1e-4).cost == pytest.approx(2.0, abs=1e-6)
+
+
+def test_where_dynamics_are_met_at_once_the_mesh_is_cut_for_the_cost():
+    """An integrator along a fast sine: polynomials meet its dynamics, whatever the mesh."""
+    phase = Phase(lambda x, u: u, 1, 1, stage_cost=lambda x, u, t: (x - ca.sin(10 * t)) ** 2 + 1e-4 * u**2, start=[0.0],
+                  duration=4.0)  # fmt: skip
+    best = refine(phase, Radau(5), intervals=40, of="cost", tolerance=1e-8)
+    for intervals in (8, 12, 20):
+        found = refine(phase, intervals=intervals)
+        assert found.status.name == "SOLVED"
+        assert found.cost == pytest.approx(best.cost, rel=0.003)
+
+
+def test_what_meets_its_cost_and_misses_the_dynamics_says_so():
+    """A state that nothing is asked of, too fast for the mesh."""
+    phase = Phase(lambda x, u, t: ca.vertcat(u - x[0], 20 * ca.cos(20 * t)), 2, 1, start=[1.0, 0.0], duration=5.0,
+                  stage_cost=lambda x, u: x[0] ** 2 + u**2)  # fmt: skip
+    found = refine(phase, intervals=4, of="cost", tolerance=0.01, rounds=1)
+    assert found.status.name == "STOPPED"
+    assert "misses the dynamics by 3.6e-01 where 5.0e-02 was asked for. Take more intervals" in found.advice

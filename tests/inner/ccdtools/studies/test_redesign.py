@@ -8,7 +8,7 @@ import pytest
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.evidence.verdict import Status
 from ccdtools.scenario import Scenario
-from ccdtools.studies import configuration
+from ccdtools.studies import RedesignCost, configuration
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.redesign import RedesignJudge, described, predicted
 from ccdtools.twin.deployable import Deployable
@@ -167,3 +167,20 @@ def test_a_redesign_has_no_gain_where_what_is_deployed_loses_every_run(evaluatio
     decision, verdict = judged(evaluation, at(agent, 2.2), at(agent, 2.0), noisy)
     assert verdict.status is Status.NO_GAIN
     assert decision["size"] == 0
+
+
+def test_a_redesign_of_one_long_run_is_worth_as_much_by_two_logs_as_by_one(evaluation, agent):
+    """Two equal logs gain twice what one does, in twice the time."""
+    study = evaluation.study
+    real = replace(study.real, runs=1, steps=600)
+    terms = RedesignCost(cost=20.0, serves=500, unit="EUR", worth=1.0)
+    single = Evaluation(replace(study, real=real, redesign_cost=terms), evaluation.config, 0)
+    w = study.disturbance.sample(1, 600, np.random.default_rng(0))
+    twin = log(single, agent, disturbance=w, x0=[study.x0])
+    found = []
+    for logs in (twin.logs, twin.logs * 2):
+        judge = RedesignJudge(single, at(agent, 1.2), replace(twin, logs=logs))
+        found.append((verdict := judge.verdict(at(agent, 2.2))).gain.mean)
+        middle = np.mean(judge.worth(verdict, 0).redesign)
+        assert middle == pytest.approx(500 * found[0] * study.steps / 600 - 20, rel=1e-9)
+    assert found[1] == pytest.approx(2 * found[0], rel=1e-9)

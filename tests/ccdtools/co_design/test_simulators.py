@@ -1,0 +1,194 @@
+"""Co-design of a plant of which only a step is known."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize_scalar
+
+from ccdtools import (
+    CoDesignConfig,
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Learned,
+    Nested,
+    QuadraticObjective,
+    Search,
+    codesign,
+    load_study,
+)
+from ccdtools.co_design import EpisodeEnv
+from ccdtools.plants import BlackBox, from_gymnasium
+from learning import NetworkConfig
+
+
+def hidden(problem, asked=None, noise=0.0):
+    """The same problem behind a simulator, which keeps the designs that it is asked for."""
+    model = problem.model
+    rng = np.random.default_rng(3)
+    step = cache(lambda p: model.stepper(p, batch=1))
+
+    def advance(x, u, w, p):
+        if asked is not None:
+            asked.append(p.copy())
+        after = step(tuple(p))(x, u, w)
+        return after + noise * rng.standard_normal(after.shape) * problem.state_scale
+
+    box = BlackBox(advance, nx=model.nx, nu=model.nu, nw=model.nw, dt=model.dt, design=problem.design, batched=True)
+    return replace(problem, model=box)
+
+
+@pytest.mark.parametrize("name", ["suspension", "two_tanks", "pendulum_on_cart"])
+def test_slopes_are_those_of_the_plant_at_bounds_too(name):
+    problem = load_study(name).problem()
+    other = hidden(problem)
+    for p in (problem.design.lower, problem.design.upper, problem.design.centre):
+        for exact, found in zip(problem.model.matrices(p), other.model.matrices(p)):
+            np.testing.assert_allclose(found, exact, atol=1e-8 * np.abs(exact).max())
+        for exact, found in zip(problem.model.derivatives(p), other.model.derivatives(p)):
+            size = np.abs(exact).max(axis=(0, 1), initial=1e-300)
+            np.testing.assert_allclose(found / size, exact / size, atol=1e-5)
+
+
+def test_the_gradient_of_a_step_is_that_of_the_plant():
+    problem = load_study("two_tanks").problem()
+    other = hidden(problem)
+    rng = np.random.default_rng(0)
+    x = 0.3 * problem.state_scale * rng.uniform(-1, 1, (7, problem.model.nx))
+    u = 0.3 * problem.input_bounds[1] * rng.uniform(-1, 1, (7, problem.model.nu))
+    w = 0.01 * rng.uniform(-1, 1, (7, problem.model.nw))
+    p = problem.design.latin_hypercube(7, rng)
+    slopes = []
+    for model in (problem.model, other.model):
+        given = [torch.tensor(part, requires_grad=True) for part in (x, u, w, p)]
+        weights = torch.linspace(-1.0, 2.0, 7 * model.nx).reshape(7, -1).double()
+        (weights * model.pathwise(*given)).sum().backward()
+        slopes.append([part.grad.numpy() for part in given])
+    for exact, found in zip(*slopes):
+        np.testing.assert_allclose(found, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max(initial=0.0))
+
+
+def test_a_design_is_that_of_the_open_plant_and_no_other_design_than_of_the_box_is_asked_for():
+    problem = replace(load_study("dc_servo").problem(), limit_tolerance="off", steps=10)
+    asked = []
+    found, known = (
+        codesign(one, method=Nested(runs=32, starts=1), rng=np.random.default_rng(0))
+        for one in (hidden(problem, asked), problem)
+    )
+    np.testing.assert_allclose(found.design, known.design, rtol=1e-3, atol=1e-9)
+    assert found.status is known.status
+    assert (np.array(asked) >= problem.design.lower).all()
+    assert (np.array(asked) <= problem.design.upper).all()
+
+
+@pytest.mark.check
+def test_policy_and_design_climb_through_a_simulator():
+    problem = replace(load_study("dc_servo").problem(), steps=10, limit_tolerance="off")
+    agent = EpisodeEnv(problem, problem.design.centre, rng=np.random.default_rng(0)).agent(config=NetworkConfig((4,)))
+    config = CoDesignConfig(iterations=4, block=4, pathwise_runs=16, evaluation_runs=64, starts=1)
+    found, known = (
+        codesign(one, method=Learned(agent=agent, config=config), rng=np.random.default_rng(0))
+        for one in (hidden(problem), problem)
+    )
+    assert found.gradients.trusted
+    np.testing.assert_allclose(found.gradients.pathwise, known.gradients.pathwise, rtol=1e-2)
+    assert found.objective == pytest.approx(known.objective, rel=1e-3)
+
+
+def gears(advance=None, **change):
+    """Mass with a whole number of gears behind a simulator."""
+
+    def step(x, u, w, p):
+        if p[0] != np.round(p[0]):
+            raise RuntimeError("half a gear")
+        v = 0.9 * x[:, 1] + 0.05 * p[0] * u[:, 0] - 0.01 * p[0] ** 2 * x[:, 1] + w[:, 0]
+        return np.stack([x[:, 0] + 0.1 * x[:, 1], v], axis=1)
+
+    space = DesignSpace(["gears"], [1], [6], integer=["gears"])
+    box = BlackBox(advance or step, nx=2, nu=1, nw=1, dt=0.1, design=space, batched=True)
+    given = {"X": ([-1, -1], [1, 1]), "U": ([-1], [1]), "objective": QuadraticObjective(np.eye(2), [[0.1]]),
+             "scenarios": FixedStart([0.5, 0.0], Gaussian([0.01])), "steps": 20}  # fmt: skip
+    return CoDesignProblem(box, **{**given, **change})
+
+
+def test_whole_numbers_are_asked_for_as_they_are():
+    method = Nested(runs=16)
+    found = codesign(gears(), method=method, rng=np.random.default_rng(0))
+    returns = []
+    for p in range(1, 7):
+        A = np.array([[1.0, 0.1], [0.0, 0.9 - 0.01 * p**2]])
+        np.testing.assert_allclose(gears().model.matrices([p])[0], A, atol=1e-12)
+        returns.append(codesign(gears(), method=method, design=[p], rng=np.random.default_rng(0)).objective)
+    assert found.objective == pytest.approx(max(returns), rel=1e-6)
+
+
+@pytest.mark.parametrize(("change", "match"), [
+    ({"advance": lambda x, u, w, p: x + 1.0}, "model: got a plant that does not rest"),
+    ({"advance": lambda x, u, w, p: np.where(np.abs(x) > 0, np.nan, x)}, "design: got a design at which a step beside"),
+    ({"scenarios": FixedStart([0.5, 0.0], Gaussian([0.01, 0.01]))}, "scenarios: got disturbances of shape"),
+    ({"X": ([-1, -1, -1], [1, 1, 1])}, r"X\[0\]: got shape"),
+])  # fmt: skip
+def test_wrong_simulators_are_named(change, match):
+    with pytest.raises(InputError, match=match):
+        gears(**change)
+
+
+@pytest.mark.parametrize("method", ["sequential", "simultaneous"])
+def test_what_needs_expressions_says_so(method):
+    with pytest.raises(InputError, match="which has no expressions"):
+        codesign(gears(), method=method, rng=np.random.default_rng(0))
+
+
+def test_noise_of_a_simulator_is_a_thousand_times_as_large_in_a_slope():
+    problem = load_study("suspension").problem()
+    exact = problem.model.matrices(problem.design.centre)[0]
+    found = hidden(problem, noise=1e-12).model.matrices(problem.design.centre)[0]
+    scale = problem.state_scale
+    assert 1e-11 < np.abs((found - exact) * scale / scale[:, None]).max() < 1e-8
+
+
+def test_a_length_is_designed_in_an_environment_of_gymnasium():
+    gymnasium = pytest.importorskip("gymnasium")
+
+    def write(env, x):
+        env.state = np.array(x)
+
+    def build(env, p):
+        env.l = float(p[0])
+
+    plant = from_gymnasium(
+        gymnasium.make("Pendulum-v1"), read=lambda env: env.state, write=write, build=build, dt=0.05,
+        design=DesignSpace(["length"], [0.5], [1.5], ["m"]),
+    )  # fmt: skip
+    problem = CoDesignProblem(
+        plant, X=([-1, -8], [1, 8]), U=([-2], [2]), steps=20, scenarios=FixedStart([0.05, 0.0], Gaussian([])),
+        objective=QuadraticObjective(np.eye(2), [[0.1]], design_cost=lambda p: (p[0] - 1.2) ** 2),
+        limit_tolerance="off",
+    )  # fmt: skip
+    gravity, length = 10.0, 1.25
+    v = np.array([0.05 * 3 * gravity / (2 * length), 1.0])  # semi-implicit Euler, as the environment takes it
+    np.testing.assert_allclose(problem.model.matrices([length])[0], [[1 + 0.05 * v[0], 0.05], v], atol=1e-9)
+    found = codesign(problem, method=Search(evaluations=40, runs=2), rng=np.random.default_rng(0))
+    best = minimize_scalar(cost_of_a_length, bounds=(0.5, 1.5), method="bounded")
+    assert cost_of_a_length(found.design[0]) == pytest.approx(best.fun, rel=1e-3)
+
+
+def cost_of_a_length(length):
+    """Cost of the loop above by the equations of motion."""
+    gain, B = 0.05 * 3 * 10.0 / (2 * length), 0.05 * 3 / length**2
+    A, B = np.array([[1 + 0.05 * gain, 0.05], [gain, 1.0]]), np.array([[0.05 * B], [B]])
+    P = solve_discrete_are(A, B, np.eye(2), [[0.1]])
+    K = np.linalg.solve(0.1 + B.T @ P @ B, B.T @ P @ A)[0]
+    x, total = np.array([0.05, 0.0]), (length - 1.2) ** 2
+    for _ in range(20):
+        u = np.clip(-K @ x, -2, 2)
+        v = x[1] + gain * np.sin(x[0]) + B[1, 0] * u
+        x = np.array([x[0] + 0.05 * v, v])
+        total += x @ x + 0.1 * u**2
+    return total
