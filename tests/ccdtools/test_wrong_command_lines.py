@@ -50,7 +50,7 @@ FILES = {
 WRONG = [
     # What is run
     (["run"], "study: got nothing, expected the name of a study"),
-    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_heights, "),
+    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_drivers, "),
     (["run", ""], "study: got ''"),
     (["run", "Suspension"], "or a Python file. Did you mean suspension?"),
     (["run", "a"], "A file needs its ending: a.py."),
