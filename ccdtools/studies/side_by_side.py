@@ -46,9 +46,8 @@ class SideBySide(Study):
         uses = as_mapping("uses", self.uses, "a mapping of names to disturbances")
         for name, disturbance in uses.items():
             check_disturbance(f"uses[{name!r}]", disturbance, self.plant)
-        object.__setattr__(self, "uses", uses)
-        object.__setattr__(self, "history", as_count("history", self.history))
-        object.__setattr__(self, "noise", as_vector("noise", self.noise, self.plant.ny, of="one per output"))
+        self._set(uses=uses, history=as_count("history", self.history))
+        self._set(noise=as_vector("noise", self.noise, self.plant.ny, of="one per output"))
         super().__post_init__()
         if set(self.real.fresh) != set(uses):
             raise InputError("real.held_out", shown(list(self.real.fresh)), f"those of the uses: {', '.join(uses)}")

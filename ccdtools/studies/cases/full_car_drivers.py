@@ -23,6 +23,7 @@ from ccdtools.vehicles.iso8608 import RoadClass
 from ccdtools.vehicles.iso_road import ISORoad
 from ccdtools.vehicles.ride import Ride
 from ccdtools.vehicles.roads import Driver
+from invariant_sets import Polytope
 
 HEIGHT = 0.5  # m, of the centre of mass above the road's reaction; a typical value
 MANOEUVRE = 1.0  # s, for which a driver keeps on; a typical value
@@ -47,8 +48,7 @@ def driven(car: Plant) -> Plant:
 
 def stage_cost(x: Any, u: Any, p: Any) -> Any:
     """Squares of body accelerations, tyre deflections, travels and forces, beside tolerable ones."""
-    rates = NOMINAL.right_hand_side(x, u, 0, p)
-    parts = {"acceleration": rates[12:15], "tyre": x[:4], "travel": x[4:8], "force": u}
+    parts = {"acceleration": NOMINAL.right_hand_side(x, u, 0, p)[12:15], "tyre": x[:4], "travel": x[4:8], "force": u}
     return sum(ca.sumsqr(part / GOOD[name]) for name, part in parts.items())
 
 
@@ -78,8 +78,8 @@ study = SideBySide(
     name="full_car_drivers",
     title="A full car for two drivers",
     plant=NOMINAL,
-    X=(-LIMITS, LIMITS),
-    U=(-1500.0, 1500.0),  # N, of each strut; below the 2500 N at which the real actuator ends
+    X=Polytope.from_bounds(-LIMITS, LIMITS),
+    U=Polytope.from_bounds([-1500.0] * 4, [1500.0] * 4),  # N; the real actuator ends at 2500 N
     objective=CustomObjective(stage_cost),
     disturbance=USES["mild"],
     x0=np.zeros(NOMINAL.nx),

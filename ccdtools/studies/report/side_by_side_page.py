@@ -15,13 +15,13 @@ from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.side_by_side_run import START, Trial
 from ccdtools.studies.stage_storage import Stage
-from ccdtools.table import Table
+from ccdtools.table import Table, csv_text
 
 
 def write_side_by_side(
     study: SideBySide, found: Mapping[str, Stage], trials: Mapping[str, Trial], folder: RunFolder, *, quick: bool
 ) -> tuple[str, Path]:
-    """Write side_by_side.png and report.html; return what is printed, and the page's path."""
+    """Write gains.csv, side_by_side.png and report.html; return what is printed, and the page's path."""
     names = list(next(iter(next(iter(trials.values()))[0].values())))
     changes = [
         (use, what, *(percent_interval(one.change.mean, one.change.ci95, one.before) for one in changed))
@@ -38,6 +38,7 @@ def write_side_by_side(
     designs += [line for stage in found.values() for line in stage.values["report"]]
     image = style.png(plot_side_by_side(study, found, trials, quick=quick))
     folder.write_bytes("side_by_side.png", image)
+    folder.write_text("gains.csv", csv_text([dict(zip(tables[0].head, line)) for line in changes]))
     body = "".join(f"<p>{line}</p>" for line in designs) + "".join(f"<div>{table.html}</div><br>" for table in tables)
     page = folder.write_text("report.html", page_of(study.title, body, image, "Designs, and changes in every use"))
     return "\n\n".join("\n".join(lines) for lines in (designs, *(table.aligned() for table in tables))), page

@@ -147,6 +147,7 @@ def test_the_command_designs_a_softer_car_for_the_mild_driver_with_less_effort_f
     assert [row.split()[0] for row in own] == ["mild", "aggressive"]
     assert all(re.findall(r"([−+][\d.]+) %", row)[1].startswith("−") for row in own)
     assert (folder.path / "report.html").read_text().count("<tr>") == 1 + 10 + 1 + 18
+    assert (folder.path / "gains.csv").read_text().count("\n") == 1 + 10
     assert (folder.path / "side_by_side.png").read_bytes().startswith(b"\x89PNG")
     again = runner.invoke(app, ["resume", str(folder.path)])
     assert again.output.split("\n\n")[1:-1] == done.output.split("\n\n")[1:-1]
