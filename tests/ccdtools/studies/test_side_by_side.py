@@ -150,4 +150,5 @@ def test_the_command_designs_a_softer_car_for_the_mild_driver_with_less_effort_f
     assert (folder.path / "gains.csv").read_text().count("\n") == 1 + 10
     assert (folder.path / "side_by_side.png").read_bytes().startswith(b"\x89PNG")
     again = runner.invoke(app, ["resume", str(folder.path)])
+    assert again.exit_code == 0, again.exception
     assert again.output.split("\n\n")[1:-1] == done.output.split("\n\n")[1:-1]
