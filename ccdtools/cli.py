@@ -8,7 +8,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -367,7 +367,10 @@ def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     from ccdtools.studies.generations import Generations
     from ccdtools.studies.loading import blamed_on_source
     from ccdtools.studies.report.report import write_report
+    from ccdtools.studies.report.side_by_side_page import write_side_by_side
     from ccdtools.studies.report.tables import console_table
+    from ccdtools.studies.side_by_side import SideBySide
+    from ccdtools.studies.side_by_side_run import SideBySideRun
 
     options = prepared.options
     study = prepared.study
@@ -375,15 +378,17 @@ def _complete(folder: RunFolder, prepared: PreparedRun) -> None:
     typer.echo(f"{study.title}, seed {options.seed}{quick} → {folder.path}")
     start = time.perf_counter()
     _single_thread()
+    asked: dict[str, Any] = {"seed": options.seed, "echo": typer.echo, "progress": sys.stderr.isatty()}
     with blamed_on_source(options.study):
-        results = Generations(
-            study, prepared.config, folder, generations=options.generations, seed=options.seed, echo=typer.echo,
-            progress=sys.stderr.isatty(),
-        ).run()  # fmt: skip
-        typer.echo("Figures and report")
-        report = write_report(study, folder)
-    typer.echo(f"\n{results['headline']}")
-    typer.echo("\n" + console_table(results))
+        if isinstance(study, SideBySide):
+            found = SideBySideRun(study, prepared.config, folder, **asked).run()
+            text, report = write_side_by_side(study, *found, folder, quick=options.quick)
+        else:
+            results = Generations(study, prepared.config, folder, generations=options.generations, **asked).run()
+            typer.echo("Figures and report")
+            report = write_report(study, folder)
+            text = f"{results['headline']}\n\n{console_table(results)}"
+    typer.echo(f"\n{text}")
     typer.echo(f"\nReport, after {time.perf_counter() - start:.0f} s: {report}")
 
 

@@ -5,4 +5,5 @@ from ccdtools.studies.presets import StudyConfig as StudyConfig, configuration a
 from ccdtools.studies.real_plant import RealPlant as RealPlant
 from ccdtools.studies.redesign_cost import RedesignCost as RedesignCost, decide_redesign as decide_redesign
 from ccdtools.studies.run_folder import RunFolder as RunFolder
+from ccdtools.studies.side_by_side import SideBySide as SideBySide
 from ccdtools.studies.study import Study as Study

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from ccdtools.checks import as_choice
@@ -13,6 +13,7 @@ from ccdtools.disturbances.recordings import read_disturbance, read_road, read_s
 from ccdtools.exceptions import InputError
 from ccdtools.studies.loading import load_with_sources
 from ccdtools.studies.options import Options, blamed_on_options
+from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
 
@@ -46,6 +47,11 @@ def blamed_on_source_options(options: Options) -> AbstractContextManager[None]:
 
 
 def _check_effect(options: Options, study: Study) -> None:
+    if isinstance(study, SideBySide):
+        for field in fields(Options)[1:]:
+            if field.name not in ("seed", "quick", "p0") and getattr(options, field.name) != field.default:
+                got = f"it for {study.name!r}, whose designs stand side by side"
+                raise InputError(f"--{field.name.replace('_', '-')}", got, "--seed, --quick and --p0 alone")
     if options.expert is not None:
         as_choice("--expert", options.expert, (*EXPERTS, *study.laws))
     sets = study.sets if options.sets is None else options.sets

@@ -50,7 +50,7 @@ FILES = {
 WRONG = [
     # What is run
     (["run"], "study: got nothing, expected the name of a study"),
-    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_heights, "),
+    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_drivers, "),
     (["run", ""], "study: got ''"),
     (["run", "Suspension"], "or a Python file. Did you mean suspension?"),
     (["run", "a"], "A file needs its ending: a.py."),
@@ -61,6 +61,11 @@ WRONG = [
     (["run", "empty.py"], "empty.py, which declares no `study`"),
     (["run", "suspension", "illustrative"], "arguments: got illustrative besides"),
     (["run", "../suspension"], "study: got '../suspension'"),
+    (
+        ["run", "full_car_drivers", "--generations", "3"],
+        "--generations: got it for 'full_car_drivers', whose designs "
+        "stand side by side, expected --seed, --quick and --p0 alone",
+    ),
     # What is swept
     (["sweep"], "file: got nothing"),
     (["sweep", "absent.toml"], "absent.toml: No such file or directory, expected a TOML file with options"),

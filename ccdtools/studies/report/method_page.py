@@ -39,11 +39,16 @@ def write_methods(title: str, found: Any, folder: RunFolder) -> Path:
     image = style.png(found.plot())
     folder.write_bytes(PICTURE, image)
     said = "".join(f"<li>{escape(line)}</li>" for line in found.verdict)
-    name = escape(title)
-    picture = base64.b64encode(image).decode("ascii")
-    page = (
-        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{name}</title><style>{LOOK}</style></head>"
-        f"<body><h1>{name}: every way to co-design</h1><div>{found.printed.html}</div><ul>{said}</ul>"
-        f"<img alt='Return against time, and the designs' src='data:image/png;base64,{picture}'></body></html>"
-    )
+    body = f"<div>{found.printed.html}</div><ul>{said}</ul>"
+    page = page_of(f"{title}: every way to co-design", body, image, "Return against time, and the designs")
     return folder.write_text(PAGE, page)
+
+
+def page_of(title: str, body: str, image: bytes, alt: str) -> str:
+    """Page in HTML with a picture at its end."""
+    picture = base64.b64encode(image).decode("ascii")
+    name = escape(title)
+    return (
+        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{name}</title><style>{LOOK}</style></head>"
+        f"<body><h1>{name}</h1>{body}<img alt='{alt}' src='data:image/png;base64,{picture}'></body></html>"
+    )
