@@ -60,7 +60,7 @@ def matrices(model: Model, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _needed_matrices(problem: CoDesignProblem, p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Matrices A, B, E where a step needs them; else, of a model that is not linear, none."""
+    """Matrices A, B, E, empty where no step needs them."""
     carried = getattr(problem.discrepancy, "transport", None) is not None
     if carried or isinstance(problem.model, LinearModel):
         return matrices(problem.model, p)

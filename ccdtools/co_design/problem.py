@@ -194,7 +194,7 @@ class CoDesignProblem(Immutable):
         check_every_entry_acts(self)
 
     def _designable(self) -> Any:
-        """The model, which rests at 0 and has a design to choose; of a simulator its rest is looked at later."""
+        """The model, which has a design to choose."""
         model = self.model
         if not isinstance(model, BlackBox | SimulatedModel):
             as_regulated_model("model", model)
@@ -231,7 +231,7 @@ class CoDesignProblem(Immutable):
             raise InputError("discrepancy", f"a weight of shape {size}", f"({self.model.nx}, {self.model.nx})")
 
     def _differenced(self, box: Any) -> Any:
-        """Model of a simulator, with steps by the sizes of X, U and the disturbance; other models as they are."""
+        """Model of a simulator; other models as they are."""
         if not isinstance(box, BlackBox):
             return box
         w = np.abs(self._drawn()[1]).max(axis=(0, 1), initial=0.0)

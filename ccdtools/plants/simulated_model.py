@@ -135,7 +135,9 @@ class SimulatedModel(Immutable):
         return np.split(found, np.cumsum(self.sizes)[:-1], axis=1)
 
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:
-        """A (nx, nx), B (nx, nu), E (nx, nw) about 0 at a design (np,); stacked for (n, np).
+        """A (nx, nx), B (nx, nu), E (nx, nw) about 0.
+
+        Of one design (np,), or stacked for (n, np).
 
         Raises
         ------

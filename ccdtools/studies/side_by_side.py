@@ -18,9 +18,9 @@ from ccdtools.studies.study import Study
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class SideBySide(Study):
-    """Study of several uses, such as drivers, each with a design and a policy of its own.
+    """Study of several uses, each with its own design and policy.
 
-    Loops are closed on sensors alone. A run co-designs LQG and a policy of outputs for every use, then tries all
+    A use may be a driver. Loops are closed on sensors alone. A run co-designs LQG and a policy of outputs for every use, then tries all
     designs in all uses on the real plant, under the disturbances that `real.held_out` has by the names of the uses.
 
     Attributes

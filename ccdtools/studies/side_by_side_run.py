@@ -52,7 +52,7 @@ class SideBySideRun:
         return found, {use: self._tried(use, found) for use in self.study.uses}
 
     def _designed(self, use: str) -> Stage:
-        """Co-design of LQG from the start of the study, and from there of a policy of outputs."""
+        """Co-design of LQG, and from there of a policy of outputs."""
         problem = self.study.problems[use]
         rng = np.random.default_rng([self.seed, *use.encode()])
         lqg = codesign(problem, method=Nested("lqg", starts=1), design=self.study.p0, rng=rng, progress=self.progress)

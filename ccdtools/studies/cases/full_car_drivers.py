@@ -53,7 +53,7 @@ def stage_cost(x: Any, u: Any, p: Any) -> Any:
 
 
 def drive(driver: Driver, *classes: RoadClass) -> Stacked:
-    """Roads of the classes in turn under a driver's car, and white noise that its states filter to manoeuvres."""
+    """Roads of the classes in turn, and white noise that becomes manoeuvres."""
     track = 2 * CAR.half_track
     roads = (ISORoad(one, driver, NOMINAL.dt, track=track, wheelbase=WHEELBASE, spacing=0.08) for one in classes)
     return Stacked((Cases(tuple(roads)), Gaussian(np.sqrt(2 * MANOEUVRE / NOMINAL.dt) * np.array(DRIVERS[driver]))))
