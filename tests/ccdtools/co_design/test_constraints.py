@@ -76,6 +76,7 @@ def test_whatever_moves_the_design_every_iterate_keeps_what_holds_it(method, gra
     assert len(np.unique(found.history.design[:, 0])) > 1
 
 
+@pytest.mark.check
 def test_whole_numbers_stay_within_a_start_whatever_moves_the_rest():
     case = CASES["teeth"]
     problem = replace(case.problem(), steps=20)

@@ -70,7 +70,7 @@ def test_the_expert_does_the_same_in_both_statements():
     np.testing.assert_allclose(own.actions[:, 0], other.actions[:, 0] * full_force(other.inputs[:, 2:].T), atol=1e-6)
 
 
-@pytest.mark.quick(2)
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("method", ["pathwise", "pathwise+ppo"])
 def test_a_co_design_ends_where_that_of_the_plant_in_parts_does(pair, method):
     config = CoDesignConfig(

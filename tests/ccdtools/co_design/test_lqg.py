@@ -81,6 +81,7 @@ def test_a_long_episode_costs_what_the_trace_formula_says():
     assert cost(900) - cost(600) == pytest.approx(300 * in_the_long_run(problem, np.array([1.0, 1.0])), rel=3e-3)
 
 
+@pytest.mark.check
 def test_noise_of_the_sensor_changes_the_design_and_pays():
     problem = mass()
     lqg = codesign(problem, method=Nested("lqg"), rng=np.random.default_rng(0))

@@ -94,6 +94,7 @@ def test_a_design_at_a_bound_does_not_move():
     assert found.return_slope == pytest.approx(-0.2, rel=1e-6)  # of the price: the mass itself
 
 
+@pytest.mark.check
 def test_where_the_design_meets_its_bound_the_slopes_to_both_sides_differ():
     low, high = 0.0, 500.0
     for _ in range(40):
