@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mpc.checks import Array
-from mpc.tolerances import KKT_REPORTED, NEWTON, ROUNDED_SUM
+from mpc.tolerances import KKT_REPORTED, PRIMAL, ROUNDED_SUM
 
 if TYPE_CHECKING:
     from mpc.stages import QPStage
@@ -191,7 +191,7 @@ def solve_stagewise(stages: list[QPStage], start: Array, variables: Arrays) -> S
         if max(step, at.violation) < max(best.step, best.violation):
             best = StagewiseResult(at.states, list(at.variables), step, at.violation)
             waited = 0
-        if max(step, at.violation) <= NEWTON or (best.converged and waited > 2):
+        if max(step, at.violation) <= PRIMAL or (best.converged and waited > 2):
             break
         mean = at.mean_product()
         share = at.mean_product(predictor, at.longest(predictor)) / mean if mean > 0 else 0.0

@@ -6,7 +6,6 @@ scaled coordinates has no unit and means the same whatever units the user measur
 
 from __future__ import annotations
 
-import math
 import sys
 
 EPS = sys.float_info.epsilon  # Relative rounding of one operation [-]
@@ -24,8 +23,8 @@ RUNAWAY = KKT / EPS
 KKT_REPORTED = 1e-6
 # What counts as none on scaled data [-]: a violation of a row (DAQP accepts it; a row that cuts no deeper into the set
 # of the others is redundant; a box or a region that reaches no further across a side does not cross it), a gap between
-# opposite rows, a normal of a law, a coefficient, a multiplier beside the largest, a difference of laws, a part of a
-# row outside the span of those that act
+# opposite rows, a step of Newton's method, a normal of a law, a coefficient, a multiplier beside the largest, a
+# difference of laws, a part of a row outside the span of those that act
 PRIMAL = 1e-9
 # Residuals on scaled data at which HiGHS, Clarabel and, at a steady state, Ipopt stop, and multiplier of a proof of
 # infeasibility above which its row takes part [-]: the least that HiGHS allows
@@ -83,9 +82,6 @@ TARGET_COST = 1e-8  # Weight of the cost beside the squared output error, both o
 # ---- sensitivities ----
 # First Newton step from a plan, in sizes of inputs and states, beyond which the plan is no optimum [-]
 NEAR_OPTIMUM = 1e-2
-# Newton step, in sizes of inputs and states, at which a stagewise plan or a target is found and from which on
-# derivatives are taken [-]: what it leaves is its square, which is rounding
-NEWTON = math.sqrt(EPS)
 
 # ---- explicit laws: the multiparametric QP in scaled coordinates (unit rows, parameters in [-1, 1]) ----
 # Squared distance of a unit row from the span of others below which it depends on them, and no projection moves along

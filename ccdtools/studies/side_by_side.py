@@ -20,8 +20,9 @@ from ccdtools.studies.study import Study
 class SideBySide(Study):
     """Study of several uses, each with its own design and policy.
 
-    A use may be a driver. Loops are closed on sensors alone. A run co-designs LQG and a policy of outputs for every use, then tries all
-    designs in all uses on the real plant, under the disturbances that `real.held_out` has by the names of the uses.
+    A use may be a driver. Loops are closed on sensors alone. A run co-designs LQG and a policy of outputs for every
+    use, then tries all designs in all uses on the real plant, under the disturbances that `real.held_out` has by the
+    names of the uses.
 
     Attributes
     ----------

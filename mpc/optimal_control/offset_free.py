@@ -15,7 +15,7 @@ from mpc.exceptions import InputError
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
-from mpc.tolerances import NEWTON, TARGET_STEADY
+from mpc.tolerances import PRIMAL, TARGET_STEADY
 from mpc.tracking import OffsetFreeMPC, SteadyStates, Target, sizes_of
 
 
@@ -112,7 +112,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
             then = np.concatenate([found.state, found.input])
             moved = float(np.abs((then - at) / size).max())
             at = then
-            if moved <= NEWTON:
+            if moved <= PRIMAL:
                 return at, found.steady
         return at, False
 

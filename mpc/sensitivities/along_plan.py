@@ -14,7 +14,7 @@ from mpc.rollout import Given
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
-from mpc.tolerances import KKT, KKT_REPORTED, NEAR_OPTIMUM, NEWTON, PRIMAL, ROUNDED_SUM
+from mpc.tolerances import KKT, KKT_REPORTED, NEAR_OPTIMUM, PRIMAL, ROUNDED_SUM
 
 
 def sensitivity_of(
@@ -33,7 +33,7 @@ def sensitivity_of(
                 return conditions.none(plan, SensitivityStatus.SINGULAR)
             size = step.size
             # rounding ends it sooner where the problem is badly conditioned
-            if size <= NEWTON or (last <= KKT_REPORTED and not size <= last):
+            if size <= PRIMAL or (last <= KKT_REPORTED and not size <= last):
                 return _at_optimum(plan, step)
             if not size <= last:
                 break
