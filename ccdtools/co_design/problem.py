@@ -93,8 +93,8 @@ class CoDesignProblem(Immutable):
     ----------
     model : LinearModel, SampledModel or BlackBox
         x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design.
-        LQR, MPC and sets are then those of its linearisation there. The slopes of a simulator are
-        central differences, a thousandth of X, U and the box of designs wide.
+        LQR, MPC and sets are then those of its linearisation there. The slopes of a simulator are differences, with
+        steps of a thousandth of X, U and the box of designs, and twice that.
     X, U : Polytope, bounds (lower, upper), or function of p
         State and input limits; both bounded and around 0, U a box. Each bound is a number for all coordinates, or one
         number each. Leaving X is counted, it does not end an episode. A function of the design returns bounds, as
@@ -139,7 +139,7 @@ class CoDesignProblem(Immutable):
         fixed changes nothing, or nothing but how a disturbance of zero enters.
     """
 
-    model: Any  # a Model once the problem is made
+    model: Any  # once the problem is made a Model, or a SimulatedModel
     X: Limits
     U: Limits
     objective: Objective
