@@ -96,7 +96,8 @@ class BlackBox(Immutable):
             raise
         except Exception as error:
             at = f" at x = {shown(x)}, u = {shown(u)}"
-            raise stopped("advance", self.advance, error, f"x⁺ {x.shape}", at=at) from error
+            cure = "With batched=True it gets rows (n, ·) of all runs, else one run (·,)."
+            raise stopped("advance", self.advance, error, f"x⁺ {x.shape}", cure, at=at) from error
         if found.shape != x.shape:
             raise InputError("advance", f"a state of shape {found.shape}", f"{x.shape}")
         return found
@@ -150,26 +151,31 @@ def from_gymnasium(
         raise InputError("env", shown(env), "a Gymnasium environment with a box of actions (nu,)")
     inner = env.unwrapped
 
-    def seen() -> Array:
-        """State at which the environment stands."""
-        return np.atleast_1d(as_floats("read", read(inner)))
-
     def advance(x: Array, u: Array, w: Array, p: Array) -> Array:
         """State after a step of the environment."""
         if build is not None:
             build(inner, p)
         write(inner, x)
         inner.step(u.astype(env.action_space.dtype))
-        return seen()
+        return _read(read, inner)
 
     env.reset(seed=0)
-    x, u = as_vector("read", seen()), np.asarray(env.action_space.sample(), dtype=float)
-    p = (design.lower + design.upper) / 2
-    first, again = (advance(x.copy(), u, np.zeros(0), p) for _ in range(2))
+    x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
+    box = BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design)
+    first, again = (box.step(x, u, np.zeros(0), design.project(design.centre)) for _ in range(2))
     if not np.array_equal(first, again, equal_nan=True):
         got = f"{shown(first)} and {shown(again)} after one step from one state"
         raise InputError("env, write", got, "the same state: a deterministic step, and a write that takes effect")
     write(inner, x.copy())
-    if not np.array_equal(x, seen()):
-        raise InputError("write", f"a state {shown(seen())} where {shown(x)} was written", "the same state, (nx,)")
-    return BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design)
+    if not np.array_equal(x, back := _read(read, inner)):
+        raise InputError("write", f"a state {shown(back)} where {shown(x)} was written", "the same state, (nx,)")
+    return box
+
+
+def _read(read: Callable[[Any], ArrayLike], env: Any) -> Array:
+    """State (nx,) that a user's function reads."""
+    try:
+        found = read(env)
+    except Exception as error:
+        raise stopped("read", read, error, "the state at which the environment stands") from error
+    return np.atleast_1d(as_floats("read", found))

@@ -18,7 +18,7 @@ from ccdtools.plants.tolerances import MODEL_AT_REST
 
 Model: TypeAlias = LinearModel | SampledModel
 
-DEVIATIONS = "State it about its equilibrium: discretise(deviations(plant, equilibrium(plant, p)))."
+DEVIATIONS = "State it about its equilibrium, as discretise(deviations(plant, equilibrium(plant, p))) does."
 
 
 class PlantOfModel:

@@ -115,8 +115,8 @@ class SimulatedModel(Immutable):
     def rows(self, x: Array, held: tuple[Array, ...]) -> Array:
         """x⁺ (n, nx) of rows, or common (·,) u, w, p."""
         u, w = (np.broadcast_to(part, (len(x), part.shape[-1])) for part in held[:2])
-        p = np.clip(held[2], self.design.lower, self.design.upper)  # single precision rounds
-        p = np.where(self.design.whole, np.round(p), p)
+        p = np.where(self.design.whole, np.round(held[2]), held[2])
+        p = np.clip(p, *self.design.outermost)  # single precision rounds
         if p.ndim == 1:
             return self.box.stepper(p, batch=len(x))(x, u, w)
         designs, of = np.unique(p, axis=0, return_inverse=True)
@@ -130,8 +130,9 @@ class SimulatedModel(Immutable):
         """Products (n, ·) of a multiplier (n, nx) with slopes."""
         found = np.zeros((len(x), sum(self.sizes)))
         asked = multiplier.any(axis=1)  # of a lost run nothing is asked, and its slope may be no number
-        parts = [part[asked] if part.ndim == 2 else part for part in (x, *held)]
-        found[asked] = np.einsum("nij,ni->nj", self._jacobian(*parts), multiplier[asked])
+        if asked.any():
+            parts = [part[asked] if part.ndim == 2 else part for part in (x, *held)]
+            found[asked] = np.einsum("nij,ni->nj", self._jacobian(*parts), multiplier[asked])
         return np.split(found, np.cumsum(self.sizes)[:-1], axis=1)
 
     def matrices(self, p: ArrayLike = ()) -> tuple[Array, Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ccdtools.checks import as_choice, as_positive, as_share
+from ccdtools.checks import as_choice, as_instance, as_positive, as_share
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.risk import check_followed
@@ -97,9 +97,10 @@ def configuration(
     Raises
     ------
     InputError
-        If `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is not above 0;
-        if the method follows the mean, and the study has a risk.
+        If `study` is none, `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is
+        not above 0; if the method follows the mean, and the study has a risk.
     """
+    as_instance("study", study, Study, "a Study, as load_study returns")
     as_choice("preset", preset, CHOICES["preset"])
     expert = study.expert if expert is None else as_choice("expert", expert, (*EXPERTS, *study.laws))
     sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])

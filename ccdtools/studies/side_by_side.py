@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from ccdtools.arrays import ArrayField
 from ccdtools.checks import as_count, as_mapping, as_vector, shown
-from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.studies.real_plant import check_disturbance
 from ccdtools.studies.study import Study
+
+START = "start"  # the first design of a study, beside those of its uses
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -45,7 +48,11 @@ class SideBySide(Study):
 
     def __post_init__(self) -> None:
         uses = as_mapping("uses", self.uses, "a mapping of names to disturbances")
+        if not uses:
+            raise InputError("uses", "none", "at least one")
         for name, disturbance in uses.items():
+            if name == START or not re.fullmatch(r"\w[\w .-]*", name):  # it names a folder, too
+                raise InputError("uses", f"the name {shown(name)}", f"letters, digits, spaces, . _ -, and not {START!r}")
             check_disturbance(f"uses[{name!r}]", disturbance, self.plant)
         self._set(uses=uses, history=as_count("history", self.history))
         self._set(noise=as_vector("noise", self.noise, self.plant.ny, of="one per output"))
@@ -61,6 +68,6 @@ class SideBySide(Study):
         own = self.problem()
         sensors = Measurement(self.plant, noise=self.noise)
         return {
-            use: replace(own, scenarios=FixedStart(self.x0, disturbance), measurement=sensors)
+            use: replace(own, scenarios=replace(self.scenarios, disturbance=disturbance), measurement=sensors)
             for use, disturbance in self.uses.items()
         }

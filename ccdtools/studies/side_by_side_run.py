@@ -21,14 +21,13 @@ from ccdtools.scenario import Scenario
 from ccdtools.studies.budgets import TRIAL_RUNS
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.side_by_side import SideBySide
+from ccdtools.studies.side_by_side import START, SideBySide
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.trajectory import Trajectory
 
-START = "start"  # the first design of the study
 Place = tuple[str, str]  # names of a design and of a controller
-# Metrics in one use, by design and controller, and their changes by what changes.
-Trial = tuple[dict[Place, dict[str, float]], dict[str, tuple[MetricChange, ...]]]
+# Metrics in one use and lost runs, by design and controller, and changes by what changes.
+Trial = tuple[dict[Place, tuple[dict[str, float], int]], dict[str, tuple[MetricChange, ...]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +79,13 @@ class SideBySideRun:
             controllers = {"LQG": observed(problem, saturated_lqr(problem, p), p),
                            "MPC": observed(problem, linear_mpc(problem, p), p),
                            "learned": History(LearnedPolicy(agent, p), study.history)}  # fmt: skip
-            driven |= {(name, kind): scenario.run(one, design=p) for kind, one in controllers.items()}
+            for kind, one in controllers.items():
+                driven[name, kind] = scenario.run(one, design=p, limit=problem.limit)
         pairs: dict[str, tuple[Place, Place]] = {
             "design": ((START, "LQG"), own), "policy, for LQG": (own, (use, "learned")),
             "design and policy": ((START, "LQG"), (use, "learned")), "MPC, for LQG": (own, (use, "MPC")),
         } | {f"design, for that of {other}": ((other, "LQG"), own) for other in found if other != use}  # fmt: skip
         assert study.metrics is not None
         changes = {what: metric_changes(study.metrics, driven[one], driven[two]) for what, (one, two) in pairs.items()}
-        return {place: metrics_of(study.metrics, run) for place, run in driven.items()}, changes
+        values = {at: (metrics_of(study.metrics, run), int(run.diverged.sum())) for at, run in driven.items()}
+        return values, changes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,8 @@ from ccdtools import figure_style as style
 from ccdtools.evidence.percent import number, percent_interval
 from ccdtools.studies.report.method_page import page_of
 from ccdtools.studies.run_folder import RunFolder
-from ccdtools.studies.side_by_side import SideBySide
-from ccdtools.studies.side_by_side_run import START, Trial
+from ccdtools.studies.side_by_side import START, SideBySide
+from ccdtools.studies.side_by_side_run import Trial
 from ccdtools.studies.stage_storage import Stage
 from ccdtools.table import Table, csv_text
 
@@ -22,24 +23,25 @@ def write_side_by_side(
     study: SideBySide, found: Mapping[str, Stage], trials: Mapping[str, Trial], folder: RunFolder, *, quick: bool
 ) -> tuple[str, Path]:
     """Write gains.csv, side_by_side.png and report.html; return what is printed, and the page's path."""
-    names = list(next(iter(next(iter(trials.values()))[0].values())))
+    names = list(next(iter(next(iter(trials.values()))[0].values()))[0])
     changes = [
         (use, what, *(percent_interval(one.change.mean, one.change.ci95, one.before) for one in changed))
         for use, (_, by_question) in trials.items() for what, changed in by_question.items()
     ]  # fmt: skip
     values = [
-        (use, *place, *map(number, metrics.values()))
-        for use, (by_place, _) in trials.items() for place, metrics in by_place.items()
+        (use, *place, *map(number, metrics.values()), str(lost))
+        for use, (by_place, _) in trials.items() for place, (metrics, lost) in by_place.items()
     ]  # fmt: skip
-    right = frozenset(range(3, 3 + len(names)))
+    right = frozenset(range(3, 4 + len(names)))
     tables = [Table(("use", "change, with its 95 % interval, of", *names), changes, right),
-              Table(("use", "design", "controller", *names), values, right)]  # fmt: skip
+              Table(("use", "design", "controller", *names, "lost runs"), values, right)]  # fmt: skip
     designs = [f"{START}: {study.plant.design.describe(study.p0)}"]
     designs += [line for stage in found.values() for line in stage.values["report"]]
     image = style.png(plot_side_by_side(study, found, trials, quick=quick))
     folder.write_bytes("side_by_side.png", image)
     folder.write_text("gains.csv", csv_text([dict(zip(tables[0].head, line)) for line in changes]))
-    body = "".join(f"<p>{line}</p>" for line in designs) + "".join(f"<div>{table.html}</div><br>" for table in tables)
+    body = "".join(f"<p>{escape(line)}</p>" for line in designs)
+    body += "".join(f"<div>{table.html}</div><br>" for table in tables)
     page = folder.write_text("report.html", page_of(study.title, body, image, "Designs, and changes in every use"))
     return "\n\n".join("\n".join(lines) for lines in (designs, *(table.aligned() for table in tables))), page
 
@@ -65,16 +67,15 @@ def plot_side_by_side(
 def _plot_changes(ax: Any, use: str, trial: Trial) -> None:
     """Plot changes of metrics with their intervals, a colour per question."""
     values, by_question = trial
-    names = list(next(iter(values.values())))
+    names = list(next(iter(values.values()))[0])
     far = 1.0
     for i, (what, changes) in enumerate(by_question.items()):
-        if not changes:  # one of both lost every run
-            continue
         size = np.array([abs(one.before) or np.nan for one in changes])
-        mean, low, high = 100 * np.array([(one.change.mean, *one.change.ci95) for one in changes]).T / size
-        at = np.arange(len(names)) + 0.7 * (i / (len(by_question) - 1) - 0.5)
+        ends = np.array([(one.change.mean, *one.change.ci95) for one in changes]).reshape(-1, 3)  # none: all runs lost
+        mean, low, high = 100 * ends.T / size
+        at = np.arange(len(changes)) + 0.7 * (i / (len(by_question) - 1) - 0.5)
         ax.errorbar(mean, at, xerr=[mean - low, high - mean], fmt="o", ms=3.5, lw=1.2, label=what)
-        far = max(far, 1.3 * np.nanmax(np.abs(mean)))
+        far = max([far, *1.3 * np.abs(mean)])
     ax.axvline(0.0, color="#444444", lw=0.9)
     ax.set(title=use, xlim=(-far, far), ylim=(len(names) - 0.5, -0.5), xlabel="change [%], 95 % interval",
            yticks=range(len(names)), yticklabels=map(style.label, names))  # fmt: skip

@@ -125,6 +125,37 @@ def test_whole_numbers_are_asked_for_as_they_are():
         np.testing.assert_allclose(gears().model.matrices([p])[0], A, atol=1e-12)
 
 
+def test_whole_numbers_stay_within_bounds_that_are_none():
+    asked = set()
+
+    def advance(x, u, w, p):
+        asked.add(float(p[0]))
+        return 0.9 * x + 0.1 * u / p + w
+
+    space = DesignSpace(["teeth"], [0.5], [3.5], integer=["teeth"])
+    problem = CoDesignProblem(
+        BlackBox(advance, nx=1, nu=1, nw=1, dt=0.1, design=space, batched=True),
+        X=(-2, 2),
+        U=(-1, 1),
+        steps=5,
+        scenarios=FixedStart([1.0], Gaussian([0.1])),
+        objective=QuadraticObjective([[1.0]], [[0.1]]),
+    )
+    problem.model.advance(np.ones((2, 1)), np.ones((2, 1)), np.ones((2, 1)), np.array([[0.5], [3.5]]))
+    assert asked == {1.0, 2.0, 3.0}
+
+
+def test_what_no_state_changes_is_designed_without_a_step_for_its_slope():
+    space = DesignSpace(["m"], [0.5], [2.0])
+    problem = CoDesignProblem(
+        BlackBox(lambda x, u, w, p: 0.9 * x + 0.1 * u / p, nx=1, nu=1, dt=0.1, design=space), X=(-2, 2), U=(-1, 1),
+        objective=QuadraticObjective([[0.0]], [[0.1]], design_cost=lambda p: p[0] + 1 / p[0]), steps=5,
+        scenarios=FixedStart([1.0], Gaussian([])),
+    )  # fmt: skip
+    found = codesign(problem, method=Nested(runs=2, starts=1), rng=np.random.default_rng(0))
+    np.testing.assert_allclose(found.design, [1.0], atol=1e-3)
+
+
 @pytest.mark.parametrize(("change", "match"), [
     ({"advance": lambda x, u, w, p: x + 1.0}, "model: got a plant that does not rest"),
     ({"advance": lambda x, u, w, p: np.where(np.abs(x) > 0, np.nan, x)}, "design: got a design at which a step beside"),

@@ -186,6 +186,23 @@ def test_what_is_no_state_of_an_environment_is_named(read):
         pendulum(read=read)
 
 
+@pytest.mark.parametrize("name", ["read", "write", "build"])
+def test_a_function_of_the_environment_that_stops_is_named_with_its_line(name):
+    def stops(env, value=None):
+        raise OSError("no such body")
+
+    design = DesignSpace(["m"], [0.5], [2.0])
+    given = {"design": design, "build": lambda env, p: setattr(env, "m", p[0]), name: stops}
+    with pytest.raises(InputError, match=r"OSError: no such body"):
+        pendulum(**given)
+
+
+def test_an_environment_is_tried_at_a_design_that_exists():
+    asked = []
+    pendulum(design=DesignSpace(["m"], [1], [2], integer=["m"]), build=lambda env, p: asked.append(float(p[0])))
+    assert set(asked) <= {1.0, 2.0}
+
+
 def test_a_model_with_a_wrong_mass_learns_its_error_from_the_environment():
     space = DesignSpace(["m"], [0.5], [2.0], ["kg"])
     plant = pendulum(design=space, build=lambda env, p: setattr(env, "m", p[0]))

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from ccdtools import Gaussian, InputError, simulate
 from ccdtools.cli import app
 from ccdtools.controllers import Passive
-from ccdtools.studies import RunFolder, load_study
+from ccdtools.studies import RunFolder, configuration, load_study
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +121,9 @@ def test_every_use_gets_a_design_and_meets_the_designs_of_all(boat):
         ({"uses": {"calm": Gaussian([0.3]), "storm": Gaussian([9.0])}}, r"real.held_out: got \['calm', 'rough'\]"),
         ({"uses": {"calm": Gaussian([0.3, 0.3]), "rough": Gaussian([2.0])}}, r"uses\['calm'\]: got 2 channels"),
         ({"uses": 3}, "uses: got 3"),
+        ({"uses": {}}, "uses: got none"),
+        ({"uses": {"start": Gaussian([0.3])}}, "uses: got the name 'start'"),
+        ({"uses": {"../calm": Gaussian([0.3])}}, "uses: got the name '../calm'"),
         ({"noise": [0.1, 0.1]}, "noise: got shape"),
         ({"history": 0}, "history: got 0"),
         ({"metrics": None}, "no metrics"),
@@ -129,6 +132,18 @@ def test_every_use_gets_a_design_and_meets_the_designs_of_all(boat):
 def test_wrong_studies_are_named(boat, changes, words):
     with pytest.raises(InputError, match=words):
         replace(load_study(boat), **changes)
+
+
+def test_every_use_starts_where_the_study_does(boat):
+    study = replace(load_study(boat), starts=np.array([[2.0, 0.0], [-1.0, 0.5]]))
+    for problem in study.problems.values():
+        x0, _ = problem.scenarios.sample(50, 3, np.random.default_rng(0))
+        assert {tuple(x) for x in x0} == {(2.0, 0.0), (-1.0, 0.5)}
+
+
+def test_a_configuration_is_of_a_study():
+    with pytest.raises(InputError, match="study: got 'illustrative'"):
+        configuration("illustrative")
 
 
 @pytest.mark.check
