@@ -44,7 +44,7 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True, copy: 
     if single:
         array = array.reshape(1, -1)
     if array.ndim != 2 or array.shape[1] != columns:
-        raise InputError(name, f"shape {array.shape}", f"({columns},) or (k, {columns})")
+        raise InputError(name, f"shape {np.shape(value)}", f"({columns},) or (k, {columns})")
     if finite:
         check_finite(array, name)
     return array, single

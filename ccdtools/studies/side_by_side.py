@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from ccdtools.arrays import ArrayField
 from ccdtools.checks import as_count, as_mapping, as_vector, shown
 from ccdtools.co_design.problem import CoDesignProblem
@@ -52,10 +54,12 @@ class SideBySide(Study):
             raise InputError("uses", "none", "at least one")
         for name, disturbance in uses.items():
             if name == START or not re.fullmatch(r"\w[\w .-]*", name):  # it names a folder, too
-                raise InputError("uses", f"the name {shown(name)}", f"letters, digits, spaces, . _ -, and not {START!r}")
+                raise InputError("uses", f"the name {shown(name)}", f"letters, digits, spaces and . _ -; not {START!r}")
             check_disturbance(f"uses[{name!r}]", disturbance, self.plant)
         self._set(uses=uses, history=as_count("history", self.history))
         self._set(noise=as_vector("noise", self.noise, self.plant.ny, of="one per output"))
+        if (np.asarray(self.noise) <= 0).any():
+            raise InputError("noise", shown(self.noise), "standard deviations above 0")
         super().__post_init__()
         if set(self.real.fresh) != set(uses):
             raise InputError("real.held_out", shown(list(self.real.fresh)), f"those of the uses: {', '.join(uses)}")

@@ -270,6 +270,7 @@ def test_other_messages():
         ),
         (lambda: Polytope(), "A: got neither A nor A_eq"),
         (lambda: [1.0] in P, r"x: got shape \(1,\), expected \(2,\)"),
+        (lambda: P.contains([1.0, 2.0, 3.0]), r"x: got shape \(3,\), expected \(2,\)"),
     ]:
         with pytest.raises(InvariantSetsError, match=message):
             call()

@@ -107,7 +107,7 @@ def test_a_number_holds_for_every_coordinate_of_a_family_as_of_a_single_set(rng)
     assert family.contains([0.0, 0.0], [1.0])
     assert family.sample([[1.0], [0.9]], 4, rng=rng).shape == (2, 4, 2)
     assert "nx=any" in repr(family)
-    with pytest.raises(InputError, match=r"x: got shape \(1, 3\), expected \(2,\)"):
+    with pytest.raises(InputError, match=r"x: got shape \(3,\), expected \(2,\)"):
         family.contains([0.0, 0.0, 0.0], [1.0])
     with pytest.raises(InputError, match=r"p: got no designs"):
         family.contains([0.0, 0.0], np.zeros((0, 1)))

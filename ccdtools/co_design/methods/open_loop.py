@@ -22,6 +22,7 @@ from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, limits_of
+from ccdtools.plants.simulated_model import SimulatedModel
 from mpc import NotStabilisableError
 from mpc.optimal_control import OptimalControlProblem, Phase, Solution, build, solve
 
@@ -54,8 +55,8 @@ def open_loop_problem(
     Raises
     ------
     InputError
-        If the problem asks for what trajectories cannot honour: a learned error, a cost without a symbolic form, a
-        warm-up, or a risk other than the mean, with or without its spread, and the worst case.
+        If the problem asks for what trajectories cannot honour: a simulator, a learned error, a cost without symbols,
+        a warm-up, or a risk other than the mean, with or without its spread, and the worst case.
     """
     check_open_loop(problem)
     x0, w = scenarios
@@ -125,6 +126,7 @@ def check_open_loop(problem: CoDesignProblem) -> None:
         isinstance(objective, QuadraticObjective) and type(objective).rewards is QuadraticObjective.rewards
     )
     refused = {
+        "a simulator, which has no expressions": isinstance(problem.model, SimulatedModel),
         "a problem with a learned error of its model": problem.discrepancy is not None,
         f"a {type(objective).__name__} whose rewards are no CasADi expression": not symbolic,
         "a problem with a warm-up": problem.warm_up > 0,

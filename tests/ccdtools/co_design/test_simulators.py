@@ -173,6 +173,15 @@ def test_what_needs_expressions_says_so(method):
         codesign(gears(), method=method, rng=np.random.default_rng(0))
 
 
+def test_a_simulator_is_not_asked_for_what_is_refused():
+    problem, asked = load_study("dc_servo").problem(), []
+    other = hidden(problem, asked)
+    asked.clear()
+    with pytest.raises(InputError, match="method: got optimal trajectories of a simulator"):
+        codesign(other, method="simultaneous", rng=np.random.default_rng(0))
+    assert not asked
+
+
 def test_noise_of_a_simulator_is_a_thousand_times_as_large_in_a_slope():
     problem = load_study("suspension").problem()
     exact = problem.model.matrices(problem.design.centre)[0]

@@ -125,6 +125,7 @@ def test_every_use_gets_a_design_and_meets_the_designs_of_all(boat):
         ({"uses": {"start": Gaussian([0.3])}}, "uses: got the name 'start'"),
         ({"uses": {"../calm": Gaussian([0.3])}}, "uses: got the name '../calm'"),
         ({"noise": [0.1, 0.1]}, "noise: got shape"),
+        ({"noise": [0.0]}, r"noise: got \[0.0\], expected standard deviations above 0"),
         ({"history": 0}, "history: got 0"),
         ({"metrics": None}, "no metrics"),
     ],
