@@ -20,8 +20,8 @@ from ccdtools_ground.user_functions import stopped
 class BlackBox(Immutable):
     """Plant x⁺ = advance(x, u, w, p) of which nothing else is known.
 
-    It is simulated, deployed on and compared as any plant. What needs derivatives or matrices (LQR, MPC, sets, the
-    gradient through the model) takes a model beside it.
+    It is simulated, deployed on and compared as any plant. In a `CoDesignProblem` its derivatives and matrices (of LQR,
+    linear MPC, sets, the gradient through the model) are differences; what needs expressions takes a model beside it.
 
     Parameters
     ----------
