@@ -10,12 +10,10 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ccdtools_ground.door import brief
 from ccdtools_ground.errors import InputError
-from ccdtools_ground.term_sizes import term_sizes
+from ccdtools_ground.operations import JUMPS, operations, term_sizes
 from ccdtools_ground.tolerances import NEWTON_STEPS, ROOT_ROUNDINGS, SINGULAR
 
 TINY = float(np.finfo(np.float32).tiny)  # so that nothing is divided by 0, in single precision either
-JUMPS = {ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_IF_ELSE_ZERO, ca.OP_LT,
-         ca.OP_LE, ca.OP_EQ, ca.OP_NE}  # derivatives say nothing of them  # fmt: skip
 INDEX_ONE = "equations of index 1, which determine z: ∂g/∂z regular"
 
 
@@ -90,7 +88,7 @@ def _root(g: ca.SX, z: ca.SX, guess: ca.SX) -> ca.SX:
     columns = ca.diag(1 / ca.sqrt(ca.sum1(J**2)).T)
     rows = ca.diag(1 / ca.sqrt(ca.sum2((J @ columns) ** 2)))  # with them no unit matters
     step = ca.Function("newton", [z, rest], [ca.densify(z - columns @ ca.solve(rows @ J @ columns, rows @ g))])
-    if not ca.depends_on(J, z) and not {step.instruction_id(k) for k in range(step.n_instructions())} & JUMPS:
+    if not ca.depends_on(J, z) and not operations(step) & JUMPS.keys():
         return step(step(ca.SX.zeros(z.shape), rest), rest)
     residual, scale = (ca.Function("at", [z, rest], [ca.densify(value)]) for value in (g, ca.diag(rows)))
     found = guess

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -15,14 +16,16 @@ from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.measured import observed
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
-from ccdtools.co_design.tolerances import PREVIEW_ROOM
+from ccdtools.co_design.tolerances import LEAST_ACTION, PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
+from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.tolerances import MODEL_AT_REST
 from invariant_sets.system_checks import as_set
 from learning.networks import ActorCritic
@@ -34,43 +37,45 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     """Problem whose policies see the last outputs and inputs.
 
     Its state is (x, y_k, …, y_{k−m+1}, u_{k−1}, …, u_{k−m}), of which x is `hidden`; its disturbance is (w, v). What is
-    measured at the start is that of the design in the middle of the box.
+    measured at the start is that of the design in the middle of the box. Where a step or an output is no expression, of
+    a simulator, a step by collocation or a Python function, the problem's model is a simulator, too.
 
     Parameters
     ----------
     problem : CoDesignProblem
-        With a `measurement` of a plant's outputs, or by a matrix C.
+        With a `measurement`.
     length : int
         m samples.
 
     Raises
     ------
     InputError
-        If the problem measures nothing, or by a Python function, or its outputs are not 0 at rest.
+        If the problem measures nothing, or its outputs are not 0 at rest.
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     length = as_count("length", length)
     if problem.measurement is None:
         raise InputError("problem", "one without a measurement", "CoDesignProblem(measurement=Measurement(…))")
-    output = _symbolic(problem.model, problem.measurement.output)
-    ny, nu = output.numel_out(0), problem.model.nu
-    scenarios = HistoryScenarios(problem.scenarios, problem.measurement, problem.model, length)
+    model, measurement, nu = problem.model, problem.measurement, problem.model.nu
     lower, upper = problem.input_bounds
+    scenarios = HistoryScenarios(problem.scenarios, measurement, model, length)
     drawn = scenarios.sample(256, problem.steps, np.random.default_rng(0))
-    x = np.random.default_rng(0).uniform(-1, 1, (1024, problem.model.nx)) * problem.state_scale
-    y = problem.measurement.at(problem.model.nx, nu, problem.design.centre).of(x, np.zeros((len(x), nu)))
-    seen = np.abs(y).max(axis=0) + np.abs(drawn[1][..., problem.model.nw :]).max(axis=(0, 1))
-    rest = [output(np.zeros(problem.model.nx), np.zeros(nu), p).toarray().ravel() for p in problem.design.spread()]
+    x = np.random.default_rng(0).uniform(-1, 1, (1024, model.nx)) * problem.state_scale
+    y = measurement.at(model.nx, nu, problem.design.centre).of(x, np.zeros((len(x), nu)))
+    ny = y.shape[1]
+    seen = np.abs(y).max(axis=0) + np.abs(drawn[1][..., model.nw :]).max(axis=(0, 1))
+    zero = np.zeros((1, model.nx)), np.zeros((1, nu))
+    rest = [measurement.at(model.nx, nu, p).of(*zero)[0] for p in problem.design.spread()]
     if (np.abs(rest) > MODEL_AT_REST * seen).any():
         raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract those.")
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
     box = as_set((-room, room), "X", len(room))
     X = problem.X
     return replace(
-        problem, model=_with_history(problem.model, output, length), scenarios=scenarios, measurement=None,
-        hidden=problem.model.nx, objective=previewed_objective(problem.objective, length, channels=ny + nu),
+        problem, model=_with_history(model, measurement, ny, length), scenarios=scenarios, measurement=None,
+        hidden=model.nx, objective=previewed_objective(problem.objective, length, channels=ny + nu),
         X=X.followed_by(-room, room) if isinstance(X, DesignLimits) else X.cartesian_product(box),
-        output_limits=previewed_output_limits(problem.output_limits, problem.model.nx),
+        output_limits=previewed_output_limits(problem.output_limits, model.nx),
     )  # fmt: skip
 
 
@@ -101,6 +106,8 @@ def warm_start_of_outputs(
 ) -> ActorCritic:
     """Agent that imitates LQG at designs all over the box.
 
+    An entry that LQG does not vary is seen in units of its limits.
+
     Parameters
     ----------
     problem, known : CoDesignProblem
@@ -116,9 +123,9 @@ def warm_start_of_outputs(
     seen, actions, values = (np.concatenate(part) for part in zip(*data))
     least, most = problem.observation_bounds
     low, high = seen.min(axis=0), seen.max(axis=0)
-    high = np.maximum(high, low + np.finfo(np.float32).eps * (most - least))
-    nz = least.size - known.design.dim
-    bounds = (np.r_[low[:nz], least[nz:]], np.r_[high[:nz], most[nz:]])
+    kept = high - low < LEAST_ACTION * (most - least)
+    kept[least.size - known.design.dim :] = True  # the design
+    bounds = (np.where(kept, least, low), np.where(kept, most, high))
     return fit_actor_critic(
         seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng
     )  # fmt: skip
@@ -127,7 +134,14 @@ def warm_start_of_outputs(
 def _loops(
     problem: CoDesignProblem, known: CoDesignProblem, p: Array, rng: np.random.Generator, gamma: float
 ) -> tuple[Array, Array, Array]:
-    """What LQG of a design sees (k, ·), does (k, nu) and is worth from there on (k,)."""
+    """What LQG of a design sees (k, ·), does (k, nu) and is worth from there on (k,).
+
+    What is applied has noise as large as what LQG does, so that it shows what it does after others' inputs.
+
+    References
+    ----------
+    Laskey, Lee, Fox, Dragan, Goldberg, "DART: noise injection for robust imitation learning", CoRL 2017.
+    """
     runs, nx, nu = 16, known.model.nx, known.model.nu
     lqg = observed(known, saturated_lqr(known, p), p)
     z, w = problem.scenarios.sample(runs, problem.steps, rng)
@@ -136,10 +150,12 @@ def _loops(
     seen, actions, rewards = [], [], []
     for k in range(problem.steps):
         u = lqg(y=z[:, nx : nx + ny], u_prev=z[:, last : last + nu])
-        after = np.asarray(step(z, u, w[:, k]))
+        noise = np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
+        applied = np.clip(u + noise, *known.input_bounds_at(p))
+        after = np.asarray(step(z, applied, w[:, k]))
         seen.append(z[:, nx:])
         actions.append(u)
-        rewards.append(np.asarray(problem.objective.rewards(after, u, z, p)))
+        rewards.append(np.asarray(problem.objective.rewards(after, applied, z, p)))
         z = after
     values = np.array(rewards)
     for k in range(len(values) - 2, -1, -1):
@@ -150,29 +166,27 @@ def _loops(
     return np.hstack([histories, given]), np.array(actions)[:, kept].reshape(-1, nu), values[:, kept].ravel()
 
 
-def _symbolic(model: Model, output: Any) -> ca.Function:
-    """Function (x, u, p) → y of CasADi columns."""
-    x, u, p = (ca.SX.sym(name, n) for name, n in zip("xup", (model.nx, model.nu, model.step.numel_in(3))))
-    if isinstance(output, Plant):
-        return output.output
-    if not isinstance(output, np.ndarray):
-        cure = "Name them in the plant: Plant(outputs=…)."
-        raise InputError("measurement", "a Python function", "outputs of a Plant, or a matrix C", cure)
-    return ca.Function("y", [x, u, p], [ca.DM(output) @ x])
+def _with_history(model: Any, measurement: Measurement, ny: int, length: int) -> Model | BlackBox:
+    """Model with state (x, outputs, inputs) and disturbance (w, v); a simulator where it is no expression."""
+    nx, nu, nw, output = model.nx, model.nu, model.nw, measurement.output
+    size = nx + length * (ny + nu)
+    ends = [0, nx, nx + (length - 1) * ny, nx + length * ny, size - nu, size]  # the last output and input are forgotten
+    sampled = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
+    if not (sampled or isinstance(model, LinearModel)) or not isinstance(output, Plant | np.ndarray):
+        measured = cache(lambda p: measurement.at(nx, nu, np.array(p)).of)
 
+        def advance(z: Array, u: Array, w: Array, p: Array) -> Array:
+            """States (n, size) one sample later."""
+            x, y, _, before, _ = np.split(z, ends[1:-1], axis=1)
+            after = np.asarray(model.stepper(p, batch=len(x))(x, u, w[:, :nw]))
+            return np.hstack([after, measured(tuple(p))(after, u) + w[:, nw:], y, u, before])
 
-def _with_history(model: Model, output: ca.Function, length: int) -> Model:
-    """Model with state (x, outputs, inputs) and disturbance (w, v)."""
-    if not isinstance(model, LinearModel) and model.plant.continuous and model.method != "rk4":
-        got = f"a model by {model.method}, whose step is no expression"
-        raise InputError("model", got, 'one by Runge–Kutta: discretise(plant, method="rk4")')
+        return BlackBox(advance, size, nu, model.dt, nw + ny, model.design, batched=True)
     step = model.step if isinstance(model, LinearModel) else model.step.expand()
-    nx, nu, nw, ny = model.nx, model.nu, model.nw, output.numel_out(0)
-    z, u, w = (ca.SX.sym(name, n) for name, n in zip("zuw", (nx + length * (ny + nu), nu, nw + ny)))
-    p = ca.SX.sym("p", step.numel_in(3))
-    x, y, before = ca.vertsplit(z, [0, nx, nx + length * ny, z.numel()])
+    z, u, w, p = (ca.SX.sym(name, n) for name, n in zip("zuwp", (size, nu, nw + ny, step.numel_in(3))))
+    x, y, _, before, _ = ca.vertsplit(z, ends)
     after = step(x, u, w[:nw], p)
-    latest = output(after, u, p) + w[nw:]
-    moved = ca.vertcat(after, latest, y[: (length - 1) * ny], u, before[: (length - 1) * nu])
+    latest = output.output(after, u, p) if isinstance(output, Plant) else ca.DM(output) @ after
+    moved = ca.vertcat(after, latest + w[nw:], y, u, before)
     assert model.design is not None
     return discretise(Plant(z, u, w, p, moved, model.design, model.dt, continuous=False), sampling_guard="ignore")

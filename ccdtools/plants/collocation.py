@@ -11,7 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.plants.budgets import NEWTON_ITERATIONS
 from ccdtools.plants.casadi_arrays import Vectorised, check_sizes
-from ccdtools.plants.tolerances import CLOSE, CONVERGED, FLOOR, STAGES, STALLED
+from ccdtools.plants.tolerances import CLOSE, CONVERGED, STAGES, STALLED
 
 
 class ImplicitStep:
@@ -97,8 +97,8 @@ class ImplicitStep:
             Z = Z - step
             largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
             size = largest.max(-2, keepdims=True) if xp is np else largest.amax(-2, keepdim=True)
-            small = (abs(step) <= CLOSE * size) | (abs(step) <= FLOOR * scale)
-            small = small | ((abs(step) <= STALLED * scale) & (abs(step) > 0.5 * before))  # it no longer shrinks
+            stalled = (abs(step) <= STALLED * scale) & (abs(step) > 0.5 * before)  # it no longer shrinks
+            small = (abs(step) <= CLOSE * size) | stalled
             done = done | small.all(-1).all(-1)
             before = abs(step)
             if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):

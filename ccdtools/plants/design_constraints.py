@@ -15,7 +15,7 @@ from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE
-from ccdtools_ground.term_sizes import term_sizes
+from ccdtools_ground.operations import term_sizes
 from ccdtools_ground.user_functions import stopped
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero

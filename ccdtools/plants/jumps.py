@@ -18,12 +18,8 @@ from ccdtools.plants.budgets import JUMP_LINES
 from ccdtools.plants.casadi_arrays import Operations, Vectorised
 from ccdtools.plants.symbols import elements
 from ccdtools.plants.tolerances import AT_POINT, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
+from ccdtools_ground.operations import JUMPS
 
-NAMES = {
-    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",
-    ca.OP_COPYSIGN: "copysign", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
-    ca.OP_NE: "!=", ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_NOT: "not",
-}  # fmt: skip
 DECIDES = {ca.OP_IF_ELSE_ZERO: (0,), ca.OP_COPYSIGN: (1,)}  # These inputs throw a switch; all of them in others.
 GOES_ON = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_IF_ELSE_ZERO)  # These vary between their switches.
 SMOOTHER = "State the jump as something steep that is smooth, such as tanh(v / width) in place of sign(v)."
@@ -61,7 +57,7 @@ class Switches:
         self.sizes = [f.numel_in(i) for i in range(4)]
         self.names: list[tuple[str, ...]] = [()] * f.numel_out(0)
         tape = Vectorised(f)
-        if any(op in NAMES for op, *_ in tape.instructions):
+        if any(op in JUMPS for op, *_ in tape.instructions):
             arguments = [ca.SX.sym(name, n) for name, n in zip("xuwp", self.sizes)]
             positions = ca.SX(ca.vertcat(*self._read(tape, arguments)))
             self._positions = ca.Function("positions", arguments, [positions])
@@ -75,10 +71,10 @@ class Switches:
             values, by_z, steps, names = zip(*own)
             value = ca.SX.unary(op, *values) if len(own) == 1 else ca.SX.binary(op, *values)
             deciding = DECIDES.get(op, range(len(own)))
-            thrown = op in NAMES and any(by_z[i] for i in deciding)
+            thrown = op in JUMPS and any(by_z[i] for i in deciding)
             if thrown and not all(steps[i] for i in deciding):
                 positions.append(_position(op, values, value))
-            own_name = {NAMES[op]} if thrown else set[str]()
+            own_name = {JUMPS[op]} if thrown else set[str]()
             return value, any(by_z), all(steps) or (thrown and op not in GOES_ON), own_name.union(*names)
 
         entries = [[(z, i < 3, False, set[str]()) for z in elements(column)] for i, column in enumerate(arguments)]

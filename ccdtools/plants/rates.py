@@ -13,7 +13,7 @@ from ccdtools.arrays import Array, Indices
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.tolerances import DEPENDENT_PIVOT, RATE_ROUNDING
-from ccdtools_ground.term_sizes import term_sizes
+from ccdtools_ground.operations import term_sizes
 
 
 class Rates:

@@ -17,7 +17,6 @@ NEAREST = 1e-5  # A point is the nearest if its distance has at most this part a
 ACCURACY = 1e-6  # By default a step is accurate to this part of half the range of each state, a sample.
 STAGES = 3  # Radau collocation has so many stages.
 CLOSE = 1e-7  # A Newton step below this part of a state's size is followed by one last, which doubles the digits.
-FLOOR = 1e-12  # A Newton step below this part of a state's extent is small, however near to 0 the state is.
 STALLED = 1e-9  # A Newton step below this part of a state's extent that no longer shrinks is what rounding leaves.
 CONVERGED = 1e-13  # CasADi's own Newton solver stops at this residual and step, in extents of the states.
 TAYLOR_DEGREE = 14  # The series of ‖M‖₁ ≤ 1/2 ends at this degree: the next term is (1/2)¹⁵/15! ≈ 2e-17.

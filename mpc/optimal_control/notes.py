@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ccdtools_ground.door import brief
+from ccdtools_ground.operations import JUMPS, operations
 from ccdtools_ground.user_functions import in_words
 from mpc.checks import Array
 from mpc.exceptions import InputError
@@ -18,10 +19,6 @@ from mpc.optimal_control.program import NonlinearProgram
 from mpc.tolerances import LEAST_INTERVAL, SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
-JUMPS = {
-    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
-    ca.OP_NE: "!=", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_FMOD: "fmod",
-}  # fmt: skip
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
 
 
@@ -135,18 +132,6 @@ def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
                 what = ", ".join(kinks)
                 cure = "round them, such as sqrt(x² + ε²) for fabs; for a cost |u| take u = a − b, a, b ≥ 0, at a + b"
                 yield f"The {name} has kinks ({what}): {cure}."
-
-
-def operations(function: ca.Function | None) -> set[int]:
-    """Operations of a function of scalar instructions, or nothing."""
-    if function is None:
-        return set()
-    if not function.is_a("SXFunction"):
-        try:
-            function = function.expand()
-        except RuntimeError:
-            return set()
-    return {function.instruction_id(i) for i in range(function.n_instructions())}
 
 
 def undefined(program: NonlinearProgram, v: Array) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ from ccdtools import (
 from ccdtools.co_design import history_problem, previewed_problem
 from ccdtools.controllers import History
 from ccdtools.disturbances import Cases
+from ccdtools.plants import BlackBox
 
 M = 6
 
@@ -50,10 +51,26 @@ def stated(outputs, measurement=None, *, stiff=False, **changes):
     return CoDesignProblem(model, **(own | changes))
 
 
+def simulated(problem):
+    """The same problem behind a simulator."""
+    model = problem.model
+    box = BlackBox(lambda x, u, w, p: model.stepper(p, batch=len(x))(x, u, w), nx=2, nu=1, nw=1, dt=0.1,
+                   design=problem.design, batched=True)  # fmt: skip
+    return replace(problem, model=box)
+
+
 @pytest.mark.parametrize("stiff", [False, True])
-@pytest.mark.parametrize("of_design", [False, True])
-def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(stiff, of_design, rng):
-    problem = stated((lambda x, u, p, f: [u - f]) if of_design else (lambda x, u, p, f: [x[0]]), stiff=stiff)
+@pytest.mark.parametrize("kind", ["state", "of design", "simulator", "function", "collocation"])
+def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(stiff, kind, rng):
+    problem = stated((lambda x, u, p, f: [u - f]) if kind == "of design" else (lambda x, u, p, f: [x[0]]), stiff=stiff)
+    if kind == "simulator":
+        problem = simulated(problem)
+    elif kind == "function":
+        function = Measurement(lambda x, u, p: x[:, :1] * p[0] - u, noise=[0.1])
+        problem = replace(problem, measurement=function)
+    elif kind == "collocation" and stiff:
+        model = discretise(problem.model.plant, X=problem.X, U=problem.U, method="collocation")
+        problem = replace(problem, model=model)
     longer = history_problem(problem, M)
     p, x = np.array([1.3, 0.4]), rng.standard_normal((4, 2))
     h = problem.measurement.at(2, 1, p).of
@@ -86,6 +103,19 @@ def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_t
 
 
 @pytest.mark.check
+@pytest.mark.parametrize("by", ["pathwise", "ppo"])
+def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by):
+    open_plant = stated(lambda x, u, p, f: [x[0]])
+    config = CoDesignConfig(iterations=3, starts=1, pathwise_runs=16, evaluation_runs=64)
+    own, found = (
+        codesign(problem, method=Learned(by=by, history=2, config=config), rng=np.random.default_rng(0))
+        for problem in (open_plant, simulated(open_plant))
+    )
+    np.testing.assert_allclose(found.design, own.design, rtol=1e-3)
+    assert found.closed_loop.summary.mean == pytest.approx(own.closed_loop.summary.mean, rel=1e-3)
+
+
+@pytest.mark.check
 def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it():
     problem = stated(lambda x, u, p, f: [u - f])
     config = CoDesignConfig(iterations=10, starts=1, pathwise_runs=128, evaluation_runs=256)
@@ -96,7 +126,7 @@ def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it():
 @pytest.mark.parametrize(
     ("measurement", "words"),
     [
-        (Measurement(lambda x: x[:, :1], noise=[0.1]), "Python function"),
+        (Measurement(lambda x: x[:, :1] + 1, noise=[0.1]), "not 0 at rest"),
         (Measurement(np.eye(2)[:1], noise=None), "without noise"),
     ],
 )

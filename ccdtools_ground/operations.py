@@ -1,4 +1,4 @@
-"""Sizes of the terms that CasADi expressions are sums of."""
+"""Operations of CasADi functions: which jump, and the sizes of the terms of sums."""
 
 from __future__ import annotations
 
@@ -6,6 +6,24 @@ from functools import cache
 from typing import Any
 
 import casadi as ca
+
+JUMPS = {
+    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_FMOD: "fmod", ca.OP_REMAINDER: "remainder",
+    ca.OP_COPYSIGN: "copysign", ca.OP_IF_ELSE_ZERO: "if_else", ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==",
+    ca.OP_NE: "!=", ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_NOT: "not",
+}  # of which derivatives say nothing  # fmt: skip
+
+
+def operations(function: ca.Function | None) -> set[int]:
+    """Operations of a function of scalar instructions, or nothing."""
+    if function is None:
+        return set()
+    if not function.is_a("SXFunction"):
+        try:
+            function = function.expand()
+        except RuntimeError:
+            return set()
+    return {function.instruction_id(i) for i in range(function.n_instructions())}
 
 
 def term_sizes(function: ca.Function, *arguments: ca.SX) -> ca.SX:
