@@ -86,7 +86,7 @@ class SimulatedModel(Immutable):
             Always.
         """
         raise InputError("model", f"{self.box!r}, which has no expressions", "a model by discretise(plant)",
-                         "LQR, LQG, linear MPC, a search and policies of the state take a simulator.")  # fmt: skip
+                         "LQR, LQG, linear MPC, a search and policies take a simulator.")  # fmt: skip
 
     def stepper(self, p: ArrayLike, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """Step of x, u and w (..., n) at a design."""
