@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_floats, as_generator, as_instance, shown
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
@@ -27,6 +27,7 @@ from ccdtools.tolerances import FEWEST_PAIRS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
+from ccdtools.twin.identified import identified_plant
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.pieces import joined
@@ -117,7 +118,8 @@ def deploy_and_update(
     candidate is trained on the first part of every stretch, and from the starts that it will serve. It is deployed only
     if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
     see `Judge` and `ServedDistributions`. Of a single run both are replayed from the start of every stretch, so that
-    what is judged begins in states of their own; several runs are judged from their own starts.
+    what is judged begins in states of their own; several runs are judged from their own starts. A trial on the real
+    plant predicts with what has been logged so far, see `identified_plant`.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def deploy_and_update(
         The other starts and disturbances that the policy will serve; by default the problem's, and its box of starts.
     """
     config = OnlineConfig() if config is None else config
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_seen_problem(problem)
     as_instance("agent", agent, ActorCritic, "an ActorCritic")
     as_instance("config", config, OnlineConfig, "an OnlineConfig")
     as_generator("rng", rng)
@@ -225,6 +227,7 @@ class _DeployedPolicy:
         tried = switchback_on(
             self.problem, self.whole.plant, law, self.candidate.controller(self.admissible), self.deployed.design,
             x0=x0, disturbance=w, rng=self.coins, config=self.config.trial, before=update.trial,
+            model=identified_plant(self.problem, [one for one in self.pieces if not one.diverged.all()]),
         )  # fmt: skip
         self.updates[-1] = replace(update, trial=tried.trial, ended=self._logged + tried.samples)
         if tried.trial.status is not TrialStatus.UNDECIDED:

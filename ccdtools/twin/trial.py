@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_generator, as_instance, as_number, as_share
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.excited import Excited
 from ccdtools.evidence.switchback import Trial, TrialStatus
@@ -91,7 +91,7 @@ def switchback_on(
     before : Trial, optional
         An undecided trial that goes on.
     model : Plant, or anything else that `simulate` takes, optional
-        What predicts the returns; the nominal model by default.
+        What predicts the returns; the nominal model by default, `identified_plant` of a former log is better.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def switchback_on(
         If a new trial has room for fewer than 20 pairs of blocks; else as `simulate`.
     """
     config = TrialConfig() if config is None else as_instance("config", config, TrialConfig, "a TrialConfig")
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_seen_problem(problem)
     as_generator("rng", rng)
     blocks = _Blocks(problem, Scenario(plant, x0, disturbance), problem.design.check_one(design), config, rng)
     predicted = replace(blocks.whole, plant=problem.model if model is None else model)

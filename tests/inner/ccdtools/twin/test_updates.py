@@ -8,11 +8,14 @@ import pytest
 from deployments import DESIGN, ONLINE, TINY, deployed, training_gives, weakened
 
 from ccdtools import LearnedPolicy, simulate
+from ccdtools.evidence.switchback import TrialStatus
 from ccdtools.evidence.verdict import Status
 from ccdtools.statistics import PairedDifference
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.distributions import BOX, NOMINAL, REPLAY, START, UPDATED
+from ccdtools.twin.identified import identified_plant
 from ccdtools.twin.judge import Judge
+from ccdtools.twin.trial import TrialConfig, switchback_on
 from learning.quantile import QuantileConfig
 
 
@@ -90,6 +93,30 @@ class Elsewhere:
     def __call__(self, x):
         near, far = (LearnedPolicy(agent, DESIGN)(x) for agent in self.agents)
         return np.where(np.linalg.norm(x, axis=1, keepdims=True) < self.radius, near, far)
+
+
+def test_a_trial_of_a_candidate_predicts_with_all_that_was_logged_before_it(illustrative, clone, monkeypatch):
+    training_gives(monkeypatch, clone(illustrative))
+    known = []
+
+    def spy(*args, model, **keywords):
+        known.append(model)
+        return switchback_on(*args, model=model, **keywords)
+
+    monkeypatch.setattr("ccdtools.twin.deployment.switchback_on", spy)
+    config = replace(ONLINE, updates=1, judged=100, trial=TrialConfig())
+    done = deployed(illustrative, weakened(clone(illustrative)), runs=80, steps=40, config=config)
+    (update,) = done.updates
+    assert update.trial.status is TrialStatus.ADOPTED
+    first = identified_plant(illustrative.problem(), deployed_part(done.log, slice(0, 40)))
+    for own, expected in zip(known[0].change, first.change):
+        np.testing.assert_allclose(own, expected, rtol=1e-9)
+
+
+def deployed_part(log, runs):
+    """Some of the runs of a log."""
+    names = ("states", "inputs", "disturbances", "diverged_at")
+    return replace(log, **{name: getattr(log, name)[runs] for name in names})
 
 
 @pytest.mark.check
