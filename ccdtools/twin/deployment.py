@@ -34,7 +34,7 @@ from ccdtools.twin.pieces import joined
 from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, block_parts, check_errors, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
-from ccdtools.twin.trial import switchback_on
+from ccdtools.twin.trial import TrialConfig, best_predictor, switchback_on
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
@@ -119,7 +119,8 @@ def deploy_and_update(
     if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
     see `Judge` and `ServedDistributions`. Of a single run both are replayed from the start of every stretch, so that
     what is judged begins in states of their own; several runs are judged from their own starts. A trial on the real
-    plant predicts with what has been logged so far, see `identified_plant`.
+    plant predicts with what has been logged so far, see `identified_plant`, where that predicts the first stretch
+    better than the nominal model.
 
     Parameters
     ----------
@@ -182,6 +183,7 @@ class _DeployedPolicy:
     def __post_init__(self) -> None:
         config = self.config
         self.candidate: Deployable | None = None  # on trial
+        self.first = self.deployed.controller(self.admissible)
         self.coins = self.rng if config.trial is None else self.rng.spawn(1)[0]
         self.problem = self.served.problem
         self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
@@ -227,13 +229,21 @@ class _DeployedPolicy:
         tried = switchback_on(
             self.problem, self.whole.plant, law, self.candidate.controller(self.admissible), self.deployed.design,
             x0=x0, disturbance=w, rng=self.coins, config=self.config.trial, before=update.trial,
-            model=identified_plant(self.problem, [one for one in self.pieces if not one.diverged.all()]),
+            model=self._predictor(self.candidate.controller(self.admissible), self.config.trial),
         )  # fmt: skip
         self.updates[-1] = replace(update, trial=tried.trial, ended=self._logged + tried.samples)
         if tried.trial.status is not TrialStatus.UNDECIDED:
             self.deployed = self.candidate if self.updates[-1].accepted else self.deployed
             self.candidate = None
         return tried.log
+
+    def _predictor(self, candidate: Controller, config: TrialConfig | None) -> Simulable:
+        """Model of all logged pieces or the nominal one, as either predicts the first, under the first policy."""
+        assert config is not None
+        logged = [piece for piece in self.pieces if not piece.diverged.all()]
+        models = [self.problem.model, identified_plant(self.problem, logged)]
+        block = config.block + config.washout
+        return best_predictor(self.problem, models, self.first, candidate, logged[0], block)
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
         """Add the errors of a piece after so many runs; False if too little is left."""

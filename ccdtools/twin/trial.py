@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -127,6 +128,35 @@ def switchback_on(
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
     return TriedDeployment(trial, log, samples)
+
+
+def best_predictor(
+    problem: CoDesignProblem, models: Sequence[Simulable], law: Controller, candidate: Controller, log: Trajectory,
+    block: int,
+) -> Simulable:  # fmt: skip
+    """Model whose returns under the law of a log differ least from block to block from the logged ones.
+
+    One by which those of the candidate vary twice as much as what was logged could take nothing out of a trial, and is
+    left out; the first model stands where all are.
+    """
+    kept = ~log.diverged
+    real = log.rewards(problem.objective)[kept]
+    length = real.shape[1] if len(log.states) > 1 else min(block, real.shape[1])
+
+    def spread(rewards: Array) -> float:
+        """Standard deviation of blocks."""
+        return float(rewards[:, : rewards.shape[1] // length * length].reshape(-1, length).sum(axis=1).std())
+
+    def deviation(model: Simulable) -> float:
+        """Standard deviation of what a model leaves; infinite where it tells nothing of the candidate."""
+        scenario = Scenario(model, log.states[kept, 0], log.disturbances[kept])
+        own, other = (
+            scenario.run(one, design=log.design, limit=problem.limit).rewards(problem.objective)
+            for one in (law, candidate)
+        )
+        return spread(own - real) if spread(other) <= 2 * spread(real) else np.inf
+
+    return min(models, key=deviation)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,10 @@ import pytest
 from deployments import DESIGN, ONLINE, TINY, deployed, training_gives, weakened
 
 from ccdtools import LearnedPolicy, simulate
-from ccdtools.evidence.switchback import TrialStatus
 from ccdtools.evidence.verdict import Status
 from ccdtools.statistics import PairedDifference
 from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.distributions import BOX, NOMINAL, REPLAY, START, UPDATED
-from ccdtools.twin.identified import identified_plant
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.trial import TrialConfig, switchback_on
 from learning.quantile import QuantileConfig
@@ -95,7 +93,9 @@ class Elsewhere:
         return np.where(np.linalg.norm(x, axis=1, keepdims=True) < self.radius, near, far)
 
 
-def test_a_trial_of_a_candidate_predicts_with_all_that_was_logged_before_it(illustrative, clone, monkeypatch):
+def test_a_trial_of_a_candidate_predicts_with_the_better_of_the_model_and_what_was_logged(
+    illustrative, clone, monkeypatch
+):
     training_gives(monkeypatch, clone(illustrative))
     known = []
 
@@ -107,16 +107,13 @@ def test_a_trial_of_a_candidate_predicts_with_all_that_was_logged_before_it(illu
     config = replace(ONLINE, updates=1, judged=100, trial=TrialConfig())
     done = deployed(illustrative, weakened(clone(illustrative)), runs=80, steps=40, config=config)
     (update,) = done.updates
-    assert update.trial.status is TrialStatus.ADOPTED
-    first = identified_plant(illustrative.problem(), deployed_part(done.log, slice(0, 40)))
-    for own, expected in zip(known[0].change, first.change):
-        np.testing.assert_allclose(own, expected, rtol=1e-9)
-
-
-def deployed_part(log, runs):
-    """Some of the runs of a log."""
-    names = ("states", "inputs", "disturbances", "diverged_at")
-    return replace(log, **{name: getattr(log, name)[runs] for name in names})
+    assert np.abs(update.trial.gains).max() < 100  # what the log of the weak policy tells runs away under the candidate
+    assert known[0] is illustrative.model
+    known.clear()
+    good, better = clone(illustrative), weakened(clone(illustrative), 1.02)
+    training_gives(monkeypatch, better)
+    deployed(illustrative, good, runs=80, steps=40, config=replace(config, least=0.0))
+    assert all(hasattr(model, "change") for model in known)
 
 
 @pytest.mark.check
