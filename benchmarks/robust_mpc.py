@@ -98,10 +98,8 @@ def with_plan(found: RobustMPC, count: int, rng) -> tuple[np.ndarray, float]:
 
 def at_the_edge(found: RobustMPC, count: int, rng) -> np.ndarray:
     """Last states with a plan on the way from the middle of the terminal set out of X_fea."""
-    inside = found.robust_set.set.vertices.mean(axis=0)
-    outer = found.nominal_set.set.vertices
-    away = outer[rng.permutation(len(outer))[:count]] if len(outer) > count else outer
-    away = np.concatenate([away, found.nominal_set.set.sample(max(count - len(away), 0), rng=rng)]) - inside
+    inside = found.robust_set.set.chebyshev_ball()[0]
+    away = found.nominal_set.set.sample(count, rng=rng) - inside
     low, high = np.zeros(len(away)), np.full(len(away), 2.0)
     for _ in range(12):
         middle = (low + high) / 2

@@ -116,7 +116,7 @@ class RedesignDecision:
 
 
 def _check_size(name: str, value: Any) -> None:
-    """Raise an `InputError` for numbers whose squares and products are no doubles."""
+    """Raise an `InputError` where squares and products overflow."""
     largest = np.finfo(float).max ** 0.25
     size = np.abs(as_floats(name, 0.0 if value is None else value))
     if (size > largest).any() or ((size > 0) & (size < 1 / largest)).any():

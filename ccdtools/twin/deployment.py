@@ -238,7 +238,7 @@ class _DeployedPolicy:
         return tried.log
 
     def _predictor(self, candidate: Controller, config: TrialConfig | None) -> Simulable:
-        """Model of all logged pieces or the nominal one, as either predicts the first, under the first policy."""
+        """Model for a trial, as it predicts the first piece."""
         assert config is not None
         logged = [piece for piece in self.pieces if not piece.diverged.all()]
         models = [self.problem.model, identified_plant(self.problem, logged)]

@@ -1,4 +1,4 @@
-"""Quantiles of what the errors of a log add up to in a closed loop."""
+"""Quantiles of what logged errors add up to."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ class ErrorQuantiles(Immutable):
 
     @cached_property
     def spans(self) -> tuple[int, ...]:
-        """Steps, doubled thrice as far as the log goes, after which more hardly count."""
+        """Horizon, doubled thrice as far as the log goes."""
         longer = (self.steps * 2**k for k in range(4))
         return tuple(k for k in longer if self.apart(k) >= samples_needed(self.level))
 
     def room(self, rows: Array, loop: Array, E: Array, at: Sequence[int]) -> Array:
-        """Room (steps, m) along `rows` (m, nx) after so many steps, as `mpc.robust.tightened`."""
+        """Room (steps, m) along `rows` (m, nx), see `mpc.robust.tightened`."""
         room = np.zeros((len(at), len(rows)))
         gathered = [np.zeros_like(e) @ E.T for e in self.errors]
         for k in range(1, max(at) + 1):

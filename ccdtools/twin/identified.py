@@ -1,4 +1,4 @@
-"""What logs tell by least squares: a plant that predicts, and LQR that knows as much as the twin."""
+"""Plant, and its LQR, that logs tell by least squares."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> L
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedPlant(PlantOfModel):
-    """Model with what a log adds to it, f(x, u, w, p) + ΔA x + ΔB u + c."""
+    """Model with an affine change, f(x, u, w, p) + ΔA x + ΔB u + c."""
 
     model: Model
     change: tuple[Array, Array, Array]

@@ -60,9 +60,9 @@ class RobustMPC:
 
     @cached_property
     def volume_left(self) -> float:
-        """Part of the nominal set's volume that the robust set has, or of quantiles what has a plan there.
+        """Part of the nominal set's volume that is left.
 
-        The latter is counted over states drawn from it.
+        That of the robust set; of quantiles, what has a plan, counted over states drawn from it.
         """
         if isinstance(self.W, Polytope):
             return self.robust_set.set.volume / self.nominal_set.set.volume

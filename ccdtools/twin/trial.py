@@ -134,10 +134,11 @@ def best_predictor(
     problem: CoDesignProblem, models: Sequence[Simulable], law: Controller, candidate: Controller, log: Trajectory,
     block: int,
 ) -> Simulable:  # fmt: skip
-    """Model whose returns under the law of a log differ least from block to block from the logged ones.
+    """Model that predicts a log's blocks best.
 
-    One by which those of the candidate vary twice as much as what was logged could take nothing out of a trial, and is
-    left out; the first model stands where all are.
+    What it leaves of their returns under the law of the log varies least. One by which those of the candidate vary
+    twice as much as what was logged could take nothing out of a trial, and is left out; the first model stands where
+    all are.
     """
     kept = ~log.diverged
     real = log.rewards(problem.objective)[kept]
@@ -148,7 +149,7 @@ def best_predictor(
         return float(rewards[:, : rewards.shape[1] // length * length].reshape(-1, length).sum(axis=1).std())
 
     def deviation(model: Simulable) -> float:
-        """Standard deviation of what a model leaves; infinite where it tells nothing of the candidate."""
+        """What a model leaves; infinite where it tells nothing."""
         scenario = Scenario(model, log.states[kept, 0], log.disturbances[kept])
         own, other = (
             scenario.run(one, design=log.design, limit=problem.limit).rewards(problem.objective)

@@ -128,6 +128,15 @@ def test_the_filter_that_knows_w_keeps_any_law_within_x_and_the_other_does_not(k
     assert not known or filtered.counts.helpless == 0
 
 
+@pytest.mark.parametrize("unit", [1e200, 1e-200])
+def test_the_set_of_a_log_in_extreme_units_is_the_same_set(problem, log, unit):
+    given = DigitalTwin(problem.model).remembering(log).logs[0]
+    own = disturbance_set(given, level=0.95)
+    scaled = disturbance_set(replace(given, e_next=unit * given.e_next), level=0.95)
+    directions = np.array([[1.0, 0.0], [0.0, -1.0], [1.0, 2.0]])
+    np.testing.assert_allclose(scaled.support(directions) / unit, own.support(directions), rtol=1e-6)
+
+
 # ── each limit with a probability ──
 
 CART = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.005], [0.1]])
