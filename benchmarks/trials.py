@@ -3,7 +3,8 @@
     python benchmarks/trials.py [switchback] [drift] [redesign] [--trials 1000] [--processes 2]
 
 Switchback: on a real plant that is not the model, the law in service and a candidate whose effect is 0, ± 0.5 or ± 2 %
-of its return, as the Lyapunov equation of the real loop says, take turns over one deployment.
+of its return, as the Lyapunov equation of the real loop says, take turns over one deployment; predicted by the nominal
+model, and by the plant that a log before it tells.
 Drift: streams of residuals of one kind, looked at for as long as they calibrate, without a change and with one.
 Redesign: products whose gain is drawn from a prior; what is decided beside the decision of Bayes in closed form.
 """
@@ -24,12 +25,12 @@ from scipy import stats
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import brentq
 
-from ccdtools import CoDesignProblem, DesignSpace, FixedStart, Gaussian, Plant, QuadraticObjective, discretise
+from ccdtools import CoDesignProblem, DesignSpace, FixedStart, Gaussian, Plant, QuadraticObjective, deploy, discretise
 from ccdtools.controllers import LinearFeedback
 from ccdtools.evidence.drift import detect_drift
 from ccdtools.evidence.switchback import TrialStatus
 from ccdtools.studies.redesign_cost import RedesignAction, RedesignCost, decide_redesign
-from ccdtools.twin.trial import TrialConfig, switchback_on
+from ccdtools.twin import TrialConfig, identified_plant, switchback_on
 from mpc import lqr
 
 EFFECTS = (0.0, 0.005, -0.005, 0.02, -0.02)
@@ -37,6 +38,7 @@ WRONG = {"near": 1.05, "near, bad model": 1.2, "beyond": 1.05}  # so strongly do
 KINDS = tuple(WRONG)
 ASIDE = 0.03  # a near one has another direction, so far away, in parts of the gain
 STEPS = 10_000  # of a deployment
+LOGGED = (0, 2000)  # steps logged before a trial, which its prediction rests on; of none: the nominal model
 WORSE = 1.04  # the law in service costs so many times as much as the best one along its gain
 
 
@@ -91,14 +93,19 @@ class Loop:
         before = solve_discrete_lyapunov(closed, self.noise)
         return float(np.trace(self.Q @ after) + np.trace(K.T @ self.R @ K @ before))
 
-    def decided(self, effect: float, seed: int) -> tuple[TrialStatus, int, bool]:
-        """Status and pairs of one deployment, and whether its interval holds the truth."""
+    def decided(self, effect: float, seed: int, logged: int) -> tuple[TrialStatus, int, bool]:
+        """Status and pairs of one deployment after a log, and whether its interval holds the truth."""
         rng = np.random.default_rng([seed, 77])
         w = Gaussian(self.std).sample(1, STEPS, rng)[0]
         laws = [LinearFeedback(-K) for K in (self.served, self.candidates[effect])]
+        model = None
+        if logged:
+            former = Gaussian(self.std).sample(1, logged, np.random.default_rng([seed, 99]))
+            log = deploy(self.real, laws[0], [1.0], former, x0=np.zeros(len(self.A)))
+            model = identified_plant(self.problem, log)
         trial = switchback_on(
             self.problem, self.real, *laws, [1.0], x0=np.zeros(len(self.A)), disturbance=w, rng=rng,
-            config=TrialConfig(),
+            config=TrialConfig(), model=model,
         ).trial  # fmt: skip
         low, high = trial.interval
         gain = effect * self.cost(self.served) * TrialConfig().block
@@ -117,17 +124,17 @@ def loops(kind: str) -> list[Loop]:
 
 
 def switchback_table(trials: int, processes: int) -> None:
-    """Print a row per candidate, plant and effect: all trials of near candidates, a tenth of the others."""
-    print("| candidate | plant | effect | adopted | rejected | undecided | pairs, median | interval holds the truth |")
-    print("|---|---|---|---|---|---|---|---|")
+    """Print rows per candidate, plant, effect and log: all trials of near candidates, a tenth of the others."""
+    print("| log | candidate | plant | effect | adopted | rejected | undecided | pairs, median | interval holds |")
+    print("|---|---|---|---|---|---|---|---|---|")
     for kind in KINDS:
-        for loop, effect in product(loops(kind), EFFECTS):
+        for loop, effect, logged in product(loops(kind), EFFECTS, LOGGED):
             count = max(1, trials // (15 if kind == "near" else 150))
-            found = Parallel(processes)(delayed(loop.decided)(effect, seed) for seed in range(count))
+            found = Parallel(processes)(delayed(loop.decided)(effect, seed, logged) for seed in range(count))
             states = [sum(status is one for status, *_ in found) for one in TrialStatus]
             told = [f"{share} of {count}" for share in (*states, sum(held for *_, held in found))]
             told.insert(3, f"{np.median([pairs for _, pairs, _ in found]):.0f}")
-            print(f"| {kind} | {loop.name} | {100 * effect:+.1f} % | {' | '.join(told)} |", flush=True)
+            print(f"| {logged} | {kind} | {loop.name} | {100 * effect:+.1f} % | {' | '.join(told)} |", flush=True)
 
 
 # ── drift ──

@@ -109,9 +109,8 @@ class MPCProblem(Immutable):
         if self.terminal_set is None:  # from a state of the robust set found here u = -Kx is a plan
             if len(self.state_rows[1]) + len(self.input_rows[1]):
                 sets = self.state_rows, self.input_rows
-                self._set(
-                    terminal_rows=robust_terminal_rows(self.A, self.B, self.tube_gain, *sets, self._entry, self.W)
-                )
+                K, E = self.tube_gain, self._entry
+                self._set(terminal_rows=robust_terminal_rows(self.A, self.B, K, *sets, E, self.W, self.horizon))
             return
         N = self.horizon
         for kind, steps in (("state", range(1, N + 1)), ("input", range(N)), ("terminal", (N,))):

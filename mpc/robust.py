@@ -28,12 +28,15 @@ ADVICE = "Shrink W (a lower level, a better model), or widen X and U."
 
 
 def as_disturbance_set(value: Any, E: Array) -> Any:
-    """Bounded set W with a point, for the columns of E."""
-    W = value if hasattr(value, "support") else as_set("W", value, E.shape[1])
-    if not hasattr(W, "support"):
+    """Bounded set W with a point, or what knows its room, for the columns of E."""
+    own = hasattr(value, "support") or hasattr(value, "room")
+    W = value if own else as_set("W", value, E.shape[1])
+    if not own and not hasattr(W, "support"):
         raise InputError("W", shown(value), "a Polytope, or finite bounds (lower, upper)")
     if W.dim != E.shape[1]:
         raise InputError("W", f"a set of {W.dim} coordinates", f"one of {E.shape[1]}, one for each column of E")
+    if hasattr(W, "room"):
+        return W
     if W.is_empty or not W.is_bounded:
         raise InputError("W", "an empty set" if W.is_empty else "an unbounded set", "a bounded set with a point")
     return W
@@ -43,13 +46,24 @@ def tightened(rows: Array, loop: Array, E: Array, W: Any, steps: int) -> Array:
     """Room (steps + 1, m) that disturbances take along rows.
 
     For k = 0, 1, … steps and `rows` (m, nx) of a state, the support of ⊕_{i<k} loopⁱ E W: the error of a prediction
-    under the gain that `loop` = A − B K is closed by.
+    under the gain that `loop` = A − B K is closed by. A W with `room` says itself what it takes.
     """
+    if hasattr(W, "room"):
+        return np.asarray(W.room(rows, loop, E, range(steps + 1)))
     moved = [rows]
     for _ in range(steps - 1):
         moved.append(moved[-1] @ loop)
     grown = W.support(np.concatenate(moved[:steps]) @ E) if steps * len(rows) else np.zeros(0)
     return np.vstack([np.zeros(len(rows)), grown.reshape(steps, len(rows)).cumsum(axis=0)])
+
+
+def in_the_end(rows: Array, loop: Array, E: Array, W: Any) -> Array:
+    """Room (m,) that disturbances take along rows after ever so many steps."""
+    spans = getattr(W, "spans", (TUBE_STEPS,))
+    room = W.room(rows, loop, E, spans) if hasattr(W, "room") else tightened(rows, loop, E, W, TUBE_STEPS)[-1:]
+    radius = np.abs(np.linalg.eigvals(loop)).max()
+    followed = 1 - radius ** np.array(spans)  # parts of the room that so many steps take, of the slowest mode
+    return np.asarray((room / followed[:, None]).min(axis=0))
 
 
 def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Array, W: Any) -> Array:
@@ -66,11 +80,9 @@ def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Arra
     def left(K: Array) -> float:
         """Part left of the row that is left least."""
         loop = A - B @ K
-        radius = np.abs(np.linalg.eigvals(loop)).max()
-        if radius >= 1:
+        if np.abs(np.linalg.eigvals(loop)).max() >= 1:
             return -np.inf
-        followed = 1 - radius**TUBE_STEPS  # part of the room that these steps take, of the slowest mode
-        room = tightened(np.vstack([HX, -HU @ K]), loop, E, W, TUBE_STEPS)[-1] / followed
+        room = in_the_end(np.vstack([HX, -HU @ K]), loop, E, W)
         return float((1 - room / units).min(initial=np.inf))
 
     gains = [lqr(A, B, **weights)[0]]
@@ -85,10 +97,13 @@ def tube_gain(A: Array, B: Array, weights: dict[str, Any], sides: Sides, E: Arra
     return np.asarray(found.x.reshape(best.shape))
 
 
-def robust_terminal_rows(A: Array, B: Array, K: Array, state: Rows, action: Rows, E: Array, W: Any) -> Rows:
+def robust_terminal_rows(
+    A: Array, B: Array, K: Array, state: Rows, action: Rows, E: Array, W: Any, horizon: int
+) -> Rows:
     """Half-spaces of the largest robust set under u = −K x.
 
-    It is kept within both limits whatever w in W does.
+    It is kept within both limits whatever w in W does. Of a W with `room` it is the largest set that no disturbance
+    leads out of the limits tightened by all that it takes in the end, plus what it takes within the horizon.
 
     Raises
     ------
@@ -98,10 +113,16 @@ def robust_terminal_rows(A: Array, B: Array, K: Array, state: Rows, action: Rows
     from invariant_sets import Polytope, maximal_positively_invariant_set
 
     (HX, hX), (HU, hU) = state, action
-    limits = Polytope(block_diag(HX, HU), np.concatenate([hX, hU]))
-    found = maximal_positively_invariant_set(A - B @ K, limits, C=np.vstack([np.eye(len(A)), -K]), E=E, W=W)
+    loop, C = A - B @ K, np.vstack([np.eye(len(A)), -K])
+    rows, bounds = block_diag(HX, HU), np.concatenate([hX, hU])
+    own = hasattr(W, "room")
+    if own:
+        bounds = bounds - in_the_end(rows @ C, loop, E, W)
+    known = {} if own else {"E": E, "W": W}
+    found = maximal_positively_invariant_set(loop, Polytope(rows, bounds), C=C, **known)
     if found.set.is_empty:
         raise InfeasibleError(
             f"no set of states is kept within X and U by u = -Kx whatever w in W does: {found.status.name}. {ADVICE}"
         )
-    return found.set.one_sided
+    H, h = found.set.one_sided
+    return (H, h + tightened(H, loop, E, W, horizon)[-1]) if own else (H, h)

@@ -69,7 +69,7 @@ def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> A
 
 
 def linear_mpc(
-    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, W: Polytope | None = None
+    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, W: Polytope | Any = None
 ) -> LinearMPC:
     """MPC of the nominal model, or its linearisation at rest, within a design's limits.
 

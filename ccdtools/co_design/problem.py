@@ -429,3 +429,12 @@ def _bounded_limits(name: str, value: Any, size: int, of: str, space: DesignSpac
     if not np.isfinite(np.concatenate(limits.bounding_box())).all():
         raise InputError(name, "an unbounded set", "a bounded one")
     return limits
+
+
+def as_seen_problem(value: Any) -> CoDesignProblem:
+    """`value`, if it is a problem whose states are seen; else an `InputError`."""
+    problem: CoDesignProblem = as_instance("problem", value, CoDesignProblem, "a CoDesignProblem")
+    if problem.measurement is not None or problem.hidden:
+        cure = "Errors along estimates are those of the filter, too: log states, and redesign on `replay_problem`."
+        raise InputError("problem", "one with sensors, or hidden states", "one whose states are seen", cure)
+    return problem

@@ -24,6 +24,7 @@ class DriftStatus(Outcome):
     """Status of a stretch of residuals."""
 
     NONE = "no drift", "The twin describes the plant as it did."
+    UNKNOWN = "not known", "Too few samples to tell: log longer, or state a shorter block."
     DRIFT = "drift", "The twin no longer describes the plant: log again, then redesign."
 
 
@@ -36,7 +37,7 @@ class Drift:
     found, began : int or None
         Sample after which it was known, and the first one of the change, as estimated; None without.
     samples, block : int
-        Residuals that were looked at, and how many make a block [samples].
+        Residuals that were looked at, none where too few calibrate; and how many make a block [samples].
     level : float
         Probability of any alarm in all of them without a drift, at most.
     """
@@ -50,10 +51,14 @@ class Drift:
     @property
     def status(self) -> DriftStatus:
         """Whether there is a drift."""
+        if not self.samples:
+            return DriftStatus.UNKNOWN
         return DriftStatus.NONE if self.found is None else DriftStatus.DRIFT
 
     def __str__(self) -> str:
         alarms = f"(false alarms: {self.level:.0%} where errors are correlated over no more than {self.block} samples)"
+        if not self.samples:
+            return f"not known whether there is a drift. {self.status.advice}"
         if self.found is None:
             return f"no drift in {self.samples} samples {alarms}"
         since = f"drift since about sample {self.began}, known after {self.found} of {self.samples}"

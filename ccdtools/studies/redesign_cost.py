@@ -58,6 +58,8 @@ class RedesignCost:
     logging: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("cost", "serves", "worth", "logging"):
+            _check_size(name, getattr(self, name))
         if not isinstance(self.unit, str) or not self.unit.strip():
             raise InputError("unit", shown(self.unit), 'the unit of the costs, such as "EUR" or "return"')
         if self.worth is None and self.unit != "return":
@@ -113,6 +115,15 @@ class RedesignDecision:
                              "advice": self.status.advice, "text": str(self)}  # fmt: skip
 
 
+def _check_size(name: str, value: Any) -> None:
+    """Raise an `InputError` where squares and products overflow."""
+    largest = np.finfo(float).max ** 0.25
+    size = np.abs(as_floats(name, 0.0 if value is None else value))
+    if (size > largest).any() or ((size > 0) & (size < 1 / largest)).any():
+        expected = f"0, or numbers of {1 / largest:.0e} to {largest:.0e} in size"
+        raise InputError(name, shown(value), expected, "State it in another unit.")
+
+
 def decide_redesign(
     gains: ArrayLike, terms: RedesignCost, *, noise: float | None = None, prior: tuple[float, float] | None = None,
     deployment: float = 1.0,
@@ -137,6 +148,8 @@ def decide_redesign(
         If a gain is not finite, or there are too few: two, or one with `noise`, or none with a `prior` besides.
     """
     as_instance("terms", terms, RedesignCost, "a RedesignCost")
+    for name, value in (("gains", gains), ("noise", noise), ("prior", prior), ("deployment", deployment)):
+        _check_size(name, value)
     deployment = as_positive("deployment", deployment)
     measured = as_floats("gains", gains)
     fewest = (2, 1 - (prior is not None))[noise is not None]

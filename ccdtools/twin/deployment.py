@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_floats, as_generator, as_instance, shown
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
@@ -27,13 +27,14 @@ from ccdtools.tolerances import FEWEST_PAIRS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.distributions import Distribution, ServedDistributions, logged
+from ccdtools.twin.identified import identified_plant
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.online import OnlineConfig, OnlineUpdate
 from ccdtools.twin.pieces import joined
 from ccdtools.twin.replay import replay_problem
 from ccdtools.twin.residuals import Residuals, block_parts, check_errors, is_common, residuals
 from ccdtools.twin.transport import ErrorSplit
-from ccdtools.twin.trial import switchback_on
+from ccdtools.twin.trial import TrialConfig, best_predictor, switchback_on
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
@@ -117,7 +118,9 @@ def deploy_and_update(
     candidate is trained on the first part of every stretch, and from the starts that it will serve. It is deployed only
     if its paired return on the rest is better, and if it loses no more than is accepted on every other distribution:
     see `Judge` and `ServedDistributions`. Of a single run both are replayed from the start of every stretch, so that
-    what is judged begins in states of their own; several runs are judged from their own starts.
+    what is judged begins in states of their own; several runs are judged from their own starts. A trial on the real
+    plant predicts with what has been logged so far, see `identified_plant`, where that predicts the first stretch
+    better than the nominal model.
 
     Parameters
     ----------
@@ -141,7 +144,7 @@ def deploy_and_update(
         The other starts and disturbances that the policy will serve; by default the problem's, and its box of starts.
     """
     config = OnlineConfig() if config is None else config
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_seen_problem(problem)
     as_instance("agent", agent, ActorCritic, "an ActorCritic")
     as_instance("config", config, OnlineConfig, "an OnlineConfig")
     as_generator("rng", rng)
@@ -180,6 +183,7 @@ class _DeployedPolicy:
     def __post_init__(self) -> None:
         config = self.config
         self.candidate: Deployable | None = None  # on trial
+        self.first = self.deployed.controller(self.admissible)
         self.coins = self.rng if config.trial is None else self.rng.spawn(1)[0]
         self.problem = self.served.problem
         self.split = ErrorSplit(self.problem.model, self.problem.state_scale)
@@ -225,12 +229,21 @@ class _DeployedPolicy:
         tried = switchback_on(
             self.problem, self.whole.plant, law, self.candidate.controller(self.admissible), self.deployed.design,
             x0=x0, disturbance=w, rng=self.coins, config=self.config.trial, before=update.trial,
+            model=self._predictor(self.candidate.controller(self.admissible), self.config.trial),
         )  # fmt: skip
         self.updates[-1] = replace(update, trial=tried.trial, ended=self._logged + tried.samples)
         if tried.trial.status is not TrialStatus.UNDECIDED:
             self.deployed = self.candidate if self.updates[-1].accepted else self.deployed
             self.candidate = None
         return tried.log
+
+    def _predictor(self, candidate: Controller, config: TrialConfig | None) -> Simulable:
+        """Model for a trial, as it predicts the first piece."""
+        assert config is not None
+        logged = [piece for piece in self.pieces if not piece.diverged.all()]
+        models = [self.problem.model, identified_plant(self.problem, logged)]
+        block = config.block + config.washout
+        return best_predictor(self.problem, models, self.first, candidate, logged[0], block)
 
     def _learn(self, piece: Trajectory, before: int) -> bool:
         """Add the errors of a piece after so many runs; False if too little is left."""

@@ -97,7 +97,9 @@ def _regressed(errors: Array) -> Array:
 
     Part i is what the error of a state adds to those before it, in standard deviations of that error.
     """
-    unit = errors.std(axis=0)
+    largest = np.abs(errors).max(axis=0)
+    largest = np.where(largest > 0, largest, 1.0)
+    unit = (errors / largest).std(axis=0) * largest  # squares of the errors themselves may be no doubles
     unit = np.where(unit > 0, unit, 1.0)
     nx = len(unit)
     centred = np.vstack([(errors - errors.mean(axis=0)) / unit, np.zeros((nx, nx))])

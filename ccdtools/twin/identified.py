@@ -1,8 +1,10 @@
-"""LQR of what logs tell, by least squares: a baseline that knows as much as the twin."""
+"""Plant, and its LQR, that logs tell by least squares."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +13,10 @@ from ccdtools.arrays import Array
 from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import LinearFeedback
+from ccdtools.plants.models import Model, PlantOfModel
+from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import RIDGES
-from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of
+from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, residuals
 from ccdtools.twin.transport import carried
 from mpc import lqr
 
@@ -61,6 +65,47 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> L
     )  # half the slope of x'Px + 2s'x
     offset = -np.linalg.solve(weights["R"] + B.T @ P @ B, B.T @ ahead)
     return LinearFeedback(K, *problem.input_bounds_at(p), offset=offset)
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedPlant(PlantOfModel):
+    """Model with an affine change, f(x, u, w, p) + ΔA x + ΔB u + c."""
+
+    model: Model
+    change: tuple[Array, Array, Array]
+
+    def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
+        """Steps (x, u, w) → x⁺ at design `p` (np,)."""
+        step = self.model.stepper(p, batch=batch)
+        A, B, c = self.change
+        return lambda x, u, w: step(x, u, w) + x @ A.T + u @ B.T + c
+
+
+def identified_plant(problem: CoDesignProblem, logs: Trajectory | Sequence[Trajectory]) -> IdentifiedPlant:
+    """Plant that logs with a recorded disturbance tell.
+
+    Errors of the nominal model under the disturbance of the log are fitted as by `identified_lqr`. What was recorded is
+    no error: so a disturbance that lasts is not mistaken for a consequence of the state.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+    logs : Trajectory, or a sequence of them at one design
+        From `deploy`; runs that diverged are left out.
+
+    Raises
+    ------
+    InputError
+        If a log is of another plant or disturbance, or all of its runs diverged.
+
+    Examples
+    --------
+    >>> switchback_on(problem, plant, law, other, design, model=identified_plant(problem, log), **options)
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    given: list[Any] = list(logs) if isinstance(logs, list | tuple) else [logs]
+    errors = errors_of([residuals(problem.model, log, met=True) for log in given], None)
+    return IdentifiedPlant(problem.model, fitted_change(errors, problem.state_scale))
 
 
 def fitted_change(logs: Sequence[Residuals], scale: Array) -> tuple[Array, Array, Array]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance
+from ccdtools.checks import as_count, as_instance, as_share
 from ccdtools.evidence.drift import Drift, detect_drift
 from ccdtools.exceptions import InputError
+from ccdtools.tolerances import CALIBRATION_BLOCKS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.transport import carried
@@ -32,14 +33,18 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
     Raises
     ------
     InputError
-        As `detect_drift`; also if the twin has learned nothing, or the log is of another plant.
+        If the twin has learned nothing, or the log is of another plant. Too few samples are a status.
     """
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None or twin.scale is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")
     known = np.concatenate([_in_time(one, one.e_next) for one in twin.innovations()])
     now = carried(twin.model, residuals(twin.model, log), twin.logs[-1].p, twin.scale)
-    return detect_drift(known, _in_time(now, now.e_next - twin.discrepancy.median(now)), level=level, block=block)
+    fresh = _in_time(now, now.e_next - twin.discrepancy.median(now))
+    length = max(1, len(known) // CALIBRATION_BLOCKS) if block is None else as_count("block", block)
+    if len(known) < CALIBRATION_BLOCKS * length or len(fresh) < length:
+        return Drift(None, None, 0, length, as_share("level", level))
+    return detect_drift(known, fresh, level=level, block=length)
 
 
 def _in_time(log: Residuals, errors: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices
 from ccdtools.checks import as_count, as_generator, as_instance, shown
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
 from ccdtools.twin.residuals import Residuals, groups
@@ -155,9 +155,10 @@ def updated_problem(
     Raises
     ------
     InputError
-        If the twin has learned nothing yet, or no logged run is as long as `window` and `warm_up`.
+        If the twin has learned nothing yet, the problem has sensors, or no logged run is as long as `window` and
+        `warm_up`.
     """
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_seen_problem(problem)
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
         raise InputError("twin", "one without a discrepancy", "one after `update`")

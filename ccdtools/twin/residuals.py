@@ -77,8 +77,10 @@ class Residuals(Immutable):
         return e, x, u, p, e_next
 
 
-def residuals(model: Model, log: Trajectory) -> Residuals:
+def residuals(model: Model, log: Trajectory, *, met: bool = False) -> Residuals:
     """One-step errors of `model` along the undiverged runs of `log`.
+
+    Those of f(x, u, w, p) if it has `met` the disturbance of the log, too.
 
     Raises
     ------
@@ -100,7 +102,10 @@ def residuals(model: Model, log: Trajectory) -> Residuals:
         raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
     x = finite("log.states", log.states[kept])
     u = finite("log.inputs", log.inputs[kept])
-    e_next = x[:, 1:] - model.undisturbed(log.design)(x[:, :-1], u)
+    w = log.disturbances[kept] if met else np.zeros((*u.shape[:2], model.nw))
+    if w.shape[2] != model.nw:
+        raise InputError("log", f"{w.shape[2]} disturbances", f"{model.nw} of the model")
+    e_next = x[:, 1:] - np.asarray(model.stepper(log.design, batch=1)(x[:, :-1], u, w))
     e = np.concatenate([np.zeros_like(e_next[:, :1]), e_next[:, :-1]], axis=1)
     return Residuals(e, x[:, :-1], u, np.asarray(log.design, dtype=float), e_next, np.flatnonzero(kept))
 

@@ -8,18 +8,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_generator, as_instance
+from ccdtools.checks import as_choice, as_count, as_generator
 from ccdtools.co_design.budgets import SET_SECONDS
-from ccdtools.co_design.closed_loop import ClosedLoopReturns, closed_loop_returns
+from ccdtools.co_design.closed_loop import ONLINE_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
 from ccdtools.co_design.expert import feasible_sets
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.twin.error_quantiles import ErrorQuantiles
 from ccdtools.twin.error_set import disturbance_set
-from ccdtools.twin.residuals import Logs, errors_of
+from ccdtools.twin.residuals import Logs, check_errors, errors_of
 from invariant_sets import Polytope, SetResult, Status
-from mpc import LinearMPC
+from mpc import LinearMPC, Status as Solved
+
+ERRORS = ("set", "quantiles", "normal")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,19 +33,19 @@ class RobustMPC:
     ----------
     controller : LinearMPC
         From every state that has a plan it keeps X and U as long as errors stay in W.
-    W : Polytope
-        Errors x⁺ − Ax − Bu of one step (nx,), see `disturbance_set`.
+    W : Polytope or ErrorQuantiles
+        Errors x⁺ − Ax − Bu of one step (nx,), see `disturbance_set`; or quantiles of what they add up to.
     level : float
-        Share of the errors within W.
+        Share of the errors within W, or probability of each limit.
     nominal_set, robust_set : SetResult
         States that some input keeps within X for ever, without errors and whatever errors of W do; where none were
-        found in time, the terminal set of `controller`, which is a part of both.
+        found in time, and of quantiles, the terminal set of `controller`, which is a part of both.
     nominal, tightened : ClosedLoopReturns
         Returns and violations of MPC without and with W, on the same scenarios of the problem.
     """
 
     controller: LinearMPC
-    W: Polytope
+    W: Polytope | ErrorQuantiles
     level: float
     nominal_set: SetResult
     robust_set: SetResult
@@ -57,16 +60,23 @@ class RobustMPC:
 
     @cached_property
     def volume_left(self) -> float:
-        """Part of the volume of the nominal set that the robust set has."""
-        return self.robust_set.set.volume / self.nominal_set.set.volume
+        """Part of the nominal set's volume that is left.
+
+        That of the robust set; of quantiles, what has a plan, counted over states drawn from it.
+        """
+        if isinstance(self.W, Polytope):
+            return self.robust_set.set.volume / self.nominal_set.set.volume
+        drawn = self.nominal_set.set.sample(ONLINE_RUNS, rng=np.random.default_rng(0))
+        return float(np.mean([plan.status is Solved.SOLVED for plan in self.controller.solve_many(drawn)]))
 
     def __str__(self) -> str:
         """Price, violations and volume in a sentence."""
         low, high = self.price.ci95
         stopped = [one.status.name for one in (self.nominal_set, self.robust_set) if one.status is not Status.CONVERGED]
         so_far = f" as far as it was found ({stopped[0]})" if stopped else ""
+        kept = "of the errors are allowed for" if isinstance(self.W, Polytope) else "is the probability of each limit"
         return (
-            f"{self.level:.4g} of the errors are allowed for at a return of {self.price.mean:.4g} "
+            f"{self.level:.4g} {kept} at a return of {self.price.mean:.4g} "
             f"[{low:.4g}, {high:.4g}] less; states outside X: {self.tightened.outside:.3%}, without "
             f"{self.nominal.outside:.3%}; volume left of X_fea{so_far}: {self.volume_left:.1%}"
         )
@@ -77,9 +87,12 @@ class RobustMPC:
 
 def robust_mpc(
     problem: CoDesignProblem, design: ArrayLike, logs: Logs, *, rng: np.random.Generator, level: float = 0.99,
-    horizon: int = HORIZON, runs: int | None = None,
+    horizon: int = HORIZON, runs: int | None = None, errors: str = "set",
 ) -> RobustMPC:  # fmt: skip
     """Controller whose limits hold under a log's errors, with price.
+
+    By `errors` it is a tube MPC with a guarantee, or a stochastic one: a plan within tightened limits may then be lost,
+    is relaxed where it must be and says `SOFTENED`.
 
     Parameters
     ----------
@@ -91,11 +104,15 @@ def robust_mpc(
     rng : numpy.random.Generator
         Draws the scenarios of the price.
     level : float
-        Share of the errors to allow for, in (0, 1).
+        Share of the errors to allow for, or probability of each limit, in (0, 1).
     horizon : int
         [steps]
     runs : int, optional
         As in `closed_loop_returns`.
+    errors : {"set", "quantiles", "normal"}
+        A set of the errors of one step at the level, for whose every sequence the limits hold; or what errors add up to
+        in a loop over k steps, for which each limit is to hold with the level's probability at each step: its quantile
+        by rank, or that of a normal distribution.
 
     Raises
     ------
@@ -110,19 +127,27 @@ def robust_mpc(
     >>> print(found)
     >>> u = found.controller(x)
     """
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_seen_problem(problem)
     seed = int(as_generator("rng", rng).integers(2**63))
     p = problem.design.check_one(design)
-    errors = errors_of(logs, problem.model)
-    W = disturbance_set(errors, level=level, model=problem.model)
-    if not np.array_equal(errors[0].p, p):
-        raise InputError(
-            "logs", f"logs at {errors[0].p}", f"at {p}", "`DigitalTwin.carried()` carries them to the newest."
-        )
+    given = errors_of(logs, problem.model)
+    by_set = as_choice("errors", errors, ERRORS) == "set"
+    steps = as_count("horizon", horizon)
+    for i, log in enumerate(given):
+        check_errors(f"logs[{i}]", problem.model, log)
+        if not np.array_equal(log.p, p):
+            cure = "`DigitalTwin.carried()` carries them to the newest."
+            raise InputError("logs", f"logs at {log.p}", f"at {p}", cure)
+    W = (
+        disturbance_set(given, level=level, model=problem.model) if by_set
+        else ErrorQuantiles.of(problem.model, given, level=level, steps=steps, normal=errors == "normal")
+    )  # fmt: skip
     controllers = [linear_mpc(problem, p, horizon=horizon, W=one) for one in (None, W)]
-    sets = [replace(feasible_sets(problem, W=one), time_limit=SET_SECONDS).result(p) for one in (None, W)]
-    terminal = Polytope(*controllers[1].terminal_rows)
+    known: list[Polytope | None] = [None, W] if isinstance(W, Polytope) else [None]
+    sets = [replace(feasible_sets(problem, W=one), time_limit=SET_SECONDS).result(p) for one in known]
+    terminal = Polytope(*(controllers[1].terminal_rows if by_set else controllers[1].rows_at("terminal", steps)))
     sets = [replace(one, set=terminal) if one.set.is_empty else one for one in sets]
+    sets += [] if by_set else [replace(sets[0], set=terminal)]
     returns = [
         closed_loop_returns(problem, controller, p, np.random.default_rng(seed), runs=runs)
         for controller in controllers

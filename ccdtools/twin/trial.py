@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.checks import as_count, as_generator, as_instance, as_number, as_share
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.excited import Excited
 from ccdtools.evidence.switchback import Trial, TrialStatus
@@ -91,7 +92,7 @@ def switchback_on(
     before : Trial, optional
         An undecided trial that goes on.
     model : Plant, or anything else that `simulate` takes, optional
-        What predicts the returns; the nominal model by default.
+        What predicts the returns; the nominal model by default, `identified_plant` of a former log is better.
 
     Raises
     ------
@@ -99,7 +100,7 @@ def switchback_on(
         If a new trial has room for fewer than 20 pairs of blocks; else as `simulate`.
     """
     config = TrialConfig() if config is None else as_instance("config", config, TrialConfig, "a TrialConfig")
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_seen_problem(problem)
     as_generator("rng", rng)
     blocks = _Blocks(problem, Scenario(plant, x0, disturbance), problem.design.check_one(design), config, rng)
     predicted = replace(blocks.whole, plant=problem.model if model is None else model)
@@ -127,6 +128,36 @@ def switchback_on(
     stays = candidate if trial.status is TrialStatus.ADOPTED else current
     log = joined([*pieces, *blocks.rest(stays, pieces)], len(blocks.whole.x0))
     return TriedDeployment(trial, log, samples)
+
+
+def best_predictor(
+    problem: CoDesignProblem, models: Sequence[Simulable], law: Controller, candidate: Controller, log: Trajectory,
+    block: int,
+) -> Simulable:  # fmt: skip
+    """Model that predicts a log's blocks best.
+
+    What it leaves of their returns under the law of the log varies least. One by which those of the candidate vary
+    twice as much as what was logged could take nothing out of a trial, and is left out; the first model stands where
+    all are.
+    """
+    kept = ~log.diverged
+    real = log.rewards(problem.objective)[kept]
+    length = real.shape[1] if len(log.states) > 1 else min(block, real.shape[1])
+
+    def spread(rewards: Array) -> float:
+        """Standard deviation of blocks."""
+        return float(rewards[:, : rewards.shape[1] // length * length].reshape(-1, length).sum(axis=1).std())
+
+    def deviation(model: Simulable) -> float:
+        """What a model leaves; infinite where it tells nothing."""
+        scenario = Scenario(model, log.states[kept, 0], log.disturbances[kept])
+        own, other = (
+            scenario.run(one, design=log.design, limit=problem.limit).rewards(problem.objective)
+            for one in (law, candidate)
+        )
+        return spread(own - real) if spread(other) <= 2 * spread(real) else np.inf
+
+    return min(models, key=deviation)
 
 
 @dataclass(frozen=True, eq=False)

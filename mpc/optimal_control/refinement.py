@@ -81,7 +81,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         cost's error.
     """
     asked = as_share("tolerance", tolerance)
-    if of not in ("dynamics", "cost"):
+    if not isinstance(of, str) or of not in ("dynamics", "cost"):
         raise InputError("of", brief(repr(of)), "'dynamics' or 'cost'")
     began, meshes, seconds = time.perf_counter(), as_count("rounds", rounds), as_seconds("time_limit", time_limit)
     with tqdm(total=meshes, desc="refining", disable=not progress, leave=False) as bar:

@@ -57,6 +57,18 @@ def test_it_redesigns_where_it_surely_pays():
     assert found.redesign[0] < found.worth < found.redesign[1]
 
 
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_numbers_whose_squares_are_none_are_named(size):
+    for name in ("cost", "serves", "worth", "logging"):
+        with pytest.raises(InputError, match=f"{name}.*another unit"):
+            RedesignCost(**{"cost": 1.0, "serves": 2.0, "unit": "EUR", "worth": 1.0, "logging": 1.0} | {name: size})
+    for name, value in (("noise", size), ("prior", (0.0, size)), ("deployment", size)):
+        with pytest.raises(InputError, match=f"{name}.*another unit"):
+            decide_redesign([1.0, 2.0], EUR, **{name: value})
+    with pytest.raises(InputError, match=r"gains.*another unit"):
+        decide_redesign([0.0, size], EUR)
+
+
 def test_the_unit_does_not_matter():
     cents = RedesignCost(cost=2e4, serves=40, unit="cent", worth=200.0, logging=100.0)
     one, other = (decide_redesign([3.0, 2.0, 4.0], terms) for terms in (EUR, cents))

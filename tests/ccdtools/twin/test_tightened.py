@@ -1,5 +1,8 @@
 """From a log to a controller that keeps its limits, with the price; the filter and the sets that know W."""
 
+from dataclasses import replace
+from functools import cache
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from ccdtools import (
     FixedStart,
     Gaussian,
     InputError,
+    LinearFeedback,
     Plant,
     QuadraticObjective,
     deploy,
@@ -19,7 +23,8 @@ from ccdtools import (
 )
 from ccdtools.co_design import admissible_inputs, closed_loop_returns, feasible_sets
 from ccdtools.controllers import Filtered
-from ccdtools.twin import DigitalTwin, disturbance_set, robust_mpc
+from ccdtools.estimation import Measurement
+from ccdtools.twin import DigitalTwin, deploy_and_update, disturbance_set, robust_mpc, switchback_on, updated_problem
 from invariant_sets import Polytope
 from mpc import InfeasibleError, Status
 
@@ -123,9 +128,146 @@ def test_the_filter_that_knows_w_keeps_any_law_within_x_and_the_other_does_not(k
     assert not known or filtered.counts.helpless == 0
 
 
+@pytest.mark.parametrize("unit", [1e200, 1e-200])
+def test_the_set_of_a_log_in_extreme_units_is_the_same_set(problem, log, unit):
+    given = DigitalTwin(problem.model).remembering(log).logs[0]
+    own = disturbance_set(given, level=0.95)
+    scaled = disturbance_set(replace(given, e_next=unit * given.e_next), level=0.95)
+    directions = np.array([[1.0, 0.0], [0.0, -1.0], [1.0, 2.0]])
+    np.testing.assert_allclose(scaled.support(directions) / unit, own.support(directions), rtol=1e-6)
+
+
+# ── each limit with a probability ──
+
+CART = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.005], [0.1]])
+
+
+def cart(unit):
+    """A cart in units of its own, X = ±1 of them, and how it is stepped here."""
+    x, u, w, p = (ca.SX.sym(name, size) for name, size in (("x", 2), ("u", 1), ("w", 2), ("p", 1)))
+    after = unit * (ca.DM(CART[0]) @ (x / unit) + p * ca.DM(CART[1]) @ u) + w
+    plant = Plant(x, u, w, p, after, DesignSpace(["p"], [0.5], [1.5]), dt=0.1, continuous=False)
+    scale = np.array([unit, unit])
+    return CoDesignProblem(
+        discretise(plant), X=(-scale, scale), U=(-20, 20), objective=QuadraticObjective(np.eye(2) / unit**2, [[0.01]]),
+        scenarios=FixedStart(0 * scale, Gaussian(0.02 * scale)), steps=20,
+    )  # fmt: skip
+
+
+def noise(kind, shape, rng):
+    """Disturbances of a cart in its units: rare large ones to one side, normal ones, or ones that last."""
+    if kind == "skewed":
+        return 0.02 * (rng.exponential(size=(*shape, 2)) - 1)
+    steps = 0.02 * rng.standard_normal((*shape, 2))
+    if kind == "lasting":
+        for k in range(1, shape[1]):
+            steps[:, k] = 0.8 * steps[:, k - 1] + 0.6 * steps[:, k]
+    return steps
+
+
+def driven(controller, kind, seed, runs=30, steps=50, bound=1.0):
+    """Positions (runs, steps) and their bound, on which the reference lies; stepped here."""
+    rng = np.random.default_rng(seed)
+    w, x = noise(kind, (runs, steps), rng), np.zeros((runs, 2))
+    positions = np.zeros((runs, steps))
+    for k in range(steps):
+        u = controller(x * bound, x_ref=np.array([bound, 0.0]))
+        x = x @ CART[0].T + u @ CART[1].T + w[:, k]
+        positions[:, k] = x[:, 0]
+    return positions[:, 20:]
+
+
+def left(held):
+    """Share of samples, and its standard error over runs."""
+    shares = held.mean(axis=1)
+    return shares.mean(), shares.std(ddof=1) / np.sqrt(len(shares))
+
+
+@cache
+def of_cart(kind, errors, unit=1.0, level=0.9):
+    own, rng = cart(unit), np.random.default_rng(7)
+    w = unit * noise(kind, (4, 1500), rng)
+    log = deploy(own.model, saturated_lqr(own, [1.0]), [1.0], w, x0=np.zeros(2))
+    return robust_mpc(own, [1.0], log, rng=rng, level=level, errors=errors, runs=2, horizon=8)
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("skewed", 1.0), ("lasting", 1e-4)])
+def test_a_limit_that_is_driven_along_is_kept_as_asked_at_less_distance_than_by_a_tube(kind, unit):
+    found = of_cart(kind, "quantiles", unit, level=0.98)
+    laws = (
+        linear_mpc(cart(unit), [1.0], horizon=8),
+        found.controller,
+        of_cart(kind, "set", unit, level=0.95).controller,
+    )
+    nominal, quantiles, tube = (driven(law, kind, 8, bound=unit) for law in laws)
+    share, error = left(nominal > 1)
+    assert share > 0.02 + 2 * error
+    share, error = left(quantiles > 1)
+    assert share <= 0.02 + 2 * error
+    assert tube.mean() < quantiles.mean()
+    assert "probability of each limit" in str(found)
+
+
+def fresh(controller, kind, seed):
+    """Errors (n, 2) that the loop of the tube gathers over eight fresh steps."""
+    loop = CART[0] - CART[1] @ controller.tube_gain
+    w, e = noise(kind, (4000, 9), np.random.default_rng(seed)), np.zeros((4000, 2))
+    for k in range(1, 9):
+        e = e @ loop.T + w[:, k]
+    return e
+
+
+@pytest.mark.parametrize("kind", ["skewed", "normal", "lasting"])
+@pytest.mark.parametrize("errors", ["quantiles", "normal"])
+def test_what_errors_gather_stays_within_its_room_as_often_as_asked(kind, errors):
+    own = of_cart(kind, errors, level=0.98).controller
+    H, h = own.state_rows
+    outside = (fresh(own, kind, 9) @ H.T > h - own.bounds["state"][8]).mean(axis=0)
+    if (kind, errors) == ("skewed", "normal"):
+        assert outside.max() > 0.03  # rare large errors are none of a normal distribution
+    else:
+        assert (np.abs(outside - 0.02) < 0.015).all()
+
+
+def test_the_room_of_normal_errors_is_that_of_their_covariance():
+    for errors in ("quantiles", "normal"):
+        own = of_cart("normal", errors).controller
+        loop = CART[0] - CART[1] @ own.tube_gain
+        gathered, expected = np.zeros((2, 2)), []
+        for _ in range(8):
+            gathered = loop @ gathered @ loop.T + 0.02**2 * np.eye(2)
+            expected.append(1.2816 * np.sqrt(np.diag(own.state_rows[0] @ gathered @ own.state_rows[0].T)))
+        np.testing.assert_allclose(own.state_rows[1] - own.bounds["state"][1:], expected, rtol=0.12)
+
+
+def test_with_sensors_nothing_is_promised_of_states_that_a_log_does_not_hold():
+    own = replace(cart(1.0), measurement=Measurement([[1.0, 0.0]], noise=[0.01]))
+    law, rng, w = LinearFeedback([[1.0, 1.0]]), np.random.default_rng(0), np.zeros((2400, 2))
+    log = deploy(own.model, law, [1.0], w, x0=[0, 0])
+    for asked in (
+        lambda: robust_mpc(own, [1.0], log, rng=rng),
+        lambda: updated_problem(own, DigitalTwin(own.model).remembering(log)),
+        lambda: switchback_on(own, own.model, law, law, [1.0], x0=[0, 0], disturbance=w, rng=rng),
+        lambda: deploy_and_update(own, own.model, None, [1.0], x0=np.zeros((1, 2)), disturbance=w[None], rng=rng),
+    ):
+        with pytest.raises(InputError, match="one with sensors"):
+            asked()
+
+
+def test_a_log_too_short_for_the_horizon_is_named():
+    own = cart(1.0)
+    log = deploy(
+        own.model, saturated_lqr(own, [1.0]), [1.0], noise("normal", (1, 60), np.random.default_rng(0)), x0=[0, 0]
+    )
+    with pytest.raises(InputError, match="7 stretches of 8 steps"):
+        robust_mpc(own, [1.0], log, rng=np.random.default_rng(0), level=0.9, errors="quantiles", horizon=8)
+
+
 @pytest.mark.parametrize(
     ("change", "error", "says"),
     [
+        ({"errors": "all"}, InputError, "errors"),
+        ({"horizon": 0}, InputError, "horizon"),
         ({"design": [2.0]}, InputError, "carried"),
         ({"level": 0.99999}, InputError, "at least"),
         ({"rng": 1}, InputError, "rng"),

@@ -20,7 +20,7 @@ from ccdtools import (
     discretise,
     simulate,
 )
-from ccdtools.twin import Trial, TrialConfig, detect_drift, drift_of_log, switchback, switchback_on
+from ccdtools.twin import Trial, TrialConfig, detect_drift, drift_of_log, identified_plant, switchback, switchback_on
 
 A = np.array([[0.98, 0.1], [-0.1, 0.9]])
 SERVED, BETTER, UNSTABLE = (LinearFeedback(np.array([gain])) for gain in ([0.0, 0.0], [0.3, 0.9], [0.0, -9.0]))
@@ -150,6 +150,46 @@ def test_a_model_that_is_right_takes_noise_out_of_the_trial(problem):
     assert spread[1] < spread[0]
 
 
+def logged(problem, law=SERVED, lasting=0.0, steps=400, share=1.3):
+    """Log of a law on a stronger plant, under noise and a disturbance that lasts."""
+    w = Gaussian([0.1, 0.1]).sample(1, steps, np.random.default_rng(11)) + lasting
+    return simulate(plant(share), law, x0=X0, steps=steps, disturbance=w, design=[1.0])
+
+
+def test_a_plant_identified_from_a_log_predicts_the_real_one_whatever_disturbs_it(problem):
+    model = identified_plant(problem, [logged(problem, BETTER, lasting=0.2), logged(problem, SERVED)])
+    w = Gaussian([0.3, 0.3]).sample(20, 50, np.random.default_rng(12))
+    runs = [simulate(one, law, x0=[1.0, -1.0], steps=50, disturbance=w, design=[1.0]).states
+            for law in (BETTER, LinearFeedback(2 * BETTER.K)) for one in (model, plant(1.3), plant(1.0))]  # fmt: skip
+    for own, real, nominal in (runs[:3], runs[3:]):
+        assert np.abs(own - real).max() < 0.01 * np.abs(nominal - real).max()
+
+
+def test_a_trial_that_predicts_with_its_log_is_decided_where_the_nominal_model_leaves_it_open(problem):
+    near = LinearFeedback(0.9 * BETTER.K)
+    rng = np.random.default_rng(13)
+    w = Gaussian([0.1, 0.1]).sample(1, 3000, rng)[0]
+    trials = [switchback_on(
+        problem, plant(1.3), BETTER, near, [1.0], x0=X0, disturbance=w, rng=np.random.default_rng(14),
+        config=TrialConfig(block=40, washout=10), model=model,
+    ).trial for model in (None, identified_plant(problem, logged(problem, BETTER)))]  # fmt: skip
+    assert trials[1].gains.std() < 0.5 * trials[0].gains.std()
+    assert trials[0].status.value == "undecided"
+    assert trials[1].status.value != "undecided"
+
+
+def test_logs_that_tell_no_plant_are_named(problem):
+    log = logged(problem)
+    with pytest.raises(InputError, match="3 disturbances"):
+        identified_plant(problem, replace(log, disturbances=np.zeros((1, 400, 3))))
+    with pytest.raises(InputError, match="at least one log"):
+        identified_plant(problem, [])
+    with pytest.raises(InputError, match="Trajectory"):
+        identified_plant(problem, "a log")
+    with pytest.raises(InputError, match="all diverged"):
+        identified_plant(problem, replace(log, diverged_at=np.array([3])))
+
+
 def test_an_undecided_trial_goes_on(problem):
     first = switchback(np.zeros(20), 10 * np.random.default_rng(8).standard_normal(20), margin=0.01)
     assert first.status.value == "undecided"
@@ -224,6 +264,9 @@ def test_a_twin_does_not_call_its_own_plant_drifted(illustrative):
     twin = twin.update(log(study.real.plant, 60), weight=study.weight, rng=rng, config=study_quantiles())
     assert drift_of_log(twin, log(study.real.plant)).status.value == "no drift"
     other = log(study.real.plant)
+    few = drift_of_log(twin, other, block=30)
+    assert few.status.value == "not known"
+    assert "log longer" in str(few)
     pushed = replace(other, states=other.states + np.linspace(0, 2, 101)[None, :, None] ** 2)
     assert drift_of_log(twin, pushed).status.value == "drift"
 

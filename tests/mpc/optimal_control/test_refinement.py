@@ -114,6 +114,8 @@ def test_a_tolerance_of_the_cost_asks_for_no_finer_mesh_than_the_cost_needs(name
 def test_a_tolerance_is_of_dynamics_or_cost():
     with pytest.raises(InputError, match="of: got 'inputs', expected 'dynamics' or 'cost'"):
         refine(CLASSICAL["Bryson-Denham"].phase, of="inputs")
+    with pytest.raises(InputError, match="of"):
+        refine(CLASSICAL["Bryson-Denham"].phase, of=np.ones(2))
 
 
 def test_what_misses_a_tolerance_of_the_cost_says_by_how_much():
