@@ -130,10 +130,11 @@ class QuadraticPlanner:
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, given)
-                held = _held(first, given)
+                known = [first, _held(first, given)]
             else:
-                first = held = _Path(before.states, before.inputs, self._gains, SHIFTED)
-            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in (first, held)), TINY)
+                first = _Path(before.states, before.inputs, self._gains, SHIFTED)
+                known = [first]
+            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
             sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
             found = clock.stamped(self._found(sample))
             if found.solver == REAL_TIME or found.status not in OPTIMA:
@@ -265,7 +266,7 @@ class QuadraticPlanner:
 
     def _total(self, path: _Path | Plan, given: Given, price: float) -> float:
         """Cost with violations of hard limits at a price; infinite where it is no number."""
-        total = cost_of(self.law, path.inputs, path.states, given)
+        total = path.cost if isinstance(path, Plan) else cost_of(self.law, path.inputs, path.states, given)
         if self.law.soft is None:
             over = relative_violations(self.law, path.states, self.law.price_units)
             total += price * float(over[over > FEASIBLE].sum())
