@@ -58,3 +58,43 @@ def test_long_plan_with_acting_limits_costs_what_ipopt_finds(soft):
     assert plan.status is Status.SOLVED
     assert np.sum(np.abs(plan.states[1:, 1]) > 0.7 - 1e-6) > 5
     assert plan.cost == pytest.approx(float(found["f"]), rel=1e-6)
+
+
+def pole(x, u):
+    """Cart of 1 kg with a pole of 0.2 kg and 0.5 m, 50 ms by the midpoint rule; angle from upright."""
+
+    def rate(x):
+        sine, cosine = ca.sin(x[2]), ca.cos(x[2])
+        push = (u[0] + 0.1 * x[3] ** 2 * sine - 0.2 * 9.81 * sine * cosine) / (1 + 0.2 * sine**2)
+        return ca.vertcat(x[1], push, x[3], (9.81 * sine - push * cosine) / 0.5)
+
+    return x + 0.05 * rate(x + 0.025 * rate(x))
+
+
+@pytest.mark.check
+def test_plan_that_the_model_leaves_through_rounding_is_not_solved():
+    size = np.array([0.829, 0.0753, 1e3, 2.021])
+    law = NonlinearMPC(
+        pole, 4, 1, Q=np.diag([0.559, 3.825, 3.291, 1.614]), R=[[0.018]], P=np.diag([1.201, 40.965, 85.98, 13.23]),
+        horizon=60, X=(-size, size), U=([-0.999], [0.999]), rate_limit=[0.065], soft=(100.0, 10.0),
+    )  # fmt: skip
+    reference = np.tile([0.051, 0.025, -0.091, 0.064], (61, 1))
+    plan = law.solve([-0.314, -0.031, 0.365, -1.103], x_ref=reference, u_prev=[0.0])
+    x, u, over = ca.MX.sym("x", 4, 61), ca.MX.sym("u", 1, 60), ca.MX.sym("over", 60)
+    error, units = x - reference.T, np.diag(1 / size)
+    gaps = [x[:, 0] - plan.states[0], *(x[:, k + 1] - pole(x[:, k], u[:, k]) for k in range(60))]
+    cost = sum(ca.sumsqr(ca.DM(np.sqrt(law.linear.Q)) @ error[:, k]) for k in range(60)) + 0.018 * ca.sumsqr(u)
+    cost += ca.sumsqr(ca.DM(np.sqrt(law.linear.P)) @ error[:, 60]) + 100 * ca.sum1(over) + 10 * ca.sumsqr(over)
+    limits = [sign * ca.DM(units) @ x[:, k + 1] - 1 - over[k] for k in range(60) for sign in (1, -1)]
+    changes = [sign * (u - ca.horzcat(0, u[:, :-1])).T - 0.065 for sign in (1, -1)]
+    v, g = ca.vertcat(ca.vec(x), ca.vec(u), over), ca.vertcat(*gaps, *limits, *changes)
+    options = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+    solver = ca.nlpsol("reference", "ipopt", {"x": v, "f": cost, "g": g}, options | {"expand": True})
+    high = np.r_[np.full(244, np.inf), np.full(60, 0.999), np.full(60, np.inf)]
+    low = np.r_[-high[:304], np.zeros(60)]
+    least = np.r_[np.zeros(244), np.full(600, -np.inf)]
+    found = solver(
+        x0=np.r_[plan.states.ravel(), plan.inputs.ravel(), np.zeros(60)], lbx=low, ubx=high, lbg=least, ubg=0
+    )
+    assert solver.stats()["success"]
+    assert plan.status is not Status.SOLVED or plan.cost <= float(found["f"]) * (1 + 1e-5)
