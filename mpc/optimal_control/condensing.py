@@ -47,9 +47,9 @@ def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> t
 
 @njit(cache=True)
 def moved(A: Array, B: Array, gains: Array, gaps: Array, first: Array, v: Array) -> tuple[Array, Array]:
-    """Moves (c, N + 1, nx) of states and (c, N, nu) of inputs under du = v - K dx, for c sequences v (c, N, nu).
+    """Moves of states and inputs under du = v - K dx.
 
-    `A` (N, nx, nx), `B` (N, nx, nu) and `gains` (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the
+    They are (c, N + 1, nx) and (c, N, nu), for c sequences v (c, N, nu). `A` (N, nx, nx), `B` (N, nx, nu) and `gains` (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the
     next states, and dx_0 is `first` (nx,).
     """
     N, nx, nu = B.shape
@@ -73,7 +73,10 @@ def moved(A: Array, B: Array, gains: Array, gaps: Array, first: Array, v: Array)
 
 @njit(cache=True)
 def pulled(A: Array, B: Array, gains: Array, by_state: Array, by_input: Array) -> Array:
-    """Slopes (c, N, nu) by v of c functions with slopes (c, N + 1, nx) and (c, N, nu) by the moves of `moved`."""
+    """Slopes (c, N, nu) by v of functions of the moves.
+
+    Their slopes by the moves of `moved` are (c, N + 1, nx) and (c, N, nu).
+    """
     N, nx, nu = B.shape
     slopes = by_input.copy()
     costate = np.zeros(nx)

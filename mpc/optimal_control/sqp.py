@@ -41,8 +41,9 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Minimise ½ z'Hz + (by_state + by_input)'z within the limits, z the v of `moved`; H has `blocks` (b, n/b, n/b).
+    """Minimise ½ z'Hz + (by_state + by_input)'z within limits.
 
+    z is the v of `moved`; H is block diagonal with `blocks` (b, n/b, n/b).
     Where states and inputs are at their references, only rounding is left of a linear cost of the size `lost` and of a
     cost of `lost_cost`.
     """
@@ -78,7 +79,7 @@ class _Program:
 
     @cached_property
     def roots(self) -> Array:
-        """Blocks of an upper triangular T for which z = Ty has the Hessian 1; 1e-13 is added to a unit diagonal."""
+        """Blocks of T for which y, z = Ty, has the Hessian 1."""
         unit = 1 / np.sqrt(np.diagonal(self.blocks, axis1=1, axis2=2))
         scaled = self.blocks * unit[:, :, None] * unit[:, None, :]
         lower = np.linalg.cholesky(scaled + ROUNDED_SUM * np.eye(scaled.shape[1]))
@@ -237,7 +238,10 @@ class Sequential:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Rows of all limits as slopes by the state (m, nx) and input (m, nu) of a step (m,) and the input before it."""
+    """Rows of all limits, each of one step (m,).
+
+    They are slopes by its state (m, nx), its input and the input before it (m, nu).
+    """
 
     steps: Array
     by_state: Array
