@@ -44,6 +44,7 @@ class _Program:
     """Minimise ½ z'Hz + (by_state + by_input)'z within limits.
 
     z is the v of `moved`; H is block diagonal with `blocks` (b, n/b, n/b).
+
     Where states and inputs are at their references, only rounding is left of a linear cost of the size `lost` and of a
     cost of `lost_cost`.
     """
