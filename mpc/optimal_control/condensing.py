@@ -49,8 +49,8 @@ def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> t
 def moved(A: Array, B: Array, gains: Array, gaps: Array, first: Array, v: Array) -> tuple[Array, Array]:
     """Moves of states and inputs under du = v - K dx.
 
-    They are (c, N + 1, nx) and (c, N, nu), for c sequences v (c, N, nu). `A` (N, nx, nx), `B` (N, nx, nu) and `gains` (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the
-    next states, and dx_0 is `first` (nx,).
+    They are (c, N + 1, nx) and (c, N, nu), for c sequences v (c, N, nu). `A` (N, nx, nx), `B` (N, nx, nu) and `gains`
+    (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the next states, and dx_0 is `first` (nx,).
     """
     N, nx, nu = B.shape
     states = np.zeros((len(v), N + 1, nx))
