@@ -6,7 +6,9 @@
 
 Every loop is run to the optimum with the defaults, as a real-time iteration, and by plain Ipopt (multiple shooting,
 1e-8, begun at the state held, then at the shifted plan). One thread; the models are sampled by Runge–Kutta steps.
-Required: cost never above 1.005 times Ipopt's, every plan SOLVED, median never slower.
+Iterations are quadratic programs of ours, and Newton steps of plain Ipopt.
+Required: cost never above 1.005 times Ipopt's, every plan SOLVED, median and 99th percentile of times never above
+Ipopt's, iterations at most 5 in the median and 20 at the 99th percentile.
 """
 
 from __future__ import annotations
@@ -150,30 +152,47 @@ def first_plans(names: list[str], states: int = 6) -> None:
 
 
 class Told:
-    """Controller that counts the statuses of its plans."""
+    """Controller that counts the statuses of its plans, and iterations but for those of first samples."""
 
     def __init__(self, controller: Any) -> None:
         self.controller = controller
         self.told: Counter[str] = Counter()
+        self.iterations: list[int] = []
+        self._programs = 0
+        if not isinstance(controller, Shooting):
+            programs = controller.planner.programs
+            step = programs.step
+            programs.step = lambda *given, **stated: self._counted(step, given, stated)
+
+    def _counted(self, step: Any, given: Any, stated: Any) -> Any:
+        self._programs += 1
+        return step(*given, **stated)
 
     def reset(self) -> None:
         self.controller.reset()
+        self._first = True
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
+        self._programs = 0
         u = self.controller(x)
-        self.told[self.controller.last_plans[0].status.name] += 1
+        if isinstance(self.controller, Shooting):
+            self._programs = self.controller._solver.stats()["iter_count"]
+        else:
+            self.told[self.controller.last_plans[0].status.name] += 1
+        self.iterations += [] if self._first else [self._programs]
+        self._first = False
         return np.asarray(u)
 
 
 def main(names: list[str]) -> None:
     """Print the table."""
     print(f"threads: {THREADS}; times in ms of a first sample (largest) and of the others")
-    print(f"{'':42s}{'cost':>12s}{'of Ipopt':>10s}{'first':>9s}{'median':>9s}{'99 %':>9s}  statuses")
+    print(f"{'':42s}{'cost':>12s}{'of Ipopt':>10s}{'first':>9s}{'median':>9s}{'99 %':>9s}{'iterations':>12s}  statuses")
     for one in cases():
         if names and not any(name in one.name for name in names):
             continue
         plain = Shooting(one)
-        controllers = {"Ipopt": plain, "to the optimum": Told(ours(one, None)), "real time": Told(ours(one, 1))}
+        controllers = {"Ipopt": Told(plain), "to the optimum": Told(ours(one, None)), "real time": Told(ours(one, 1))}
         reference = 0.0
         for name, controller in controllers.items():
             runs = [closed_loops(replace(one, starts=start[None]), controller) for start in one.starts]
@@ -181,10 +200,11 @@ def main(names: list[str]) -> None:
             reference = reference or cost
             first = max(1e3 * run[1][0][0] for run in runs)
             rest = 1e3 * np.concatenate([np.array(run[1])[1:, 0] for run in runs])
-            told = dict(controller.told) if isinstance(controller, Told) else f"{plain.failed} failed"
+            told = dict(controller.told) or f"{plain.failed} failed"
+            counted = "{:.0f}, {:.0f}".format(*np.quantile(controller.iterations, (0.5, 0.99)))
             print(
                 f"{one.name + ', ' + name:42s}{cost:12.6g}{cost / reference:10.5f}{first:9.1f}{np.median(rest):9.2f}"
-                f"{np.quantile(rest, 0.99):9.2f}  {told}",
+                f"{np.quantile(rest, 0.99):9.2f}{counted:>12s}  {told}",
                 flush=True,
             )
 

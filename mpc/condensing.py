@@ -110,13 +110,12 @@ def _cost(problem: MPCProblem, U: Array, X: Array, at: dict[str, slice]) -> Arra
         error[:, :, at["x_ref"]] -= np.eye((N + 1) * problem.nx).reshape(N + 1, problem.nx, -1)
     if "u_ref" in at:
         effort[:, :, at["u_ref"]] -= np.eye(N * problem.nu).reshape(N, problem.nu, -1)
-    W = np.zeros((U.shape[-1],) * 2)
-    for k in range(N):
-        W += error[k].T @ problem.Q @ error[k] + effort[k].T @ problem.R @ effort[k]
-        cross = error[k].T @ problem.cross @ effort[k]
-        W += cross + cross.T
-    W += error[N].T @ problem.P @ error[N]
-    return (W + W.T) / 2
+    weighed = np.concatenate([problem.Q @ error[:N], (problem.P @ error[N])[None]])
+    flat, acting = (part.reshape(-1, U.shape[-1]) for part in (error, effort))
+    W = flat.T @ weighed.reshape(flat.shape) + acting.T @ (problem.R @ effort).reshape(acting.shape)
+    cross = flat[: N * problem.nx].T @ (problem.cross @ effort).reshape(-1, U.shape[-1])
+    W += cross + cross.T
+    return np.asarray((W + W.T) / 2)
 
 
 def constraints_of(

@@ -1,4 +1,4 @@
-"""Compiled elimination of the states of a linearised plan.
+"""Compiled passes along a linearised plan.
 
 Save this file after a change in `tolerances.py`: numba's cache on disk does not notice it.
 """
@@ -19,7 +19,8 @@ def compile_kernels() -> None:
     """Compile the kernels before a clock runs."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
     gains, _ = gains_along(one, one, column, column, column, column)
-    responses(one, one, gains, column, np.ones(1))
+    moved(one, one, gains, column, np.ones(1), one)
+    pulled(one, one, gains, np.ones((1, 2, 1)), one)
 
 
 @njit(cache=True)
@@ -45,36 +46,56 @@ def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> t
 
 
 @njit(cache=True)
-def responses(A: Array, B: Array, gains: Array, gaps: Array, first: Array) -> tuple[Array, Array, Array, Array]:
-    """Responses (N + 1, nx, N nu), (N, nu, N nu) to v, du = v - K dx, and v = 0.
+def moved(A: Array, B: Array, gains: Array, gaps: Array, first: Array, v: Array) -> tuple[Array, Array]:
+    """Moves of states and inputs under du = v - K dx.
 
-    `A` (N, nx, nx), `B` (N, nx, nu) and `gains` (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the
-    next states, and dx_0 is `first` (nx,).
+    They are (c, N + 1, nx) and (c, N, nu), for c sequences v (c, N, nu). `A` (N, nx, nx), `B` (N, nx, nu) and `gains`
+    (N, nu, nx) are those along the plan; `gaps` (N, nx) are added to the next states, and dx_0 is `first` (nx,).
     """
     N, nx, nu = B.shape
-    by_state = np.zeros((N + 1, nx, N * nu))
-    by_input = np.zeros((N, nu, N * nu))
-    states = np.zeros((N + 1, nx))
-    inputs = np.zeros((N, nu))
-    states[0] = first
-    for k in range(N):
-        for i in range(nu):
-            for j in range(nx):
-                inputs[k, i] -= gains[k, i, j] * states[k, j]
-                for c in range(k * nu):
-                    by_input[k, i, c] -= gains[k, i, j] * by_state[k, j, c]
-            by_input[k, i, k * nu + i] = 1.0
-        for i in range(nx):
-            states[k + 1, i] = gaps[k, i]
-            for j in range(nx):
-                states[k + 1, i] += A[k, i, j] * states[k, j]
-                for c in range(k * nu):
-                    by_state[k + 1, i, c] += A[k, i, j] * by_state[k, j, c]
-            for j in range(nu):
-                states[k + 1, i] += B[k, i, j] * inputs[k, j]
-                for c in range((k + 1) * nu):
-                    by_state[k + 1, i, c] += B[k, i, j] * by_input[k, j, c]
-    return by_state, by_input, states, inputs
+    states = np.zeros((len(v), N + 1, nx))
+    inputs = v.copy()
+    for c in range(len(v)):
+        states[c, 0] = first
+        for k in range(N):
+            for i in range(nu):
+                for j in range(nx):
+                    inputs[c, k, i] -= gains[k, i, j] * states[c, k, j]
+            for i in range(nx):
+                after = gaps[k, i]
+                for j in range(nx):
+                    after += A[k, i, j] * states[c, k, j]
+                for j in range(nu):
+                    after += B[k, i, j] * inputs[c, k, j]
+                states[c, k + 1, i] = after
+    return states, inputs
+
+
+@njit(cache=True)
+def pulled(A: Array, B: Array, gains: Array, by_state: Array, by_input: Array) -> Array:
+    """Slopes (c, N, nu) by v of functions of the moves.
+
+    Their slopes by the moves of `moved` are (c, N + 1, nx) and (c, N, nu).
+    """
+    N, nx, nu = B.shape
+    slopes = by_input.copy()
+    costate = np.zeros(nx)
+    before = np.zeros(nx)
+    for c in range(len(slopes)):
+        costate[:] = by_state[c, N]
+        for k in range(N - 1, -1, -1):
+            before[:] = by_state[c, k]
+            for i in range(nx):
+                if costate[i] != 0.0:
+                    for j in range(nu):
+                        slopes[c, k, j] += B[k, i, j] * costate[i]
+                    for j in range(nx):
+                        before[j] += A[k, i, j] * costate[i]
+            for i in range(nu):
+                for j in range(nx):
+                    before[j] -= gains[k, i, j] * slopes[c, k, i]
+            costate[:] = before
+    return slopes
 
 
 @njit(cache=True)

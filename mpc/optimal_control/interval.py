@@ -172,14 +172,18 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
     at the guess, that is asked again beside it, by the sizes that are known.
     """
     times, dynamics = phase.start_time + first_duration(phase) * mesh, slopes_of(functions.dynamics)
+
+    def steepness(aside: Array) -> Array:
+        """Largest slopes (nx, nx + nu) of the dynamics, per phase, beside the guess."""
+        slopes = evaluated(dynamics, phase, x + aside[: phase.states], u + aside[phase.states :], times, parameters)
+        steep = np.abs(slopes).max(axis=0).reshape(-1, phase.states).T
+        return np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
+
     told = np.isfinite(sizes)
-    sizes, aside = np.where(told, sizes, 1.0), np.zeros(len(sizes))
+    sizes, steep = np.where(told, sizes, 1.0), steepness(np.zeros(len(sizes)))
     for _ in range(2 * len(sizes)):
         if told.all():
             break
-        slopes = evaluated(dynamics, phase, x + aside[: phase.states], u + aside[phase.states :], times, parameters)
-        steep = np.abs(slopes).max(axis=0).reshape(-1, phase.states).T
-        steep = np.where(np.isfinite(steep), steep, 0.0) * (1.0 if phase.discrete else first_duration(phase))
         with np.errstate(divide="ignore"):
             moves = np.maximum(sizes[: phase.states], (steep * (sizes * told)).max(axis=1))
             needed = np.where(told[: phase.states, None], moves[:, None] / steep, np.inf).min(axis=0)
@@ -189,5 +193,6 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
             needed[: phase.states] = (steep * (sizes * told)).max(axis=1)
             found = np.logical_not(told) & (needed > 0)
         sizes, told = np.where(found, needed, sizes), told | found
-        aside = aside if found.any() else sizes * told
+        if not found.any():
+            steep = steepness(sizes * told)
     return sizes

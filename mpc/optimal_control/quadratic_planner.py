@@ -130,10 +130,11 @@ class QuadraticPlanner:
         with np.errstate(over="ignore", invalid="ignore"):
             if before is None:
                 first = self._linear_law(x, given)
-                held = _held(first, given)
+                known = [first, _held(first, given)]
             else:
-                first = held = _Path(before.states, before.inputs, self._gains, SHIFTED)
-            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in (first, held)), TINY)
+                first = _Path(before.states, before.inputs, self._gains, SHIFTED)
+                known = [first]
+            size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
             sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
             found = clock.stamped(self._found(sample))
             if found.solver == REAL_TIME or found.status not in OPTIMA:
@@ -177,15 +178,24 @@ class QuadraticPlanner:
 
     def _plan(self, sample: _Sample, at: _Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
-        path, status = self._followed(sample.x, at, sample.given), Status.SOLVED if at.solved else otherwise
+        path = self._followed(sample.x, at, sample.given)
+        cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
+        status = Status.SOLVED if at.solved and self._kept(path, at, cost, sample.given) else otherwise
         residuals = Residuals(np.inf, np.inf, np.inf, np.inf)
         if at.last is not None:
             residuals = Residuals(at.last.stationarity, at.last.defects, 0.0, 0.0)
             softened = at.last.relaxed and status in (Status.SOLVED, Status.FOLLOWED)
             if softened and relative_violations(self.law, path.states).max() > FEASIBLE:
                 status = Status.SOFTENED
-        cost, violation = cost_of(self.law, path.inputs, path.states, sample.given), violation_of(self.law, path.states)
         return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name)
+
+    def _kept(self, path: _Path, at: _Path, cost: float, given: Given) -> bool:
+        """Whether the model itself goes along a path, or costs as much where it does not."""
+        sizes = (self.programs.size, self.programs.input_size)
+        apart = ((path.states - at.states) / sizes[0], (path.inputs - at.inputs) / sizes[1])
+        if max(float(np.abs(part).max()) for part in apart) <= OPTIMAL:
+            return True
+        return abs(cost_of(self.law, at.inputs, at.states, given) - cost) <= OPTIMAL * abs(cost)
 
     def _contracted(self, sample: _Sample, at: _Path) -> _Path:
         """Best path by quadratic programs with full steps, with the program there.
@@ -265,7 +275,7 @@ class QuadraticPlanner:
 
     def _total(self, path: _Path | Plan, given: Given, price: float) -> float:
         """Cost with violations of hard limits at a price; infinite where it is no number."""
-        total = cost_of(self.law, path.inputs, path.states, given)
+        total = path.cost if isinstance(path, Plan) else cost_of(self.law, path.inputs, path.states, given)
         if self.law.soft is None:
             over = relative_violations(self.law, path.states, self.law.price_units)
             total += price * float(over[over > FEASIBLE].sum())

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
 from mpc.feedback import stabilising_weights
-from mpc.optimal_control.condensing import compile_kernels, gains_along, responses
+from mpc.optimal_control.condensing import compile_kernels, gains_along, moved, pulled
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, deviations
-from mpc.tolerances import COST_ROUNDING
+from mpc.tolerances import COST_ROUNDING, PRIMAL, ROUNDED_SUM
+
+Along = tuple[Array, Array, Array, Array, Array]
 
 TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
@@ -38,31 +41,59 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class _Program:
-    """Minimise ½ z'Hz + (by_state + by_input)'z subject to rows z <= bounds.
+    """Minimise ½ z'Hz + (by_state + by_input)'z within limits.
+
+    z is the v of `moved`; H is block diagonal with `blocks` (b, n/b, n/b).
 
     Where states and inputs are at their references, only rounding is left of a linear cost of the size `lost` and of a
     cost of `lost_cost`.
     """
 
-    H: Array
+    plan: tuple[Array, Array]
+    start: tuple[Array, Array]  # the plan of z = 0
+    along: Along  # (A, B, gains, gaps, first): arguments of `moved` but for v
+    given: Given
+    blocks: Array
     by_state: Array
     by_input: Array
     lost: Array
     lost_cost: float
-    rows: Array
-    bounds: Array
 
     @property
     def gradient(self) -> Array:
         """Linear cost."""
         return self.by_state + self.by_input
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape (b, n/b) of variables."""
+        return self.blocks.shape[:2]
+
+    def moves(self, z: Array) -> tuple[Array, Array]:
+        """Moves (N + 1, nx) of states and (N, nu) of inputs."""
+        by_state, by_input = moved(*self.along, z.reshape(1, len(self.plan[1]), -1))
+        return by_state[0], by_input[0]
+
+    def curvature(self, z: Array) -> Array:
+        """Product Hz (n,)."""
+        return np.asarray(self.blocks @ z.reshape(*self.shape, 1)).ravel()
+
+    @cached_property
+    def roots(self) -> Array:
+        """Blocks of T for which y, z = Ty, has the Hessian 1."""
+        unit = 1 / np.sqrt(np.diagonal(self.blocks, axis1=1, axis2=2))
+        scaled = self.blocks * unit[:, :, None] * unit[:, None, :]
+        lower = np.linalg.cholesky(scaled + ROUNDED_SUM * np.eye(scaled.shape[1]))
+        return np.asarray(np.linalg.inv(lower).transpose(0, 2, 1) * unit[:, :, None])
+
 
 class Sequential:
     """Quadratic programs of `problem` with the dynamics of `model`.
 
     Its variables are v = du + K dx with the gains of the regulator along the plan, for which the Hessian is block
-    diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998).
+    diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998). A program
+    begins with the limits that act in the plan and takes in what its solution passes, and what is nearest until it has
+    twice as many, until it passes none: its dense part grows with the limits that act, all else with the horizon.
     """
 
     def __init__(self, problem: MPCProblem, model: DiscreteModel) -> None:
@@ -77,16 +108,9 @@ class Sequential:
         self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
         self.size = problem.state_extent
         self.input_size = np.where(problem.input_extent > 0, problem.input_extent, 1.0)
-        units, prices = problem.row_units, problem.price_units
-        self._state_units = np.concatenate([np.tile(units["state"], N), units["terminal"]])
+        prices = problem.price_units
         self._prices = np.concatenate([np.tile(prices["state"], N), prices["terminal"]])
-        self._step_of = np.concatenate(
-            [np.repeat(np.arange(N), len(units["state"])), np.full(len(units["terminal"]), N - 1)]
-        )
-        parts = [np.tile(units["input"], N), self._state_units]
-        if problem.rate_limit is not None:
-            parts.insert(1, np.tile(problem.rate_limit, 2 * N))
-        self._units = np.concatenate(parts)
+        self._rows = _rows(problem)
         compile_kernels()
 
     def step(
@@ -106,52 +130,52 @@ class Sequential:
             return failed
         try:
             gains, deviating = gains_along(A, B, *self._regulated)
+            blocks = 2 * deviating if self._separate else self._hessian(A, B, gains)
+            program = self._program((states, inputs), (A, B, gains, gaps, x - states[0]), blocks, given)
+            if not np.isfinite(program.roots).all():
+                return failed
         except np.linalg.LinAlgError:  # slopes so steep that their products are no numbers
             return failed
-        G, F, drift, lead = responses(A, B, gains, gaps, x - states[0])
-        curved = _diagonal(2 * deviating) if self._separate else self._hessian(G, F)
-        program = self._program(states + drift, inputs + lead, G, F, curved, given)
-        if not all(np.isfinite(part).all() for part in (program.H, program.gradient, program.rows, program.bounds)):
-            return failed
         z, relaxed, solved = self._solve(program, dear, relaxed)
-        moved, change = drift + G @ z, lead + F @ z
-        curvature = program.H @ z
-        unit = 1 / np.sqrt(np.diag(program.H))  # so that inputs of any units count alike
+        moves, change = program.moves(z)
+        curvature = program.curvature(z)
+        unit = 1 / np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)).ravel()  # so that inputs of any units count alike
         parts = (program.by_state, program.by_input, program.gradient + curvature)
         balance = max(*(_largest(part * unit) for part in parts), _largest(program.lost * unit), TINY)
         stationarity = _largest(curvature * unit) / balance
         still = _largest(change / self._extent) if np.isfinite(self._extent).all() else np.inf
         if still < stationarity:
             gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-            cost = max(abs(cost_of(self.problem, inputs + lead, states + drift, given)), program.lost_cost, TINY)
+            cost = max(abs(cost_of(self.problem, *program.start[::-1], given)), program.lost_cost, TINY)
             stationarity = min(stationarity, max(still, abs(gain) / cost))
-        return Step(moved, change, gains, defects, stationarity, relaxed, solved)
+        return Step(moves, change, gains, defects, stationarity, relaxed, solved)
 
-    def _hessian(self, G: Array, F: Array) -> Array:
-        """Hessian by v, for state responses G and input responses F."""
-        problem, n = self.problem, self.n
+    def _hessian(self, A: Array, B: Array, gains: Array) -> Array:
+        """Hessian (1, n, n) by v."""
+        problem, n, N = self.problem, self.n, self.problem.horizon
+        units, nothing = np.eye(n).reshape(n, N, problem.nu), np.zeros(problem.nx)
+        G, F = (part.transpose(1, 2, 0) for part in moved(A, B, gains, np.zeros((N, problem.nx)), nothing, units))
         flat, acting = G.reshape(-1, n), F.reshape(-1, n)
         H = 2 * (flat.T @ (self._weights @ G).reshape(-1, n) + acting.T @ (problem.R @ F).reshape(-1, n))
         across = (problem.cross @ F).reshape(-1, n)
         cross = flat[: len(across)].T @ across
         H = H + 2 * (cross + cross.T)
-        return np.asarray((H + H.T) / 2)
+        return np.asarray((H + H.T) / 2)[None]
 
-    def _program(self, states: Array, inputs: Array, G: Array, F: Array, H: Array, given: Given) -> _Program:
+    def _program(self, plan: tuple[Array, Array], along: Along, blocks: Array, given: Given) -> _Program:
         """Program in v about the plan of v = 0."""
-        problem, n = self.problem, self.n
+        drift, lead = moved(*along, np.zeros((1, *plan[1].shape)))
+        states, inputs = plan[0] + drift[0], plan[1] + lead[0]
         error, effort = deviations(states, inputs, given)
-        flat, acting = G.reshape(-1, n), F.reshape(-1, n)
-        by_state, by_input = self._slopes(error, effort)
-        lost, lost_cost = np.zeros(n), 0.0
+        slopes = [self._slopes(error, effort)]
+        lost_cost = 0.0
         if "x_ref" in given or "u_ref" in given:
-            x_ref, u_ref = states - error, inputs - effort
-            of_states, of_inputs = self._slopes(x_ref, u_ref)
-            terms = np.abs(of_states).ravel() @ np.abs(flat) + np.abs(of_inputs).ravel() @ np.abs(acting)
-            lost = COST_ROUNDING * terms
-            lost_cost = rounding_of_cost(problem, given)
-        rows, bounds = self._limits(states, inputs, G, F, given)
-        return _Program(H, by_state.ravel() @ flat, by_input.ravel() @ acting, lost, lost_cost, rows, bounds)
+            slopes.append(self._slopes(states - error, inputs - effort))
+            lost_cost = rounding_of_cost(self.problem, given)
+        by_state, by_input = (np.concatenate(parts) for parts in zip(*(_apart(*pair) for pair in slopes)))
+        own, other, *lost = pulled(*along[:3], by_state, by_input).reshape(-1, self.n)
+        left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(self.n)
+        return _Program(plan, (states, inputs), along, given, blocks, own, other, left, lost_cost)
 
     def _slopes(self, error: Array, effort: Array) -> tuple[Array, Array]:
         """Slopes of the cost by states (N + 1, nx) and inputs (N, nu)."""
@@ -160,49 +184,123 @@ class Sequential:
         by_state[:-1] += 2 * effort @ problem.cross.T
         return by_state, 2 * effort @ problem.R + 2 * error[:-1] @ problem.cross
 
-    def _limits(self, states: Array, inputs: Array, G: Array, F: Array, given: Given) -> tuple[Array, Array]:
-        """Rows and bounds of v: inputs, rates, states, end."""
-        problem, n = self.problem, self.n
+    def _room(self, states: Array, inputs: Array, given: Given) -> Array:
+        """Room (m,) that a plan leaves to each limit: inputs, rates, states, end."""
+        problem = self.problem
         H, h = problem.input_rows
-        rows = [(H @ F).reshape(-1, n)]
-        bounds = [(h - inputs @ H.T).ravel()]
+        room = [(h - inputs @ H.T).ravel()]
         if problem.rate_limit is not None:
-            moves = np.diff(inputs, axis=0, prepend=given["u_prev"][None]).ravel()
-            answers = np.diff(F, axis=0, prepend=np.zeros((1, problem.nu, n))).reshape(-1, n)
-            limit = np.tile(problem.rate_limit, problem.horizon)
-            rows += [answers, -answers]
-            bounds += [limit - moves, limit + moves]
+            moves = np.diff(inputs, axis=0, prepend=given["u_prev"][None])
+            room += [(problem.rate_limit - moves).ravel(), (problem.rate_limit + moves).ravel()]
         H, h = problem.state_rows
         end, at_end = problem.terminal_rows
-        rows += [(H @ G[1:]).reshape(-1, n), end @ G[-1]]
-        bounds += [(h - states[1:] @ H.T).ravel(), at_end - end @ states[-1]]
-        return np.vstack(rows), np.concatenate(bounds)
+        return np.concatenate([*room, (h - states[1:] @ H.T).ravel(), at_end - end @ states[-1]])
 
     def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, bool, bool]:
         """Variables, whether limits were relaxed, whether it was solved."""
         if self.problem.soft is not None:
-            return self._priced(program, *self.problem.soft, False)
-        if relaxed:
-            return self._priced(program, dear, dear, True)
-        result = DenseQP(program.H, program.rows, self._units).solve(program.gradient, program.bounds)
-        if not result.infeasible or not len(self._prices):
-            return result.z, False, not result.infeasible
-        return self._priced(program, dear, dear, True)
+            return self._within(program, self.problem.soft, False)
+        if not relaxed:
+            z, _, solved = self._within(program, None, False)
+            if solved or not len(self._prices):
+                return z, False, solved
+        return self._within(program, (dear, dear), True)
 
-    def _priced(self, program: _Program, linear: float, quadratic: float, relaxed: bool) -> tuple[Array, bool, bool]:
-        """Solution as of `_solve`, with priced violations per step."""
-        N, n, m = self.problem.horizon, self.n, len(program.rows)
-        columns = np.zeros((m, N))
-        columns[m - len(self._prices) + np.arange(len(self._prices)), self._step_of] = -self._prices
-        slack = np.hstack([np.zeros((N, n)), -np.eye(N)])
-        qp = DenseQP(
-            block_diag(program.H, 2 * quadratic * np.eye(N)), np.vstack([np.hstack([program.rows, columns]), slack]),
-            np.concatenate([self._units, np.ones(N)]),
-        )  # fmt: skip
-        result = qp.solve(
-            np.concatenate([program.gradient, np.full(N, linear)]), np.concatenate([program.bounds, np.zeros(N)])
-        )
-        return result.z[:n], relaxed, not result.infeasible
+    def _within(self, program: _Program, price: Any, relaxed: bool) -> tuple[Array, bool, bool]:
+        """Solution as of `_solve`, violations at a linear and quadratic price or not allowed."""
+        rows, n = self._rows, self.n
+        q, size = _times(program.roots, program.gradient[None])[0], 0.0
+        if price is not None:  # a violation of this size has the quadratic cost ½
+            size = 1 / np.sqrt(2 * price[1])
+            q = np.concatenate([q, np.full(self.problem.horizon, price[0] * size)])
+        others, bounds = len(rows.units) - len(self._prices), self._room(*program.start, program.given)
+        fresh = np.flatnonzero(self._room(*program.plan, program.given) <= PRIMAL * rows.units)
+        taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
+        while True:
+            more, least = np.zeros((len(fresh), len(q))), np.zeros((0, len(q)))
+            more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
+            taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
+            if price is not None:
+                of_states = np.flatnonzero(taken >= others)
+                places = n + rows.steps[taken[of_states]] - 1
+                matrix[of_states, places] = -self._prices[taken[of_states] - others] * size
+                least = -np.eye(len(q))[np.unique(places)]
+            y, solved = _least(q, np.vstack([matrix, least]), np.concatenate([bounds[taken], np.zeros(len(least))]),
+                               np.concatenate([rows.units[taken], np.ones(len(least))]))  # fmt: skip
+            z = (program.roots @ y[:n].reshape(*program.shape, 1)).ravel()
+            moves, change = program.moves(z)
+            room = self._room(program.plan[0] + moves, program.plan[1] + change, program.given) / rows.units
+            room[taken] = np.inf
+            passed = np.count_nonzero(room < -PRIMAL)
+            if not (solved and passed):
+                return z, relaxed, solved
+            fresh = np.argsort(room)[: min(max(passed, len(taken)), len(room) - len(taken))]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of all limits, each of one step (m,).
+
+    They are slopes by its state (m, nx), its input and the input before it (m, nu).
+    """
+
+    steps: Array
+    by_state: Array
+    by_input: Array
+    by_before: Array
+    units: Array
+
+    def pulled(self, along: Along, which: Any) -> Array:
+        """Rows (c, n) by v."""
+        N, nx, nu = along[1].shape
+        count = np.arange(len(which))
+        steps = self.steps[which]
+        by_state, by_input = np.zeros((len(which), N + 1, nx)), np.zeros((len(which), N + 1, nu))
+        by_state[count, steps] = self.by_state[which]
+        by_input[count, steps - 1] = self.by_before[which]
+        by_input[count, steps] += self.by_input[which]
+        return np.asarray(pulled(*along[:3], by_state, by_input[:, :N].copy()).reshape(len(which), N * nu))
+
+
+def _rows(problem: MPCProblem) -> _Rows:
+    """Rows of the limits in the order of `Sequential._room`."""
+    N, nx, nu = problem.horizon, problem.nx, problem.nu
+    H, end, acting = problem.state_rows[0], problem.terminal_rows[0], problem.input_rows[0]
+    units = problem.row_units
+    parts = [(np.arange(N), np.zeros((len(acting), nx)), acting, 0 * acting, units["input"])]
+    if problem.rate_limit is not None:
+        one, rate = np.eye(nu), np.asarray(problem.rate_limit)
+        parts += [(np.arange(N), np.zeros((nu, nx)), sign * one, -sign * one, rate) for sign in (1, -1)]
+    for steps, rows, unit in ((np.arange(1, N + 1), H, units["state"]), (np.array([N]), end, units["terminal"])):
+        none = np.zeros((len(rows), nu))
+        parts.append((steps, rows, none, none, unit))
+    each = [(np.repeat(steps, len(unit)), *(np.tile(one, (len(steps), 1)) for one in rows), np.tile(unit, len(steps)))
+            for steps, *rows, unit in parts]  # fmt: skip
+    found = _Rows(*(np.concatenate(part) for part in zip(*each)))
+    found.by_before[found.steps == 0] = 0.0  # that input is known
+    return found
+
+
+def _apart(by_state: Array, by_input: Array) -> tuple[Array, Array]:
+    """Slopes (2, N + 1, nx) and (2, N, nu) of what states and what inputs cost."""
+    return np.stack([by_state, 0 * by_state]), np.stack([0 * by_input, by_input])
+
+
+def _times(roots: Array, rows: Array) -> Array:
+    """Rows (c, n) by y, where these are by z = Ty."""
+    blocks = rows.reshape(len(rows), *roots.shape[:2]).transpose(1, 0, 2) @ roots
+    return np.asarray(blocks.transpose(1, 0, 2).reshape(rows.shape))
+
+
+def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, bool]:
+    """Minimiser of ½ y'y + q'y subject to rows y <= bounds, and whether there is one.
+
+    Only what the rows see of y is a matter of them.
+    """
+    basis, seen = np.linalg.qr(rows.T)
+    own = q @ basis
+    result = DenseQP(np.eye(len(own)), seen.T, units).solve(own, bounds)
+    return basis @ (result.z + own) - q, not result.infeasible
 
 
 def rounding_of_cost(problem: MPCProblem, given: Given) -> float:
@@ -210,14 +308,6 @@ def rounding_of_cost(problem: MPCProblem, given: Given) -> float:
     nothing = np.zeros((problem.horizon + 1, problem.nx)), np.zeros((problem.horizon, problem.nu))
     error, effort = deviations(*nothing, given)
     return COST_ROUNDING**2 * cost_of(problem, effort, error, {})
-
-
-def _diagonal(blocks: Array) -> Array:
-    """Block diagonal matrix (N m, N m) of blocks (N, m, m)."""
-    N, m, _ = blocks.shape
-    whole = np.zeros((N, m, N, m))
-    whole[np.arange(N), :, np.arange(N)] = blocks
-    return whole.reshape(N * m, N * m)
 
 
 def _largest(values: Array) -> float:
