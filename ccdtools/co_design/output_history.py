@@ -26,6 +26,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import MODEL_AT_REST
 from invariant_sets.system_checks import as_set
 from learning.networks import ActorCritic
@@ -71,8 +72,10 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
     box = as_set((-room, room), "X", len(room))
     X = problem.X
+    w = np.abs(drawn[1]).max(axis=(0, 1))
+    extent = np.r_[problem.state_scale, room, np.abs([lower, upper]).max(axis=0), w + (w == 0)]
     return replace(
-        problem, model=_with_history(model, measurement, ny, length), scenarios=scenarios, measurement=None,
+        problem, model=_with_history(model, measurement, ny, length, extent), scenarios=scenarios, measurement=None,
         hidden=model.nx, objective=previewed_objective(problem.objective, length, channels=ny + nu),
         X=X.followed_by(-room, room) if isinstance(X, DesignLimits) else X.cartesian_product(box),
         output_limits=previewed_output_limits(problem.output_limits, model.nx),
@@ -166,7 +169,7 @@ def _loops(
     return np.hstack([histories, given]), np.array(actions)[:, kept].reshape(-1, nu), values[:, kept].ravel()
 
 
-def _with_history(model: Any, measurement: Measurement, ny: int, length: int) -> Model | BlackBox:
+def _with_history(model: Any, measurement: Measurement, ny: int, length: int, extent: Array) -> Model | SimulatedModel:
     """Model with state (x, outputs, inputs) and disturbance (w, v); a simulator where it is no expression."""
     nx, nu, nw, output = model.nx, model.nu, model.nw, measurement.output
     size = nx + length * (ny + nu)
@@ -181,7 +184,7 @@ def _with_history(model: Any, measurement: Measurement, ny: int, length: int) ->
             after = np.asarray(model.stepper(p, batch=len(x))(x, u, w[:, :nw]))
             return np.hstack([after, measured(tuple(p))(after, u) + w[:, nw:], y, u, before])
 
-        return BlackBox(advance, size, nu, model.dt, nw + ny, model.design, batched=True)
+        return SimulatedModel(BlackBox(advance, size, nu, model.dt, nw + ny, model.design, batched=True), extent)
     step = model.step if isinstance(model, LinearModel) else model.step.expand()
     z, u, w, p = (ca.SX.sym(name, n) for name, n in zip("zuwp", (size, nu, nw + ny, step.numel_in(3))))
     x, y, _, before, _ = ca.vertsplit(z, ends)
