@@ -90,17 +90,17 @@ class ImplicitStep:
         Z = xp.stack([x] * STAGES, -2)
         scale = self.scale if xp is np else x.new_tensor(self.scale.tolist())
         largest = abs(Z)
-        before = largest + float("inf")
+        before = float("inf")
         done = ~xp.isfinite(Z).all(-1).all(-1)
         for _ in range(NEWTON_ITERATIONS):
             step = self._newton(xp, Z, x, along)
             Z = Z - step
             largest = xp.maximum(largest, xp.maximum(abs(step), abs(Z)))
             size = largest.max(-2, keepdims=True) if xp is np else largest.amax(-2, keepdim=True)
-            stalled = (abs(step) <= STALLED * scale) & (abs(step) > 0.5 * before)  # it no longer shrinks
-            small = (abs(step) <= CLOSE * size) | stalled
-            done = done | small.all(-1).all(-1)
-            before = abs(step)
+            left = (abs(step) / scale).max((-2, -1)) if xp is np else (abs(step) / scale).amax((-2, -1))
+            stalled = (left <= STALLED) & (left > 0.5 * before)  # it no longer shrinks
+            done = done | stalled | (abs(step) <= CLOSE * size).all(-1).all(-1)
+            before = left
             if bool((done | ~xp.isfinite(Z).all(-1).all(-1)).all()):
                 break
         Z = Z - self._newton(xp, Z, x, along)

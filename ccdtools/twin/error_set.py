@@ -97,11 +97,11 @@ def _regressed(errors: Array) -> Array:
 
     Part i is what the error of a state adds to those before it, in standard deviations of that error.
     """
-    largest = np.abs(errors).max(axis=0)
-    largest = np.where(largest > 0, largest, 1.0)
+    largest = np.exp2(np.frexp(np.abs(errors).max(axis=0))[1] - 1)  # a power of two changes no digit
     unit = (errors / largest).std(axis=0) * largest  # squares of the errors themselves may be no doubles
-    unit = np.where(unit > 0, unit, 1.0)
     nx = len(unit)
+    first = 1 + np.sqrt(np.finfo(float).eps) * np.arange(nx)  # of states that count alike the first leads, in any unit
+    unit = np.where(unit > 0, unit, 1.0) * first
     centred = np.vstack([(errors - errors.mean(axis=0)) / unit, np.zeros((nx, nx))])
     _, R, order = qr(centred, mode="economic", pivoting=True)
     added = np.abs(np.diag(R))
