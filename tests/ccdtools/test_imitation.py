@@ -79,6 +79,7 @@ def test_histories_hold_what_a_loop_shows_the_latest_first():
     np.testing.assert_array_equal(seen[4], np.column_stack([y[:, 4], y[:, 3], y[:, 2], u[:, 3], u[:, 2], u[:, 1]]))
 
 
+@pytest.mark.check
 def test_what_a_policy_is_fitted_to_is_what_it_sees_in_the_loop():
     """An expert that is linear in the history is met where loop and data see the same."""
     finite = History(lambda z: np.clip(-z[:, :1] + 0.5 * z[:, 1:2] - 0.1 * z[:, 2:3], -3, 3), 2)

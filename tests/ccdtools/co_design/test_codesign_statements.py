@@ -29,6 +29,7 @@ def weak(illustrative):
     )  # fmt: skip
 
 
+@pytest.mark.quick(1)
 @pytest.mark.parametrize("method", TRAJECTORIES, ids=lambda method: method.name)
 def test_limits_that_no_design_keeps_are_named_by_every_method_of_trajectories(method, illustrative):
     found = codesigned(weak(illustrative), method, design=[0.5])

@@ -101,6 +101,7 @@ def test_weights_that_depend_on_the_design():
     assert distance(planned.cost_by_design, slopes(mpc_plan(problem, x0, 12), design, [1e-4, 1e-4])[0]) < 1e-5
 
 
+@pytest.mark.check
 def test_on_a_linear_plant_nonlinear_mpc_changes_as_linear_mpc_does():
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
     dynamics = ca.vertcat(x[1], (-2 * x[0] - p[1] * x[1] + u + w) / p[0])

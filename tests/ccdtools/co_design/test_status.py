@@ -115,6 +115,7 @@ class Detached(QuadraticObjective):
         return seen if isinstance(seen, np.ndarray) else 2.0 * seen.detach() - seen
 
 
+@pytest.mark.check
 def test_where_the_gradient_is_wrong_the_design_follows_finite_differences(mass_and_clone):
     problem, agent = mass_and_clone
     _, expected = best_design(problem)

@@ -43,7 +43,7 @@ def run(controller, plant, sx, su, steps=120, **names):
     return np.array(states)
 
 
-@pytest.mark.quick(11)
+@pytest.mark.quick(5)
 @pytest.mark.parametrize(("sx", "su", "cost"), UNITS)
 @pytest.mark.parametrize("iterations", [None, 1])
 @pytest.mark.parametrize(

@@ -48,6 +48,7 @@ def test_a_step_of_any_number_of_runs_is_that_of_casadi(n, own, disturbed, compi
     np.testing.assert_allclose(model.advance(x, u, w, p), expected, rtol=1e-13, atol=1e-15)
 
 
+@pytest.mark.quick(8)
 @pytest.mark.parametrize("n", RUNS)
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("compiled", [False, True])
