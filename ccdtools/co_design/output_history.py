@@ -121,7 +121,7 @@ def warm_start_of_outputs(
         with suppress(NotStabilisableError):
             p = known.design.project(known.design.from_unit(v))
             data.append(_loops(problem, known, p, rng, gamma))
-    if not data:
+    if not any(len(part[0]) for part in data):
         raise InputError("problem", "no design at which LQG keeps a run", "one that it stabilises", "Pass an agent.")
     seen, actions, values = (np.concatenate(part) for part in zip(*data))
     least, most = problem.observation_bounds
