@@ -4,10 +4,10 @@
 
 Every other state is measured, with noise of a fiftieth of its range. On linear plants with normal disturbances LQG (two
 Riccati equations, and the mean and spread of the starts) is the optimum but for the limits; the policy imitates it from
-the last 16 outputs and inputs. On the others LQG is that of the
-linearisation: a pendulum held upright from afar, a mass that bounces off a wall, whose expert was trained by PPO, and a
-quarter car with a damper between two bounds, whose expert is the law of its engineers, clipped LQR, behind an extended
-Kalman filter. Gains are in pairs on 2000 fresh runs.
+the last 16 outputs and inputs. On the others LQG is that of the linearisation. The expert sees the state of a pendulum
+held upright from afar (LQR) and of a mass that bounces off a wall (PPO), the policy does not; that of a quarter car
+with a damper between two bounds is the law of its engineers, clipped LQR, behind an extended Kalman filter. Gains are
+in pairs on 2000 fresh runs.
 """
 
 from __future__ import annotations
