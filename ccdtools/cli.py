@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 import ccdtools
-from ccdtools.checks import as_choice
 from ccdtools.co_design.method_names import as_method_names
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, held_back, insisting
 from ccdtools.studies.options import Options, described_studies, known_studies, located, numbers, seconds, whole_number
 from ccdtools.studies.run_folder import RunFolder
+from ccdtools_ground.door import as_choice
 
 if TYPE_CHECKING:
     from ccdtools.co_design.method_comparison import MethodComparison

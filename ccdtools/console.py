@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ccdtools.checks import nearest
+from ccdtools_ground.door import nearest
 from ccdtools_ground.errors import CCDError
 
 PLAIN = {

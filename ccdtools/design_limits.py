@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask
-from ccdtools.checks import as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools.tolerances import ON_LIMIT
+from ccdtools_ground.door import as_vector, shown
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import Polytope
 from invariant_sets.system_checks import as_set

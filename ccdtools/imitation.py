@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_floats, as_generator, as_instance, as_number, as_vector, shown
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.history import History, histories
@@ -19,6 +18,7 @@ from ccdtools.controllers.signals import Driver, needs_of
 from ccdtools.exceptions import InputError
 from ccdtools.scenario import Scenario
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_instance, as_number, as_vector, shown
 from learning.networks import ActorCritic, NetworkConfig
 from learning.warm_start import CloningConfig, fit_actor_critic
 

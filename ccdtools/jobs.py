@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from ccdtools.budgets import REPEAT_INTERRUPT
-from ccdtools.checks import as_count, shown
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from ccdtools_ground.door import as_count, shown
 
 _felt: list[int] = []  # signals since the last `insisting` began
 

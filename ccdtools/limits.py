@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask
 from ccdtools.budgets import STRETCHES
-from ccdtools.checks import as_array, as_floats, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits, scaled_rows
 from ccdtools.statistics import mean_interval, paired_difference
 from ccdtools.tolerances import DIVERGENCE, DIVERGENCE_LIMIT, FURTHER_OUTSIDE, FURTHER_OUTSIDE_PART
+from ccdtools_ground.door import as_array, as_floats, as_instance
 from invariant_sets import Polytope
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.checks import has_method
+from ccdtools_ground.door import has_method
 
 
 def plot_trajectory(run: Any, figure: Any = None) -> Any:

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import ArrayField, Immutable
-from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement, Sensor
 from ccdtools.exceptions import InputError
 from ccdtools.simulation import as_output, as_reference, as_simulable, matched_runs, simulate
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_count, as_floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_floats, as_generator, finite, shown
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference
 from ccdtools.disturbances.disturbance import Disturbance
@@ -20,6 +19,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_count, as_finite, as_floats, as_generator, shown
 from ccdtools_ground.user_functions import stopped
 
 Step = Callable[[Array, Array, Array], Array]
@@ -264,7 +264,7 @@ def _states(plant: Simulable, x0: ArrayLike) -> Array:
     x = np.atleast_2d(given)
     if x.ndim != 2 or x.shape[1] != plant.nx or len(x) == 0:
         raise InputError("x0", f"shape {given.shape}", f"({plant.nx},) or (n, {plant.nx})")
-    return finite("x0", x)
+    return as_finite("x0", x)
 
 
 def matched_runs(plant: Simulable, x0: ArrayLike, disturbance: ArrayLike, steps: int) -> tuple[Array, Array]:
@@ -278,7 +278,7 @@ def matched_runs(plant: Simulable, x0: ArrayLike, disturbance: ArrayLike, steps:
     if w.ndim != 3 or w.shape[1] < steps or w.shape[2] != plant.nw or (len(w) > 1 and 1 < len(x) != len(w)):
         expected = f"({steps}, {plant.nw}) or ({len(x)}, {steps}, {plant.nw})"
         raise InputError("disturbance", f"shape {np.shape(w)}", expected)
-    finite("disturbance", w)
+    as_finite("disturbance", w)
     n = max(len(x), len(w))
     return (
         np.ascontiguousarray(np.broadcast_to(x, (n, plant.nx))),

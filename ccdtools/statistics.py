@@ -12,9 +12,9 @@ from scipy.fft import dct
 
 from ccdtools.arrays import Array
 from ccdtools.budgets import BATCHES
-from ccdtools.checks import as_array, as_floats, finite
 from ccdtools.exceptions import InputError
 from ccdtools.tolerances import COSINES, FEWEST_RUNS, INDEPENDENCE_LEVEL, SAME_RETURN, TRANSIENT
+from ccdtools_ground.door import as_array, as_finite, as_floats
 
 FEW_DECIDE = "a few runs make most of its spread: others may move it beyond the interval"
 TOO_SHORT = "the run is too short for its own correlation: no interval"
@@ -126,7 +126,7 @@ def mean_interval(series: ArrayLike) -> MeanInterval:
     1941 (the test); Hall, On the removal of skewness by transformation, Journal of the Royal Statistical Society B 54,
     1992.
     """
-    values = finite("series", as_array("series", series, ("n",)))
+    values = as_finite("series", as_array("series", series, ("n",)))
     mean = float(values.mean()) if len(values) else float("nan")
     settled = values[int(TRANSIENT * len(values)) :]
     if len(values) < BATCHES:
@@ -220,7 +220,7 @@ def change_of_level(change: ArrayLike, base: ArrayLike, *, runs: int | None = No
 
 def _rewards(argument: str, value: ArrayLike) -> Array:
     """Rewards (n, T); n may be 0."""
-    rewards = finite(argument, as_floats(argument, value))
+    rewards = as_finite(argument, as_floats(argument, value))
     if rewards.ndim != 2:
         raise InputError(argument, f"shape {rewards.shape}", "(n, T)")
     return rewards

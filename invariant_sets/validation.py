@@ -6,11 +6,24 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools_ground.door import as_count, as_floats, as_generator, as_number, check_finite, frozen, shown
+from ccdtools_ground.door import as_count, as_finite, as_floats, as_generator, as_number, frozen, shown
 from invariant_sets.exceptions import InputError
 
-__all__ = ["as_batch", "as_bounds", "as_coordinates", "as_count", "as_floats", "as_generator", "as_matrix", "as_number",
-           "as_vector", "check_finite", "check_tolerance", "frozen", "shown"]  # fmt: skip
+__all__ = [
+    "as_batch",
+    "as_bounds",
+    "as_coordinates",
+    "as_count",
+    "as_finite",
+    "as_floats",
+    "as_generator",
+    "as_matrix",
+    "as_number",
+    "as_vector",
+    "check_tolerance",
+    "frozen",
+    "shown",
+]  # fmt: skip
 Array = np.ndarray
 
 
@@ -20,7 +33,7 @@ def as_matrix(value: Any, name: str, *, rows: int | None = None, columns: int | 
     if array.ndim != 2 or rows not in (None, array.shape[0]) or columns not in (None, array.shape[1]):
         expected = f"({'m' if rows is None else rows}, {'n' if columns is None else columns})"
         raise InputError(name, f"shape {array.shape}", expected)
-    check_finite(array, name)
+    as_finite(name, array)
     return array
 
 
@@ -32,7 +45,7 @@ def as_vector(value: Any, name: str, *, size: int | None = None, finite: bool = 
     if array.ndim != 1 or size not in (None, array.shape[0]):
         raise InputError(name, f"shape {array.shape}", f"({'n' if size is None else size},)")
     if finite:
-        check_finite(array, name)
+        as_finite(name, array)
     return array
 
 
@@ -46,7 +59,7 @@ def as_batch(value: Any, name: str, columns: int, *, finite: bool = True, copy: 
     if array.ndim != 2 or array.shape[1] != columns:
         raise InputError(name, f"shape {np.shape(value)}", f"({columns},) or (k, {columns})")
     if finite:
-        check_finite(array, name)
+        as_finite(name, array)
     return array, single
 
 
@@ -57,7 +70,7 @@ def as_bounds(lower: Any, upper: Any) -> tuple[Array, Array]:
         raise InputError("lower", "no bounds", "one for each coordinate")
     upper = as_vector(upper, "upper", size=len(lower), finite=False)
     for name, bound in (("lower", lower), ("upper", upper)):
-        check_finite(np.where(np.isinf(bound), 0.0, bound), name)
+        as_finite(name, np.where(np.isinf(bound), 0.0, bound))
     if (lower == np.inf).any() or (upper == -np.inf).any():
         name = "lower" if (lower == np.inf).any() else "upper"
         raise InputError(name, "an infinite bound that excludes every point", "lower < inf and upper > -inf")

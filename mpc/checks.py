@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from ccdtools_ground import door
 from ccdtools_ground.door import (
     Immutable as Immutable,
+    as_array as as_array,
     as_floats as as_floats,
-    check_finite,
     frozen,
     shown,
     weight_faults,
@@ -26,20 +26,6 @@ Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
 _OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
-
-
-def as_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """Read-only float64 copy of `value`; None in `shape` matches any length."""
-    array = as_floats(name, value)
-    if array.shape != shape and (
-        array.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, array.shape))
-    ):
-        expected = (
-            "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
-        )
-        raise InputError(name, f"shape {array.shape}", expected)
-    check_finite(array, name)
-    return frozen(array)
 
 
 def as_weight(name: str, value: ArrayLike, n: int) -> Array:

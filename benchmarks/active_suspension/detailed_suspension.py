@@ -9,11 +9,11 @@ import casadi as ca
 
 from active_suspension.coil_spring import CoilSpring, SpringSteel
 from active_suspension.valved_damper import DamperValve, ValvedDamper
-from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.plant import Plant
 from ccdtools.vehicles.quarter_car import STATES, QuarterCar
+from ccdtools_ground.door import as_flag
 
 NAMES = ("d", "D", "p", "N_a", "D_o", "D_p", "D_s")
 LOWER = (0.005, 0.05, 0.02, 3.0, 0.003, 0.03, 0.1)

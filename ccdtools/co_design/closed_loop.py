@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from ccdtools.arrays import Array, Immutable, Indices, Mask
-from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, in_double, scenario_tensors, simulated
 from ccdtools.co_design.limits import measured, measurement_errors
 from ccdtools.co_design.problem import CoDesignProblem
@@ -21,6 +20,7 @@ from ccdtools.co_design.risk_intervals import parts_of_risk, summarise_in_risk
 from ccdtools.controllers.signals import Driver
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import Summary
+from ccdtools_ground.door import as_count, as_generator, as_instance
 
 RUNS = 1000  # So many scenarios of 100 steps are taken, of longer ones fewer.
 ONLINE_RUNS = 200  # A controller that plans ahead at every sample has so many.

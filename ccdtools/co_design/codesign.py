@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_flag, as_generator, as_instance, shown
 from ccdtools.co_design.closed_loop import behind_filter
 from ccdtools.co_design.configuration import METHODS as LEARNED, CoDesignConfig
 from ccdtools.co_design.learned_result import LearnedCoDesign
@@ -20,6 +19,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.settling import Settling
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_choice, as_flag, as_generator, as_instance, shown
 from learning.networks import ActorCritic
 
 MODEL_BASED = ("sequential", "nested", "simultaneous", "search")  # each a class of its own file in `methods`

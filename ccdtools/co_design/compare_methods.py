@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_flag, as_instance, shown
 from ccdtools.co_design.closed_loop import closed_loop_returns, scenarios_of
 from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.configuration import METHODS as LEARNING
@@ -28,6 +27,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.jobs import as_jobs, as_they_end, interrupted
+from ccdtools_ground.door import as_count, as_flag, as_instance, shown
 from learning.networks import ActorCritic
 
 REFERENCE = "nested LQR"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ccdtools.checks import as_choice, as_count, as_flag, as_instance, as_number, as_share
+from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_number, as_share
 from learning.ppo import PPOConfig
 
 METHODS = ("pathwise", "ppo", "pathwise+ppo")

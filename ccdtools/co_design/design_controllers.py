@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
+from ccdtools_ground.door import as_instance
 from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
 
 if TYPE_CHECKING:

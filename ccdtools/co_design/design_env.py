@@ -10,11 +10,11 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, as_vector, shown
 from ccdtools.co_design.differentiable_model import Stepper, scenario_tensors
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import cases_of
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_instance, as_vector, shown
 
 if TYPE_CHECKING:
     from gymnasium import Env, spaces

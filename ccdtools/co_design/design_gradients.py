@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_number
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.differentiable_model import (
     ScenarioTensors,
@@ -27,6 +26,7 @@ from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.limits import Prices
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import AGREEING, FINER_STEPS, LEVEL_SLOPE, SIGNIFICANT, SLOPE_AHEAD, UNRESOLVED_SLOPE
+from ccdtools_ground.door import as_count, as_flag, as_generator, as_instance, as_number
 from learning.networks import ActorCritic
 from learning.ppo import PPOConfig
 

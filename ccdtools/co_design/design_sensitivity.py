@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_choice, as_count, as_instance, as_vector
 from ccdtools.co_design.design_controllers import HORIZON, regulator_data, undisturbed_step, weight_changes
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_choice, as_count, as_instance, as_vector
 from mpc import LinearMPC, LQRSensitivity, PlanSensitivity, SensitivityStatus, lqr_sensitivity
 
 CONTROLLERS = ("lqr", "mpc", "nmpc")

@@ -10,13 +10,13 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.budgets import RANGE_POINTS
 from ccdtools.co_design.differentiable_model import Stepper, observe, scenario_tensors, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.design_limits import DesignLimits
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_count, as_generator, as_instance
 from learning.networks import ActorCritic, NetworkConfig
 from learning.ppo import Batch, PPOConfig, ppo_losses, prepare
 from learning.rollout import collect

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
 from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.candidates import SETS, SetBudget, SetCounts, Starts, limited, starts
 from ccdtools.co_design.expert_loops import DesignLaw, expert_law, follow
@@ -29,6 +28,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
 from ccdtools.progress import Echo, telling
+from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, as_positive, as_share, shown
 from invariant_sets import AdmissibleInputs, ParametricSet, Polytope, maximal_control_invariant_set
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_floats, shown
 from ccdtools.co_design.budgets import VALUE_TAIL, VISITS
 from ccdtools.co_design.candidates import Starts
 from ccdtools.co_design.design_controllers import linear_mpc
@@ -18,6 +17,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import LED_BACK
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.progress import counted
+from ccdtools_ground.door import as_floats, shown
 from ccdtools_ground.user_functions import stopped
 from invariant_sets import AdmissibleInputs, Polytope
 

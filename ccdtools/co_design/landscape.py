@@ -19,7 +19,6 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, MAP_POINTS, MOST_CLIMBED
 from ccdtools.co_design.design_controllers import lqr_gains
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, scenario_tensors, simulated, to_design
@@ -27,6 +26,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
 from ccdtools.co_design.tolerances import COMPASS_LAST_STEP, RIDGE
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools_ground.door import as_count, as_generator, as_instance
 
 RUNS = 96  # Every design is simulated on the same scenarios, so many.
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_vector
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.tolerances import LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
 from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference
+from ccdtools_ground.door import as_vector
 from learning.networks import ActorCritic
 
 ROWS = (

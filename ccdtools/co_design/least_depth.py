@@ -10,13 +10,13 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_instance, as_vector
 from ccdtools.co_design.budgets import DEPTH_TIME
 from ccdtools.co_design.design_controllers import HORIZON
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.tolerances import NO_VIOLATION
 from ccdtools.exceptions import LimitWarning
 from ccdtools.output_limits import scaled_rows
+from ccdtools_ground.door import as_count, as_instance, as_vector
 
 
 def least_depth(

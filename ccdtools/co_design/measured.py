@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import shown
 from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.signals import needs_of
 from ccdtools.estimation.kalman import KalmanFilter
 from ccdtools.estimation.tolerances import DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import shown
 
 
 def kalman_filter(problem: Any, design: ArrayLike) -> KalmanFilter:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Immutable
-from ccdtools.checks import writable_path
 from ccdtools.co_design.closed_loop import ClosedLoopReturns
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.method_pairs import MethodRow
@@ -20,6 +19,7 @@ from ccdtools.co_design.tolerances import MORE_LOST, NOT_WORSE_PERCENT, OUTSIDE_
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference
 from ccdtools.table import Table, csv_text
+from ccdtools_ground.door import writable_path
 
 HEAD = (
     "method", "design", "return", "95 % interval", "lost", "difference", "own objective", "evals", "time", "status",

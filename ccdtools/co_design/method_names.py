@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ccdtools.checks import nearest, shown
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import nearest, shown
 
 ALL = (
     "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous",

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_choice, as_count, as_number, as_share, shown
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.design_controllers import LQR
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
@@ -20,6 +19,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import SAME_SENSITIVITY, SMALL_SENSITIVITY
 from ccdtools.co_design.trade_off import ProblemOf, stated
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_choice, as_count, as_number, as_share, shown
 
 INNER = ("lqr", "riccati")
 

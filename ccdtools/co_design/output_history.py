@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_instance
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.measured import observed
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
@@ -28,6 +27,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import MODEL_AT_REST
+from ccdtools_ground.door import as_count, as_instance
 from invariant_sets.system_checks import as_set
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic

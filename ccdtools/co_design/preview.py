@@ -10,7 +10,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_array, as_count, as_instance, has_method
 from ccdtools.co_design.objective import Objective, QuadraticObjective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import PREVIEW_ROOM
@@ -18,6 +17,7 @@ from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.preview import as_channels, previewed_state, with_preview
+from ccdtools_ground.door import as_array, as_count, as_instance, has_method
 from invariant_sets import Polytope
 from invariant_sets.system_checks import as_set
 

@@ -9,24 +9,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import (
-    as_count,
-    as_floats,
-    as_instance,
-    as_limit_tolerance,
-    as_names,
-    as_positive,
-    as_vector,
-    finite,
-    has_method,
-    shown,
-)
 from ccdtools.co_design.idle_entries import acting_together, check_every_entry_acts
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.risk import MEAN, Risk, WorstCase, as_risk, of_logged_runs
 from ccdtools.design_limits import DesignLimits, Limits, as_limits_over, limits_at, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.design_space import DesignSpace
@@ -34,6 +23,17 @@ from ccdtools.plants.models import as_regulated_model, check_at_rest
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools.tolerances import DIVERGENCE
+from ccdtools_ground.door import (
+    as_count,
+    as_finite,
+    as_floats,
+    as_instance,
+    as_names,
+    as_positive,
+    as_vector,
+    has_method,
+    shown,
+)
 from invariant_sets import Polytope
 
 NARROWEST = 1e-5  # A box of designs is too narrow below this part of its bounds: float32 resolves 1e-7.
@@ -248,7 +248,7 @@ class CoDesignProblem(Immutable):
         if not (isinstance(drawn, tuple) and len(drawn) == 2):
             got = f"{shown(drawn)} from sample(runs, steps, rng)"
             raise InputError("scenarios", got, "initial states and disturbances", "Use FixedStart(x0, disturbance).")
-        x0, w = (finite(f"scenarios, {what}", as_floats(f"scenarios, {what}", array))
+        x0, w = (as_finite(f"scenarios, {what}", as_floats(f"scenarios, {what}", array))
                  for what, array in zip(("initial states", "disturbances"), drawn))  # fmt: skip
         return x0, w
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_array, as_floats, has_method, shown
 from ccdtools.design_limits import widest
 from ccdtools.disturbances.combinations import Combination, Stacked, Sum, as_chances
 from ccdtools.disturbances.disturbance import Disturbance, Uniform, check_draw
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_array, as_floats, has_method, shown
 from invariant_sets import Polytope
 
 KINDS = "a Polytope, a distribution such as Uniform(lower, upper), or states (n, nx)"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, jsonable
-from ccdtools.checks import as_vector
 from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
+from ccdtools_ground.door import as_vector
 from ccdtools_ground.outcome import Outcome
 
 if TYPE_CHECKING:

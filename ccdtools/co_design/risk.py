@@ -10,9 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from ccdtools.arrays import Array, Indices, Mask
-from ccdtools.checks import as_count, as_number, has_method
 from ccdtools.disturbances.combinations import cases_in
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_count, as_number, has_method
 
 TINY = float(np.finfo(np.float32).tiny)  # added to a variance: the root of none has no slope
 

@@ -19,7 +19,6 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_generator, as_instance
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import (
     ScenarioTensors,
@@ -33,6 +32,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive
 from ccdtools.tolerances import NOT_WORSE
+from ccdtools_ground.door import as_generator, as_instance
 from mpc import NotStabilisableError, lqr
 
 

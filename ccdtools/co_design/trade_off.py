@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask
-from ccdtools.checks import as_count, as_flag, as_vector, shown
 from ccdtools.co_design.codesign import Method, as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
@@ -20,6 +19,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, in_processes
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.table import Table
+from ccdtools_ground.door import as_count, as_flag, as_vector, shown
 
 ProblemOf = Callable[[float], CoDesignProblem]
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_instance, as_mapping
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
@@ -33,6 +32,7 @@ from ccdtools.statistics import PairedDifference, Summary, paired_returns, summa
 from ccdtools.table import Table
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping
 from invariant_sets.system_checks import as_set
 
 

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.budgets import PROBES
 from ccdtools.comparison.comparison import step_times
@@ -33,6 +32,7 @@ from ccdtools.output_limits import OutputLimits
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, as_simulable
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
 from invariant_sets.system_checks import as_set
 
 Maker = Callable[[Array, np.random.Generator], Any]

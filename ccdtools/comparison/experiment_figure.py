@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import has_method
 from ccdtools.comparison.compared import Compared
 from ccdtools.figure_style import blank, controller_colours, png, styled
+from ccdtools_ground.door import has_method
 
 STYLE = "body{font:15px sans-serif;margin:2em}table{border-collapse:collapse}td,th{padding:.2em .7em;text-align:left}"
 

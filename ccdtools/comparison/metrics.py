@@ -10,12 +10,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_mapping, shown
 from ccdtools.evidence.percent import word_of_change
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_mapping, shown
 from ccdtools_ground.user_functions import stopped
 
 Metrics: TypeAlias = Callable[[Trajectory], Mapping[str, float]]

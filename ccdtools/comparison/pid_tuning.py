@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_count, as_generator, as_instance
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.comparison.tolerances import RECOVERED, UNSTABLE_COST
@@ -19,6 +18,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.simulation import Simulable, simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
+from ccdtools_ground.door import as_array, as_count, as_generator, as_instance
 
 REFERENCE = "LQR"
 

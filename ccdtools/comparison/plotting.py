@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.checks import has_method
 from ccdtools.comparison.pid_tuning import REFERENCE
+from ccdtools_ground.door import has_method
 
 
 def plot_scores(comparison: Any, ax: Any = None) -> Any:

@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_array, as_count, as_floats, as_positive, as_vector, finite
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_positive, as_vector
 
 SIGNALS = ("time", "reference", "preview", "last_input", "output")
 
@@ -87,9 +87,9 @@ class LinearFeedback(Immutable):
         K = np.atleast_2d(as_floats("K", self.K))
         if K.ndim != 2 or K.size == 0:
             raise InputError("K", f"shape {K.shape}", "a gain (nu, nx)")
-        self._set(K=finite("K", K))
+        self._set(K=as_finite("K", K))
         offset = as_array("offset", self.offset, (), (len(K),))
-        self._set(offset=np.broadcast_to(finite("offset", offset), (len(K),)).copy())
+        self._set(offset=np.broadcast_to(as_finite("offset", offset), (len(K),)).copy())
         _set_bounds(self, len(K))
 
     def __call__(self, x: ArrayLike) -> Array:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance
 from ccdtools.controllers.controllers import Controller, as_states
 from ccdtools.controllers.signals import Around, as_controller, needs_of
 from ccdtools.controllers.tolerances import CHANGED_INPUT
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_instance
 from invariant_sets import AdmissibleInputs
 
 

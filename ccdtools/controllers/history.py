@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Around, needs_of
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_count, as_floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

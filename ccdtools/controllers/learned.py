@@ -13,12 +13,12 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_floats, as_generator, as_instance, as_vector, finite, writable_path
 from ccdtools.controllers.policy_code import PolicyCode, write_c
 from ccdtools.controllers.policy_onnx import write_onnx
 from ccdtools.controllers.tolerances import DESIGN_RANGE
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_finite, as_floats, as_generator, as_instance, as_vector, writable_path
 from learning import checkpoint
 from learning.exceptions import CheckpointError
 from learning.networks import ActorCritic, Layers
@@ -92,7 +92,7 @@ class LearnedPolicy(Immutable):
         x = as_floats("x", x)
         if x.shape[-1:] != (self.nx,):
             raise InputError("x", f"shape {x.shape}", f"({self.nx},) or (n, {self.nx})")
-        finite("x", x)
+        as_finite("x", x)
         latent = self._mean(x, np.tanh)
         if self.rng is not None:
             log_std = _array(self.agent.log_std) if self._std is None else np.clip(self._std(x, np.tanh), *LOG_STD)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_floats, has_method
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Around, needs_in_loop, needs_of, opened
 from ccdtools.estimation.belief import Belief
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_count, as_floats, has_method
 
 SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
 EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"

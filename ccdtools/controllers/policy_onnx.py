@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_floats, as_instance, finite
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_finite, as_floats, as_instance, brief
 from learning.networks import Layers
 
 OPSET = 17  # of ONNX 1.12, from July 2022
@@ -102,7 +101,7 @@ class OnnxPolicy:
 
     def __call__(self, x: ArrayLike) -> Array:
         """Inputs (n, nu) or (nu,)."""
-        x = finite("x", as_floats("x", x))
+        x = as_finite("x", as_floats("x", x))
         rows = np.atleast_2d(x).astype(self._kind)
         if x.ndim not in (1, 2) or (isinstance(self._nx, int) and rows.shape[1] != self._nx):
             raise InputError("x", f"shape {x.shape}", f"({self._nx},) or (n, {self._nx})")

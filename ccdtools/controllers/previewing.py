@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_floats
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Around, as_controller, needs_of
 from ccdtools.exceptions import InputError
 from ccdtools.plants.preview import as_channels, previewed_state
+from ccdtools_ground.door import as_count, as_floats
 
 TAKEN = ("preview", "reference")  # signals of a horizon, of which a loop knows one
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_count, as_floats, finite, shown
 from ccdtools.controllers.controllers import SIGNALS, Controller
 from ccdtools.estimation.measurement import Sensor
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_count, as_finite, as_floats, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Reference(Immutable):
             rows = np.atleast_2d(as_floats(f"reference.{name}", value))
             if rows.ndim != 2 or rows.size == 0:
                 raise InputError(f"reference.{name}", f"shape {rows.shape}", "one row, or one row per sample")
-            self._set(**{name: finite(f"reference.{name}", rows)})
+            self._set(**{name: as_finite(f"reference.{name}", rows)})
 
     def check(self, nx: int, nu: int) -> None:
         """Raise an `InputError` unless sizes are `nx` and `nu`."""

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
-from ccdtools.checks import as_floats, as_vector, has_method, shown
 from ccdtools.disturbances.disturbance import Disturbance, Recorded, Uniform, check_draw
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_floats, as_vector, has_method, shown
 
 A_DISTURBANCE = "disturbances, with a method sample(runs, steps, rng)"
 

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_array, as_count, as_floats, as_generator, as_vector, finite, shown
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_generator, as_vector, shown
 
 
 class Disturbance(Protocol):
@@ -81,7 +81,7 @@ class Recorded(Immutable):
         signal = signal[:, None] if signal.ndim == 1 else signal
         if signal.ndim != 2 or signal.size == 0:
             raise InputError("signal", f"shape {signal.shape}", "samples (T,) or (T, nw)")
-        self._set(signal=finite("signal", signal))
+        self._set(signal=as_finite("signal", signal))
 
     def __repr__(self) -> str:
         return f"Recorded({len(self.signal)} samples, {self.nw} channels)"

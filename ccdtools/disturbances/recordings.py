@@ -14,9 +14,9 @@ from typing import NoReturn, TypeAlias
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_positive, shown
 from ccdtools.disturbances.tolerances import SAMPLING
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_positive, shown
 
 FilePath: TypeAlias = str | PathLike[str]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_array, as_count, as_floats, as_vector, finite
 from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_vector
 from mpc.checks import as_weight
 from mpc.exceptions import NotConvexError
 
@@ -180,7 +180,7 @@ def _runs(argument: str, value: ArrayLike, size: int) -> Array:
 
 def as_covariance(argument: str, value: Any, size: int, *, definite: bool = False, cure: str = "") -> Array:
     """Read-only covariance (size, size), also from its diagonal, in any units."""
-    given = np.atleast_1d(finite(argument, as_floats(argument, value)))
+    given = np.atleast_1d(as_finite(argument, as_floats(argument, value)))
     if given.shape not in ((size,), (size, size)):
         raise InputError(argument, f"shape {given.shape}", f"a covariance ({size}, {size}), or variances ({size},)")
     kind = f"positive {'definite' if definite else 'semidefinite'}"

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, frozen
-from ccdtools.checks import as_instance
 from ccdtools.estimation.belief import Belief, Filter, as_noise_covariances, as_start
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
@@ -21,6 +20,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools_ground.door import as_instance
 
 Transition = Callable[[Array, Array], tuple[Array, Array]]
 

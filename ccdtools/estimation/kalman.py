@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, frozen
-from ccdtools.checks import as_array, as_count, as_flag, as_floats, as_instance, as_vector, finite
 from ccdtools.estimation.belief import (
     Belief,
     Filter,
@@ -27,6 +26,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_array, as_count, as_finite, as_flag, as_floats, as_instance, as_vector
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +96,7 @@ class KalmanFilter(Filter):
         nx = len(A)
         if A.shape != (nx, nx):
             raise InputError("A", f"shape {A.shape}", "a square matrix (nx, nx)")
-        B = finite("B", as_floats("B", self.B))
+        B = as_finite("B", as_floats("B", self.B))
         if B.ndim != 2 or len(B) != nx:
             raise InputError("B", f"shape {B.shape}", f"({nx}, nu)")
         C = as_array("C", self.C, ("ny", nx))

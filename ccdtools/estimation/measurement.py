@@ -10,11 +10,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable, frozen
-from ccdtools.checks import as_floats, as_generator, finite, shown
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.estimation.outputs import Output, as_stated_output, check_sizes, output_at
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_finite, as_floats, as_generator, shown
 
 Sensor: TypeAlias = Callable[[int, Array, Array], Array]  # sample k, states (n, nx), inputs (n, nu) → outputs (n, ny)
 
@@ -85,7 +85,7 @@ class Measurement(Immutable):
             raise InputError("output.noise", f"shape {noise.shape}", f"({runs}, {steps}, ny)")
         if isinstance(self.output, Plant | np.ndarray):
             _check_channels(noise, self.output.ny if isinstance(self.output, Plant) else len(self.output))
-        return replace(self, noise=finite("output.noise", noise))
+        return replace(self, noise=as_finite("output.noise", noise))
 
     def first(self, runs: int, steps: int) -> Measurement:
         """Measurement with drawn noise cut to the first runs and steps."""
@@ -133,7 +133,7 @@ def _as_noise(value: Any) -> Any:
             raise InputError("output.noise", shown(value), "an object of it")
         return value
     noise = np.atleast_1d(as_floats("output.noise", value, expected=expected))
-    finite("output.noise", noise)
+    as_finite("output.noise", noise)
     if noise.ndim == 1 and noise.size and (noise >= 0).all():
         return Gaussian(noise)
     if noise.ndim not in (2, 3) or noise.size == 0:

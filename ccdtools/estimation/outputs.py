@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_floats, shown
 from ccdtools.estimation.tolerances import DIFFERENCE_STEP, LEAST_DIFFERENCE_STEP
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools_ground.door import as_array, as_floats, shown
 
 FROM_STATE_AND_INPUT = ("u", "p")  # what a function may ask for by name besides the state
 LINEARISED = "Linearise it: linearise(plant, equilibrium(plant, p)); or use an ExtendedKalmanFilter."

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_count, as_share
 from ccdtools.evidence.betting import dependence, log_wealth
 from ccdtools.exceptions import InputError
 from ccdtools.tolerances import CALIBRATION_BLOCKS, NO_RESIDUAL, SLOWER_DEPENDENCE
+from ccdtools_ground.door import as_array, as_count, as_share
 from ccdtools_ground.outcome import Outcome
 
 POWERS = np.array([0.1, 0.3, 0.6])  # ε of the bets ε p^(ε − 1), from a few large changes to many small ones

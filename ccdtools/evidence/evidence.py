@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, Indices
-from ccdtools.checks import finite
 from ccdtools.co_design.objective import Objective
 from ccdtools.co_design.risk import MEAN, Mean, Risk, measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, parts_of_risk, too_few
 from ccdtools.evidence.percent import in_measure, percent_interval
 from ccdtools.statistics import PairedDifference, Summary, mean_interval, paired_returns, summarise_returns
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_finite
 
 NOTHING = PairedDifference(float("nan"), (float("nan"), float("nan")))
 
@@ -169,7 +169,7 @@ class Pairing:
         if not kept.any():
             return none
         made, met = (
-            finite(f"rewards of {name}", run.rewards(self.objective)[kept][:, -(counted or 0) :])
+            as_finite(f"rewards of {name}", run.rewards(self.objective)[kept][:, -(counted or 0) :])
             for name, run in zip(names, (after, before))
         )
         gain = paired_in_risk(

@@ -12,11 +12,11 @@ from scipy.optimize import brentq
 from scipy.special import logsumexp
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_array, as_number, as_positive, as_share
 from ccdtools.evidence.betting import dependence, log_wealth
 from ccdtools.evidence.percent import number, with_minus
 from ccdtools.exceptions import InputError
 from ccdtools.tolerances import FEWEST_PAIRS
+from ccdtools_ground.door import as_array, as_number, as_positive, as_share
 from ccdtools_ground.outcome import Outcome
 
 BETS = 10.0 ** np.arange(-2, 1.5, 0.5)  # sizes of the bets, beside the margin

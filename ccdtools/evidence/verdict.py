@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ccdtools.checks import as_number, shown
 from ccdtools.evidence.evidence import NOTHING, Asked, Evidence
 from ccdtools.evidence.percent import signed_percent
 from ccdtools.exceptions import InputError
 from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import NOT_WORSE, SAME_RETURN
+from ccdtools_ground.door import as_number, shown
 from ccdtools_ground.outcome import Outcome
 
 LOG_MORE = "Log more runs or a longer one"

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
 from ccdtools_ground.user_functions import stopped
 
 

@@ -11,10 +11,10 @@ from scipy.linalg import null_space
 from scipy.optimize import nnls
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_names, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE
+from ccdtools_ground.door import as_names, shown
 from ccdtools_ground.operations import term_sizes
 from ccdtools_ground.user_functions import stopped
 

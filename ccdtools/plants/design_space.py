@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.allowed_designs import AllowedDesigns, whole_bounds
 from ccdtools.plants.design_constraints import compiled, constraint_names
 from ccdtools.plants.tolerances import FEASIBLE, ON_BOUND
+from ccdtools_ground.door import as_count, as_floats, as_generator, as_mapping, as_names, as_number, as_vector, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)

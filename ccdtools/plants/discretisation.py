@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_flag, as_instance, as_positive
 from ccdtools.exceptions import InputError, JumpWarning
 from ccdtools.plants.budgets import MOST_PARTS
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
@@ -22,6 +21,7 @@ from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.sampled_model import METHODS, SampledModel
 from ccdtools.plants.sampling_guard import warn_of_aliasing
 from ccdtools.plants.tolerances import ACCURACY
+from ccdtools_ground.door import as_choice, as_flag, as_instance, as_positive
 from invariant_sets.system_checks import as_set
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask, frozen
-from ccdtools.checks import as_floats, as_instance, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.rates import Rates, independent, newton_step, rest_near
 from ccdtools.plants.tolerances import PATHS, RATE_ROUNDING, SAME_REST
+from ccdtools_ground.door import as_floats, as_instance, as_vector, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -18,11 +18,11 @@ from weakref import finalize
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_instance, as_positive, nearest, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.budgets import EVENT_ROUNDS
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools_ground.door import as_count, as_instance, as_positive, nearest, shown
 
 
 def from_fmu(

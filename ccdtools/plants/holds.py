@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, as_positive, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.matrix_exponential import balanced, expm, exponential
 from ccdtools.plants.plant import Plant, linear_matrices
 from ccdtools.plants.tolerances import TAYLOR_DEGREE
+from ccdtools_ground.door import as_instance, as_positive, as_weight
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_floats, as_instance, as_positive, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace, check_finite
 from ccdtools.plants.matrix_exponential import zero_order_hold
 from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_known
+from ccdtools_ground.door import as_array, as_finite, as_floats, as_instance, as_positive, shown
 
 
 class DiscreteModel:
@@ -155,7 +155,7 @@ class LinearModel(Symbolic, DiscreteModel):
         E = E.reshape(len(E), -1) if E.ndim == 1 else E
         if E.ndim != 2 or len(E) != len(A):
             raise InputError("E", f"shape {E.shape}", f"{len(A)} rows, one per state")
-        finite("E", E)
+        as_finite("E", E)
         p = ca.SX(0, 1)
         constants = (ca.SX(ca.DM(A)), ca.SX(ca.DM(B)), ca.SX(ca.DM(E)) if E.size else ca.SX(len(A), 0))
         if system.dt:

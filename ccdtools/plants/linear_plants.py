@@ -7,12 +7,12 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_array, as_floats, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.linear_model import sampling_time, state_space_matrices
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.symbols import as_expression
+from ccdtools_ground.door import as_array, as_floats, shown
 
 OPTIONS = ("continuous", "state_names", "input_names", "output_names", "output_limits", "substeps")  # of Plant
 

@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_instance, as_vector
 from ccdtools.exceptions import InputError
 from ccdtools.plants.equilibrium import Equilibrium
 from ccdtools.plants.jumps import SMOOTHER, Switches
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_instance, as_vector
 
 
 def linearise(

@@ -8,13 +8,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.budgets import COMPILED_FROM
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.tolerances import MODEL_AT_REST
+from ccdtools_ground.door import shown
 
 Model: TypeAlias = LinearModel | SampledModel
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, frozen
-from ccdtools.checks import as_count, as_flag, as_floats, as_instance, as_names, as_positive, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.design_space import DesignSpace, check_finite
@@ -20,6 +19,7 @@ from ccdtools.plants.jumps import Switches
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.symbols import Symbolic, as_expression, as_symbols, check_distinct, check_known, check_numbers
 from ccdtools_ground.algebraic import solved
+from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_names, as_positive, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)

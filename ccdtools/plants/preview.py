@@ -17,7 +17,6 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_different, as_instance
 from ccdtools.exceptions import InputError
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.integration_error import IntegrationError
@@ -25,6 +24,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
+from ccdtools_ground.door import as_count, as_different, as_instance
 
 
 @overload

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_array, as_choice, as_count, as_instance, as_positive, as_vector
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import can_be_compiled
 from ccdtools.plants.collocation import ImplicitStep
@@ -22,6 +21,7 @@ from ccdtools.plants.integration_error import IntegrationError
 from ccdtools.plants.linear_model import DiscreteModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
+from ccdtools_ground.door import as_array, as_choice, as_count, as_instance, as_positive, as_vector
 
 METHODS = ("rk4", "collocation")
 

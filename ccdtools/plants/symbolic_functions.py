@@ -7,11 +7,10 @@ from typing import Any
 
 import casadi as ca
 
-from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.symbols import as_expression, check_known
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import brief, shown
 from ccdtools_ground.user_functions import stopped
 
 Sizes = tuple[int, ...]

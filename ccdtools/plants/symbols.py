@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Immutable
-from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import shown
 
 
 class Symbolic(Immutable):

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised, torch_operations
+from ccdtools_ground.door import shown
 
 
 def to_torch(function: ca.Function) -> TorchFunction:

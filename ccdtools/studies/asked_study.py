@@ -6,7 +6,6 @@ from contextlib import AbstractContextManager
 from dataclasses import fields, replace
 from typing import Any
 
-from ccdtools.checks import as_choice
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
@@ -16,6 +15,7 @@ from ccdtools.studies.options import Options, blamed_on_options
 from ccdtools.studies.side_by_side import SideBySide
 from ccdtools.studies.study import Study
 from ccdtools.vehicles.roads import GeneratedRoad, road_disturbance
+from ccdtools_ground.door import as_choice
 
 
 def asked_study(options: Options, recording: Recorded | None = None) -> tuple[Study, dict[str, str]]:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import jsonable
-from ccdtools.checks import as_count
 from ccdtools.co_design.design_controllers import tangent_note
 from ccdtools.co_design.risk import measure
 from ccdtools.controllers.learned import LearnedPolicy
@@ -31,6 +30,7 @@ from ccdtools.studies.trust_region import Trust
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable
 from ccdtools.twin.twin import DigitalTwin
+from ccdtools_ground.door import as_count
 
 Echo = Callable[[str], None]
 PACKAGES = ("ccdtools", "numpy", "scipy", "torch", "casadi", "daqp", "control")

@@ -11,9 +11,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ccdtools.checks import TOLERANCES, as_choice, as_count, as_limit_tolerance, as_positive, nearest, shown
 from ccdtools.exceptions import InputError
+from ccdtools.limit_tolerance import TOLERANCES, as_limit_tolerance
 from ccdtools.studies.price import RedesignPrice, accepted_loss
+from ccdtools_ground.door import as_choice, as_count, as_positive, nearest, shown
 
 CHOICES = {
     "preset": ("default", "paper"), "method": ("pathwise", "ppo", "pathwise+ppo"),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ccdtools.checks import as_choice, as_instance, as_positive, as_share
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.risk import check_followed
 from ccdtools.studies.options import CHOICES
 from ccdtools.studies.study import Study
 from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
+from ccdtools_ground.door import as_choice, as_instance, as_positive, as_share
 from learning.networks import NetworkConfig
 from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig

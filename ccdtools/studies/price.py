@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from ccdtools.checks import shown
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import shown
 
 DEFAULT_PRICE = "0.5 %"
 ACCEPTED_LOSS = "0.5 %"

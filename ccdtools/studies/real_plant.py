@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ccdtools.arrays import ArrayField, Immutable
-from ccdtools.checks import as_count, as_flag, as_instance, as_mapping, as_vector, has_method, shown
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
@@ -16,6 +15,7 @@ from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.studies.tolerances import MINIMUM_LOG
+from ccdtools_ground.door import as_count, as_flag, as_instance, as_mapping, as_vector, has_method, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_floats, as_instance, as_number, as_positive, shown
 from ccdtools.evidence.percent import number, with_minus
 from ccdtools.exceptions import InputError
 from ccdtools.studies.budgets import LONGEST_LOG
 from ccdtools.tolerances import NOT_WORSE
+from ccdtools_ground.door import as_array, as_floats, as_instance, as_number, as_positive, shown
 from ccdtools_ground.outcome import Outcome
 
 NORMAL_95 = float(stats.norm.ppf(0.975))  # Half a 95 % interval, in standard deviations.

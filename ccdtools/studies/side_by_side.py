@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from ccdtools.arrays import ArrayField
-from ccdtools.checks import as_count, as_mapping, as_vector, shown
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.studies.real_plant import check_disturbance
 from ccdtools.studies.study import Study
+from ccdtools_ground.door import as_count, as_mapping, as_vector, shown
 
 START = "start"  # the first design of a study, beside those of its uses
 

@@ -11,17 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import (
-    as_choice,
-    as_count,
-    as_instance,
-    as_limit_tolerance,
-    as_mapping,
-    as_positive,
-    as_vector,
-    as_weight,
-    shown,
-)
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
@@ -32,6 +21,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.design_limits import Limits, as_limits_over, widest
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
+from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.models import Model, as_regulated_model
@@ -46,6 +36,7 @@ from ccdtools.studies.price import ACCEPTED_LOSS, DEFAULT_PRICE, RedesignPrice, 
 from ccdtools.studies.real_plant import RealPlant, check_disturbance
 from ccdtools.studies.redesign_cost import RedesignCost
 from ccdtools.twin.transport import check_disturbance_enters
+from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_positive, as_vector, as_weight, shown
 from mpc import MPCError, lqr
 
 

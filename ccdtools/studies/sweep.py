@@ -12,10 +12,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from ccdtools.checks import nearest, shown
 from ccdtools.exceptions import InputError
 from ccdtools.studies.options import FILES, Options
 from ccdtools.studies.run_folder import RunFolder
+from ccdtools_ground.door import nearest, shown
 
 NAMES = [field.name for field in fields(Options)]
 VECTORS = ("x0", "p0")  # themselves lists: those of lists are swept

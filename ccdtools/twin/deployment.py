@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_floats, as_generator, as_instance, shown
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
@@ -36,6 +35,7 @@ from ccdtools.twin.residuals import Residuals, block_parts, check_errors, is_com
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.trial import TrialConfig, best_predictor, switchback_on
 from ccdtools.twin.updated_plant import UpdatedPlant
+from ccdtools_ground.door import as_floats, as_generator, as_instance, shown
 from invariant_sets import AdmissibleInputs
 from learning.networks import ActorCritic
 

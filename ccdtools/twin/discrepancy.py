@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_array, as_choice, as_flag, as_instance, as_weight
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, PlantOfModel, as_model
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.transport import Transport
+from ccdtools_ground.door import as_array, as_choice, as_flag, as_instance, as_weight
 from learning.quantile import QuantileNetwork, pinball
 
 NOISES = ("none", "quantiles", "replayed")

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.stats import norm
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_share
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model
 from ccdtools.twin.residuals import Residuals, of_linearisation
+from ccdtools_ground.door import as_share
 from learning.conformal import Conformal, samples_needed
 
 

@@ -7,12 +7,12 @@ from scipy.linalg import qr
 from scipy.stats import rankdata
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_share, finite
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.residuals import Logs, block_parts, check_errors, errors_of, of_linearisation, stacked
 from ccdtools.twin.tolerances import HELD_OUT
+from ccdtools_ground.door import as_finite, as_share
 from invariant_sets import Polytope
 from learning.conformal import Conformal, samples_needed
 
@@ -61,7 +61,7 @@ def disturbance_set(
     """
     given = errors_of(logs, model)
     for i, log in enumerate(given):
-        finite(f"logs[{i}].e_next", log.e_next)
+        as_finite(f"logs[{i}].e_next", log.e_next)
         if not np.array_equal(log.p, given[0].p):
             got = f"design {log.p} beside {given[0].p}"
             raise InputError(f"logs[{i}]", got, "one design", "`DigitalTwin.carried()` carries logs to the newest.")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ccdtools.arrays import Array, Immutable, Indices, frozen
-from ccdtools.checks import as_count, as_generator, as_instance, as_share, shown
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
@@ -17,6 +16,7 @@ from ccdtools.twin.budgets import BLOCKS
 from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools.twin.windows import Drawing, Span, Windows, apart, part_spans, since_spans, whole_spans
+from ccdtools_ground.door import as_count, as_generator, as_instance, as_share, shown
 from learning.conformal import Conformal, samples_needed
 
 

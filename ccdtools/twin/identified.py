@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.plants.models import Model, PlantOfModel
@@ -18,6 +17,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import RIDGES
 from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, residuals
 from ccdtools.twin.transport import carried
+from ccdtools_ground.door import as_instance
 from mpc import lqr
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_instance, as_share
 from ccdtools.evidence.drift import Drift, detect_drift
 from ccdtools.exceptions import InputError
 from ccdtools.tolerances import CALIBRATION_BLOCKS
@@ -13,6 +12,7 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import Residuals, residuals
 from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import DigitalTwin
+from ccdtools_ground.door import as_count, as_instance, as_share
 
 
 def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, block: int | None = None) -> Drift:

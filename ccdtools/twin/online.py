@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ccdtools.arrays import Immutable
-from ccdtools.checks import as_count, as_instance, as_number, as_share
 from ccdtools.co_design.configuration import CoDesignConfig
 from ccdtools.evidence.switchback import Trial, TrialStatus
 from ccdtools.evidence.verdict import Verdict
@@ -14,6 +13,7 @@ from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools.twin.distributions import UPDATED
 from ccdtools.twin.trial import TrialConfig
+from ccdtools_ground.door import as_count, as_instance, as_number, as_share
 from learning.quantile import QuantileConfig
 
 ONLINE_TRAINING = CoDesignConfig(

@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices
-from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
 from ccdtools.twin.residuals import Residuals, groups
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
+from ccdtools_ground.door import as_count, as_generator, as_instance, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)

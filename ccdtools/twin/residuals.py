@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
-from ccdtools.checks import as_floats, as_instance, finite, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
+from ccdtools_ground.door import as_finite, as_floats, as_instance, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,8 +100,8 @@ def residuals(model: Model, log: Trajectory, *, met: bool = False) -> Residuals:
     kept = ~log.diverged
     if not kept.any():
         raise InputError("log", f"{len(kept)} runs that all diverged", "at least one that did not")
-    x = finite("log.states", log.states[kept])
-    u = finite("log.inputs", log.inputs[kept])
+    x = as_finite("log.states", log.states[kept])
+    u = as_finite("log.inputs", log.inputs[kept])
     w = log.disturbances[kept] if met else np.zeros((*u.shape[:2], model.nw))
     if w.shape[2] != model.nw:
         raise InputError("log", f"{w.shape[2]} disturbances", f"{model.nw} of the model")
@@ -139,7 +139,7 @@ def check_errors(argument: str, model: Model, log: Residuals) -> None:
     if model.design is not None:
         model.design.check_one(log.p, argument=f"{argument}.p")
     for name in ("x", "u", "e_next"):
-        finite(f"{argument}.{name}", getattr(log, name))
+        as_finite(f"{argument}.{name}", getattr(log, name))
 
 
 def block_parts(log: Residuals, held_out: float, blocks: int, *, last: bool) -> list[Residuals]:

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools.checks import as_choice, as_count, as_generator
 from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.closed_loop import ONLINE_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
@@ -19,6 +18,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.twin.error_quantiles import ErrorQuantiles
 from ccdtools.twin.error_set import disturbance_set
 from ccdtools.twin.residuals import Logs, check_errors, errors_of
+from ccdtools_ground.door import as_choice, as_count, as_generator
 from invariant_sets import Polytope, SetResult, Status
 from mpc import LinearMPC, Status as Solved
 

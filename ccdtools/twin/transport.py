@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
-from ccdtools.checks import as_floats
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.twin.residuals import Residuals
 from ccdtools.twin.tolerances import RANK
+from ccdtools_ground.door import as_floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_count, as_generator, as_instance, as_number, as_share
 from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.excited import Excited
@@ -20,6 +19,7 @@ from ccdtools.simulation import Simulable, simulate
 from ccdtools.tolerances import FEWEST_PAIRS, NOT_WORSE
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.pieces import joined
+from ccdtools_ground.door import as_count, as_generator, as_instance, as_number, as_share
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import ArrayField, Immutable
-from ccdtools.checks import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
@@ -18,6 +17,7 @@ from ccdtools.twin.discrepancy import Discrepancy, QuantileScores, score_quantil
 from ccdtools.twin.residuals import Residuals, block_parts, residuals, stacked
 from ccdtools.twin.tolerances import FEWEST_FITTED, HELD_OUT
 from ccdtools.twin.transport import Transport, as_extent, carried
+from ccdtools_ground.door import as_count, as_flag, as_generator, as_instance, as_share, as_weight, shown
 from learning.quantile import QuantileConfig, fit_quantiles
 
 

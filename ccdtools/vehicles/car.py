@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ccdtools.checks import as_choice, as_flag, as_number
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.plant import Plant
 from ccdtools.vehicles.corner import Corner, RealStrut
+from ccdtools_ground.door import as_choice, as_flag, as_number
 
 STATES = [
     "front tyre [m]", "rear tyre [m]", "front travel [m]", "rear travel [m]",

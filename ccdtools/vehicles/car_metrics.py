@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_number, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.ride_comfort import as_signal, comfort, root_mean_square
+from ccdtools_ground.door import as_number, as_positive
 
 NAMES = {
     "comfort": "comfort {} m/s²",

@@ -11,8 +11,8 @@ from scipy.fft import irfft, next_fast_len
 from scipy.special import k1
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_array, as_choice, as_floats, as_generator, as_positive, finite, shown
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_array, as_choice, as_finite, as_floats, as_generator, as_positive, shown
 
 RoadClass: TypeAlias = Literal["A", "B", "C", "D", "E", "F", "G", "H"]
 
@@ -65,7 +65,7 @@ def track_coherency(frequency: ArrayLike, track: float) -> Array:
     road unevenness in parallel tracks for vehicle simulation", International Journal of Vehicle Design 67, 2015, finds
     that fitted functions follow the mean of 3492 records more closely.
     """
-    n = finite("frequency", as_floats("frequency", frequency))
+    n = as_finite("frequency", as_floats("frequency", frequency))
     if (n < 0).any():
         raise InputError("frequency", shown(float(n.min())), "frequencies ≥ 0 [1/m]")
     x = 2 * np.pi * as_positive("track", track, unit="m") * n

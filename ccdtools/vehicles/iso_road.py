@@ -8,9 +8,9 @@ from typing import get_args
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_flag, as_positive
 from ccdtools.vehicles.iso8608 import BAND, SPACING, RoadClass, as_band, as_spacing, generate_profile, road_roughness
 from ccdtools.vehicles.roads import Driver, drives, generate_obstacles, generate_speed, road_disturbance
+from ccdtools_ground.door import as_choice, as_flag, as_positive
 
 
 @dataclass(frozen=True)

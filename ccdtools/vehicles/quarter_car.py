@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ccdtools.checks import as_flag
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import GRAVITY, Parameters, given_or_default
 from ccdtools.plants.plant import Plant
 from ccdtools.vehicles.corner import Corner, RealStrut
+from ccdtools_ground.door import as_flag
 
 SOFTEST = 0.1  # Least damping of a damper that is set, as a part of the largest [-]
 STATES = ("z_us − z₀ [m]", "ż_us [m/s]", "z_s − z_us [m]", "ż_s [m/s]")

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_instance, as_positive, as_vector, shown
 from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
 from ccdtools.vehicles.car_metrics import suspension_metrics
+from ccdtools_ground.door import as_instance, as_positive, as_vector, shown
 
 
 @dataclass(frozen=True, eq=False)

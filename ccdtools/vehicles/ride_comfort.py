@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_floats, as_positive, finite
 from ccdtools.exceptions import InputError
+from ccdtools_ground.door import as_choice, as_finite, as_floats, as_positive
 
 Weighting: TypeAlias = Literal["Wk", "Wd"]
 
@@ -42,7 +42,7 @@ def frequency_weighting(frequency: ArrayLike, weighting: Weighting = "Wk") -> ND
     # step, which W_d does not have.
     curves = {"Wk": (12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91), "Wd": (2.0, 2.0, 0.63, 1.0, 1.0, 1.0, 1.0)}
     f3, f4, Q4, f5, Q5, f6, Q6 = curves[weighting]
-    f = finite("frequency", as_floats("frequency", frequency)).astype(complex)
+    f = as_finite("frequency", as_floats("frequency", frequency)).astype(complex)
     response: NDArray[np.complex128] = (1j * f / f1) ** 2 / _second_order(f, f1, butterworth)
     response /= _second_order(f, f2, butterworth)
     response *= (1 + 1j * f / f3) / _second_order(f, f4, Q4)
@@ -122,7 +122,7 @@ def comfort(acceleration: ArrayLike, dt: float, *, weighting: Weighting = "Wk") 
 
 def as_signal(argument: str, value: ArrayLike) -> Array:
     """Finite samples along the last axis, at least one."""
-    signal = finite(argument, as_floats(argument, value))
+    signal = as_finite(argument, as_floats(argument, value))
     if signal.ndim == 0 or signal.shape[-1] == 0:
         raise InputError(argument, f"shape {signal.shape}", "samples (..., T)")
     return signal

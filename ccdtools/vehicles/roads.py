@@ -13,10 +13,10 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import lfilter
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_positive
 from ccdtools.disturbances.disturbance import check_draw
 from ccdtools.exceptions import InputError
 from ccdtools.vehicles.iso8608 import REFERENCE_FREQUENCY, road_roughness
+from ccdtools_ground.door import as_choice, as_count, as_floats, as_generator, as_positive
 
 Driver: TypeAlias = Literal["mild", "aggressive"]
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.checks import as_floats, as_instance
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.plants.discretisation import discretise
 from ccdtools.plants.library.elements import linear_part
@@ -22,6 +21,7 @@ from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.scenario import Scenario
 from ccdtools.vehicles.budgets import TUNING_EVALUATIONS, TUNING_RUNS
 from ccdtools.vehicles.quarter_car import SOFTEST
+from ccdtools_ground.door import as_floats, as_instance
 from mpc import lqr
 
 

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_instance, has_method
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
@@ -35,6 +34,7 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import for_long_work
 from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
+from ccdtools_ground.door import as_choice, as_count, as_instance, has_method
 from learning.networks import ActorCritic
 from learning.warm_start import fit_actor_critic
 from mpc import MPCError

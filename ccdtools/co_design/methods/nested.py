@@ -18,7 +18,6 @@ from types import NoneType
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, as_instance
 from ccdtools.co_design.design_controllers import LQR, DesignLaw, mpc_law
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.methods.design_search import DesignCost, best_design
@@ -29,6 +28,7 @@ from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools_ground.door import as_choice, as_count, as_instance
 from learning.networks import ActorCritic
 from mpc import NotStabilisableError
 

@@ -18,7 +18,6 @@ import numpy as np
 from tqdm import tqdm
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count, shown
 from ccdtools.co_design.budgets import SIZE_EVALUATIONS
 from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
@@ -32,6 +31,7 @@ from ccdtools.co_design.tolerances import CMA_SETTLED
 from ccdtools.controllers.controllers import Controller
 from ccdtools.exceptions import InputError
 from ccdtools.progress import bar
+from ccdtools_ground.door import as_choice, as_count, shown
 
 LIBRARIES = {"cma": "cma", "bayesian": "optuna"}
 BUDGET = {"cma": 300, "bayesian": 60}  # Evaluations, by library.

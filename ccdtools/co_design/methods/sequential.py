@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, PASSIVE, controller_of
 from ccdtools.co_design.differentiable_model import ScenarioTensors, fewer_runs, scenario_tensors
 from ccdtools.co_design.methods.design_search import best_design
@@ -22,6 +21,7 @@ from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.tolerances import STABLE
+from ccdtools_ground.door import as_choice, as_count
 
 CRITERIA = ("auto", "passive", "open_loop")
 RUNS = 1000  # Scenarios of 100 steps.

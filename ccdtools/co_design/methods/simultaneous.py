@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_choice, as_count
 from ccdtools.co_design.design_controllers import CONTROL, controller_of
 from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.methods.design_search import OTHERS, start_points
@@ -31,6 +30,7 @@ from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.controllers.controllers import Controller, LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.progress import bar
+from ccdtools_ground.door import as_choice, as_count
 from mpc.optimal_control import OptimalControlStatus, Solution, build, solve
 
 UNKNOWNS = ("trajectory", "gain")

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import Parameters, dry_friction, given_or_default, limited
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_flag
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
 
-from ccdtools.checks import as_instance, as_number, as_positive
+from ccdtools_ground.door import as_instance, as_number, as_positive
 
 P = TypeVar("P", bound="Parameters")
 GRAVITY = 9.81  # m/s²

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import casadi as ca
 
-from ccdtools.checks import as_flag
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_flag
 
 
 def illustrative(*, real: bool = False) -> Plant:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from ccdtools.checks import as_count, as_different, as_flag, as_positive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import dry_friction, hardening_spring
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_count, as_different, as_flag, as_positive
 
 HARDENING = 5.0  # 1/m², of the real springs
 DRY_FRICTION = 0.2  # N, of each real mass

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import casadi as ca
 
-from ccdtools.checks import as_flag
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import Parameters, clipped, given_or_default, linear_part
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_flag
 
 
 @dataclass(frozen=True)

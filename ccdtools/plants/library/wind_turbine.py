@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import casadi as ca
 from scipy.optimize import brentq
 
-from ccdtools.checks import as_flag
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.library.elements import Parameters, given_or_default, limited, linear_part
 from ccdtools.plants.plant import Plant
+from ccdtools_ground.door import as_flag
 
 AIR = 1.225  # kg/m³
 PITCHES = (0.0, 40.0)  # °, among which the operating point is looked for

@@ -83,7 +83,7 @@ WRONG = [
     ("study_with(x0=['a', 'b'])", "x0: got ['a', 'b']"),
     ("study_with(p0=[9])", "p0: got k = 9, expected a value in [1, 4]"),
     ("study_with(p0=[[2]])", "p0: got shape (1, 1)"),
-    ("study_with(p0=[np.nan])", "p0: got a value that is not finite"),
+    ("study_with(p0=[np.nan])", "p0: got nan at index (0,)"),
     # Disturbances
     ("study_with(disturbance=Gaussian([0.1, 0.1]))", "disturbance: got 2 channels, expected 1"),
     ("real_with(disturbance=Gaussian([0.1, 0.1]))", "real.disturbance: got 2 channels, expected 1"),

@@ -122,7 +122,7 @@ def test_the_record_is_left_as_it_was():
         (lambda: frequency_weighting("low"), "frequency: got 'low', expected an array of real numbers"),
         (lambda: cc.weighted_acceleration([], 0.1), r"acceleration: got shape \(0,\), expected samples"),
         (lambda: cc.weighted_acceleration(1.0, 0.1), r"acceleration: got shape \(\), expected samples"),
-        (lambda: cc.comfort([1.0, np.nan], 0.1), "acceleration: got a value that is not finite"),
+        (lambda: cc.comfort([1.0, np.nan], 0.1), "acceleration: got (nan|-?inf) at index"),
         (lambda: cc.comfort([1.0, 2.0], 0.0), r"dt: got 0.0, expected a positive number \[s\]"),
         (lambda: cc.comfort([1.0, 2.0], 0.1, weighting="k"), "weighting: got 'k', expected one of Wk, Wd"),
     ],
