@@ -31,6 +31,7 @@ FEWEST_DESIGNS = 64  # Candidates share at least so many designs.
 ABORT = 4.0  # After this multiple of the limit, in processor time, no further set is computed.
 VISITS = (0, 1, 2, 4, 8, 16, 32, 64)  # The states after so many steps of each closed loop join the data.
 VALUE_TAIL = 400  # Values look ahead so many further steps; 0.99⁴⁰⁰ = 2 %, and the rest is extrapolated.
+LONGEST_PLAN = 100  # A plan that a first policy imitates looks ahead at most so many steps.
 CANDIDATES_PER_START = 4  # One loop in so many candidates begins where the episodes begin.
 
 # --- episodes and previews --------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import numpy as np
 from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.measured import observed
+from ccdtools.co_design.noise_injection import noisy_loops
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import LEAST_ACTION, PREVIEW_ROOM
@@ -137,36 +138,18 @@ def warm_start_of_outputs(
 def _loops(
     problem: CoDesignProblem, known: CoDesignProblem, p: Array, rng: np.random.Generator, gamma: float
 ) -> tuple[Array, Array, Array]:
-    """What LQG of a design sees (k, ·), does (k, nu) and is worth from there on (k,).
-
-    What is applied has noise as large as what LQG does, so that it shows what it does after others' inputs.
-
-    References
-    ----------
-    Laskey, Lee, Fox, Dragan, Goldberg, "DART: noise injection for robust imitation learning", CoRL 2017.
-    """
-    runs, nx, nu = 16, known.model.nx, known.model.nu
+    """What LQG of a design sees (k, ·), does (k, nu) and is worth from there on (k,), with noise on its inputs."""
+    nx, nu = known.model.nx, known.model.nu
     lqg = observed(known, saturated_lqr(known, p), p)
-    z, w = problem.scenarios.sample(runs, problem.steps, rng)
+    z, w = problem.scenarios.sample(16, problem.steps, rng)
     ny, last = w.shape[2] - known.model.nw, z.shape[1] - nu * (z.shape[1] - nx) // (nu + w.shape[2] - known.model.nw)
-    step = problem.model.stepper(p, batch=runs)
-    seen, actions, rewards = [], [], []
-    for k in range(problem.steps):
-        u = lqg(y=z[:, nx : nx + ny], u_prev=z[:, last : last + nu])
-        noise = np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
-        applied = np.clip(u + noise, *known.input_bounds_at(p))
-        after = np.asarray(step(z, applied, w[:, k]))
-        seen.append(z[:, nx:])
-        actions.append(u)
-        rewards.append(np.asarray(problem.objective.rewards(after, applied, z, p)))
-        z = after
-    values = np.array(rewards)
-    for k in range(len(values) - 2, -1, -1):
-        values[k] += gamma * values[k + 1]
-    kept = np.isfinite(z).all(axis=1) & (np.abs(z) <= problem.limit).all(axis=1)
-    histories = np.array(seen)[:, kept].reshape(-1, problem.model.nx - nx)
-    given = np.tile(p, (len(histories), 1))
-    return np.hstack([histories, given]), np.array(actions)[:, kept].reshape(-1, nu), values[:, kept].ravel()
+
+    def law(z: Array) -> Array:
+        """Inputs (n, nu) of the filter and its law."""
+        return np.asarray(lqg(y=z[:, nx : nx + ny], u_prev=z[:, last : last + nu]))
+
+    histories, actions, values = noisy_loops(problem, law, p, z, w, rng).samples(gamma)
+    return np.hstack([histories[:, nx:], np.tile(p, (len(histories), 1))]), actions, values
 
 
 def _with_history(model: Any, measurement: Measurement, ny: int, length: int, extent: Array) -> Model | SimulatedModel:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from types import NoneType
@@ -14,16 +15,17 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
-from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
+from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, LONGEST_PLAN
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.design_controllers import mpc_law, saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
+from ccdtools.co_design.noise_injection import noisy_loops
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
@@ -31,6 +33,7 @@ from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import for_long_work
 from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
@@ -55,7 +58,8 @@ class Learned:
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
         is made, and beside one that is far worse than saturated LQR at the first design, too: a policy that saturates
-        wherever it is has no gradient. The better end is handed out.
+        wherever it is has no gradient. Where LQR brings nothing to rest, as in a swing-up, another one imitates MPC of
+        the model. The best end is handed out.
     config : CoDesignConfig
     judge : CoDesignProblem, optional
         What the iterates are scored on, if not the problem itself: for example replays of what was logged, where
@@ -122,8 +126,12 @@ class Learned:
         at("landscape of saturated LQR")
         found = chosen_valleys(replace(task, problem=known), design, rng)
         agents = [agent]
-        if self.agent is not None and (task.pathwise or task.ppo) and not problem.hidden:
-            agents += [first()] if _spoilt(judge, agent, design, rng) else []
+        if (task.pathwise or task.ppo) and not problem.hidden:
+            if self.agent is not None and _spoilt(judge, agent, design, rng):
+                agents.append(first())
+            if not _brought_to_rest(problem, design, copy.deepcopy(rng)):
+                at("first policy that imitates MPC of the model")
+                agents += planned_start(problem, design, rng, all_over=task.designing)
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
         result = _result(task, ascents, agent, design, found)
         return replace(result, output_history=self.history) if problem.hidden else result
@@ -153,10 +161,52 @@ def _first_agent(
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
     """Agent that imitates saturated LQR over X and all designs."""
     data = expert_dataset(problem, samples=1000, rng=rng, progress=progress)
+    return _fitted(problem, data.inputs, data.actions, data.values, rng, progress=progress)
+
+
+def _fitted(
+    problem: CoDesignProblem, seen: Array, actions: Array, values: Array, rng: np.random.Generator, *,
+    progress: bool = False,
+) -> ActorCritic:  # fmt: skip
+    """Agent of a problem that imitates what was done."""
+    bounds = problem.observation_bounds
     return fit_actor_critic(
-        data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
-        input_bounds=problem.observation_bounds, rng=rng, progress=progress,
-    )  # fmt: skip
+        seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng, progress=progress
+    )
+
+
+def planned_start(
+    problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True
+) -> list[ActorCritic]:
+    """Agent that imitates MPC of the model at a design and three others, or at that one alone; none without any."""
+    others = problem.design.latin_hypercube(3, rng) if all_over else np.tile(design, (3, 1))
+    linear = isinstance(problem.model, LinearModel)
+    law = mpc_law(min(problem.steps, LONGEST_PLAN), nonlinear=not linear)
+    data = []
+    for p in (design, *map(problem.design.project, others)):
+        with suppress(MPCError, InputError):
+            x0, w = problem.scenarios.sample(4, problem.steps, rng)
+            made: Any = law.controller(problem, p)
+            states, inputs, values = noisy_loops(problem, made, p, x0, w, rng).samples()
+            data.append((np.hstack([states, np.tile(p, (len(states), 1))]), inputs, values))
+    if not any(len(part[0]) for part in data):
+        return []
+    seen, inputs, values = (np.concatenate(part) for part in zip(*data))
+    return [_fitted(problem, seen, inputs, values, rng)]
+
+
+def _brought_to_rest(problem: CoDesignProblem, design: Array, rng: np.random.Generator) -> bool:
+    """True if LQR keeps all runs, and what their starts cost has fallen by the end of an episode."""
+    try:
+        lqr = saturated_lqr(problem, design)
+    except (MPCError, InputError):
+        return False
+    x0, w = problem.scenarios.sample(16, problem.steps, rng)
+    moved, rest = (noisy_loops(problem, lqr, design, x, w) for x in (x0, np.zeros_like(x0)))
+    excess = (rest.rewards - moved.rewards).mean(axis=1)
+    part = -(-len(excess) // 4)
+    begun, ended = max(float(excess[:part].sum()), 0.0), float(excess[-part:].sum())
+    return bool(moved.kept.all()) and ended <= (1.0 - WORTH_A_START) * begun
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:

@@ -39,7 +39,7 @@ def test_linear_feedback_without_bounds_is_linear(rng):
 
 
 def test_a_gain_that_is_not_finite_is_refused():
-    with pytest.raises(InputError, match="K: got (nan|-?inf) at index"):
+    with pytest.raises(InputError, match=r"K: got (nan|-?inf) at index"):
         LinearFeedback([[np.nan, 1.0]])
 
 

@@ -177,7 +177,7 @@ def test_a_change_of_nothing_or_of_a_level_of_both_signs():
 def test_series_and_rewards_are_checked():
     with pytest.raises(InputError, match=r"series: got shape \(2, 2\), expected \(n,\)"):
         mean_interval(np.zeros((2, 2)))
-    with pytest.raises(InputError, match="series: got (nan|-?inf) at index"):
+    with pytest.raises(InputError, match=r"series: got (nan|-?inf) at index"):
         mean_interval(np.full(50, np.nan))
     with pytest.raises(InputError, match=r"rewards: got shape \(5,\), expected \(n, T\)"):
         summarise_returns(np.zeros(5))

@@ -148,7 +148,7 @@ def test_evidence_is_the_paired_difference_of_whole_runs_by_students_t():
 @pytest.mark.parametrize("risk", [MEAN, CVaR(0.1)])
 def test_a_reward_that_is_not_finite_is_refused_in_every_risk(risk):
     broken = np.where(np.arange(40) == 7, np.nan, 1.0)
-    with pytest.raises(InputError, match="rewards of B: got (nan|-?inf) at index"):
+    with pytest.raises(InputError, match=r"rewards of B: got (nan|-?inf) at index"):
         of(runs(broken), runs(np.ones(40)), pairing={"risk": risk})
     assert of(runs(np.roll(broken, -7), diverged=1), runs(np.ones(40)), pairing={"risk": risk}).gain.mean == 0.0
 

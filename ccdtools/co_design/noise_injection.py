@@ -1,0 +1,56 @@
+"""What laws do in their own loops, with noise on their inputs, and policies that imitate it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.co_design.problem import CoDesignProblem
+
+
+class Loops(NamedTuple):
+    """Closed loops, samples first: states (T, n, nx), inputs that the law asks for (T, n, nu) and rewards (T, n)."""
+
+    states: Array
+    inputs: Array
+    rewards: Array
+    kept: Array  # (n,) whether the run ends within the divergence limit
+
+    def samples(self, gamma: float = 0.99) -> tuple[Array, Array, Array]:
+        """States (k, nx), inputs (k, nu) and what comes after (k,), of the runs that are kept."""
+        values = self.rewards.copy()
+        for k in range(len(values) - 2, -1, -1):
+            values[k] += gamma * values[k + 1]
+        states, inputs = (part[:, self.kept].reshape(-1, part.shape[2]) for part in (self.states, self.inputs))
+        return states, inputs, values[:, self.kept].ravel()
+
+
+def noisy_loops(
+    problem: CoDesignProblem, law: Callable[[Array], Array], p: Array, x0: Array, w: Array,
+    rng: np.random.Generator | None = None,
+) -> Loops:  # fmt: skip
+    """Loops of a law (n, nx) → (n, nu) at a design (np,).
+
+    With `rng`, noise as large as what the law does is added to what is applied: so the loops show what it does after
+    others' inputs.
+
+    References
+    ----------
+    Laskey, Lee, Fox, Dragan, Goldberg, "DART: noise injection for robust imitation learning", CoRL 2017.
+    """
+    step, x = problem.model.stepper(p, batch=len(x0)), x0
+    states, inputs, rewards = [], [], []
+    for k in range(problem.steps):
+        u = law(np.nan_to_num(x))
+        size = 0.0 if rng is None else np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
+        applied = np.clip(u + size, *problem.input_bounds_at(p))
+        after = np.asarray(step(x, applied, w[:, k]))
+        states.append(x)
+        inputs.append(u)
+        rewards.append(np.asarray(problem.objective.rewards(after, applied, x, p)))
+        x = after
+    kept = np.isfinite(x).all(axis=1) & (np.abs(x) <= problem.limit).all(axis=1)
+    return Loops(np.array(states), np.array(inputs), np.array(rewards), kept)
