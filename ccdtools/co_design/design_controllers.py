@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.budgets import LONGEST_PLAN
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
 from ccdtools.exceptions import InputError
@@ -190,3 +191,10 @@ def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:
     made = nonlinear_mpc if nonlinear else linear_mpc
     words = f"{'nonlinear' if nonlinear else 'linear'} MPC (N = {horizon})"
     return DesignLaw(words, lambda problem, p: made(problem, p, horizon=horizon))
+
+
+def long_mpc(problem: CoDesignProblem, design: ArrayLike) -> Controller:
+    """MPC of the model itself over an episode, or `LONGEST_PLAN` steps of it."""
+    made: Any = linear_mpc if isinstance(problem.model, LinearModel) else nonlinear_mpc
+    found: Controller = made(problem, design, horizon=min(problem.steps, LONGEST_PLAN))
+    return found

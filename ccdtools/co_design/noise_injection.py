@@ -7,8 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Mask
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.tolerances import WORTH_A_START
+from ccdtools.exceptions import InputError
+from mpc import MPCError
 
 
 class Loops(NamedTuple):
@@ -17,7 +21,7 @@ class Loops(NamedTuple):
     states: Array
     inputs: Array
     rewards: Array
-    kept: Array  # (n,) whether the run ends within the divergence limit
+    kept: Mask  # (n,) whether the run ends within the divergence limit
 
     def samples(self, gamma: float = 0.99) -> tuple[Array, Array, Array]:
         """States (k, nx), inputs (k, nu) and what comes after (k,), of the runs that are kept."""
@@ -52,5 +56,19 @@ def noisy_loops(
         inputs.append(u)
         rewards.append(np.asarray(problem.objective.rewards(after, applied, x, p)))
         x = after
-    kept = np.isfinite(x).all(axis=1) & (np.abs(x) <= problem.limit).all(axis=1)
-    return Loops(np.array(states), np.array(inputs), np.array(rewards), kept)
+    kept = (np.abs(x) <= problem.limit).all(axis=1)  # not where one is NaN
+    return Loops(np.array(states), np.array(inputs), np.array(rewards), np.atleast_1d(kept))
+
+
+def brought_to_rest(problem: CoDesignProblem, design: Array, rng: np.random.Generator) -> bool:
+    """True if LQR keeps all runs, and what their starts cost has fallen by the end of an episode."""
+    try:
+        lqr = saturated_lqr(problem, design)
+    except (MPCError, InputError):
+        return False
+    x0, w = problem.scenarios.sample(16, problem.steps, rng)
+    moved, rest = (noisy_loops(problem, lqr, design, x, w) for x in (x0, np.zeros_like(x0)))
+    excess = (rest.rewards - moved.rewards).mean(axis=1)
+    part = -(-len(excess) // 4)
+    begun, ended = max(float(excess[:part].sum()), 0.0), float(excess[-part:].sum())
+    return bool(moved.kept.all()) and ended <= (1.0 - WORTH_A_START) * begun

@@ -5,7 +5,7 @@ It is made once, of the controller handed out, after its closed loop was measure
 What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
 far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, MPC
 of its design neither, its gradient is that of the closed loop and a plain search over its last layer finds nothing
-better.
+better. Where LQR brings nothing to rest that MPC is of the model itself, and looks ahead over an episode.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
-from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
+from ccdtools.co_design.design_controllers import linear_mpc, long_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
+from ccdtools.co_design.noise_injection import brought_to_rest
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
@@ -132,7 +133,8 @@ class Settling:
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
-                planned = linear_mpc(self.problem, result.design)
+                near = brought_to_rest(self.problem, result.design, copy.deepcopy(self.scenarios))
+                planned = (linear_mpc if near else long_mpc)(self.problem, result.design)
                 found.append(
                     self._baseline(f"MPC of the same design{self._behind}", planned, result.design, loop, None, runs)
                 )

@@ -15,17 +15,17 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
-from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, LONGEST_PLAN
+from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.co_design.design_controllers import mpc_law, saturated_lqr
+from ccdtools.co_design.design_controllers import long_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.noise_injection import noisy_loops
+from ccdtools.co_design.noise_injection import brought_to_rest, noisy_loops
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
@@ -33,7 +33,6 @@ from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import for_long_work
 from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
@@ -129,7 +128,7 @@ class Learned:
         if (task.pathwise or task.ppo) and not problem.hidden:
             if self.agent is not None and _spoilt(judge, agent, design, rng):
                 agents.append(first())
-            if not _brought_to_rest(problem, design, copy.deepcopy(rng)):
+            if not brought_to_rest(problem, design, copy.deepcopy(rng)):
                 at("first policy that imitates MPC of the model")
                 agents += planned_start(problem, design, rng, all_over=task.designing)
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
@@ -180,33 +179,17 @@ def planned_start(
 ) -> list[ActorCritic]:
     """Agent that imitates MPC of the model at a design and three others, or at that one alone; none without any."""
     others = problem.design.latin_hypercube(3, rng) if all_over else np.tile(design, (3, 1))
-    linear = isinstance(problem.model, LinearModel)
-    law = mpc_law(min(problem.steps, LONGEST_PLAN), nonlinear=not linear)
     data = []
     for p in (design, *map(problem.design.project, others)):
         with suppress(MPCError, InputError):
             x0, w = problem.scenarios.sample(4, problem.steps, rng)
-            made: Any = law.controller(problem, p)
+            made: Any = long_mpc(problem, p)
             states, inputs, values = noisy_loops(problem, made, p, x0, w, rng).samples()
             data.append((np.hstack([states, np.tile(p, (len(states), 1))]), inputs, values))
     if not any(len(part[0]) for part in data):
         return []
     seen, inputs, values = (np.concatenate(part) for part in zip(*data))
     return [_fitted(problem, seen, inputs, values, rng)]
-
-
-def _brought_to_rest(problem: CoDesignProblem, design: Array, rng: np.random.Generator) -> bool:
-    """True if LQR keeps all runs, and what their starts cost has fallen by the end of an episode."""
-    try:
-        lqr = saturated_lqr(problem, design)
-    except (MPCError, InputError):
-        return False
-    x0, w = problem.scenarios.sample(16, problem.steps, rng)
-    moved, rest = (noisy_loops(problem, lqr, design, x, w) for x in (x0, np.zeros_like(x0)))
-    excess = (rest.rewards - moved.rewards).mean(axis=1)
-    part = -(-len(excess) // 4)
-    begun, ended = max(float(excess[:part].sum()), 0.0), float(excess[-part:].sum())
-    return bool(moved.kept.all()) and ended <= (1.0 - WORTH_A_START) * begun
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
