@@ -210,10 +210,16 @@ class QuadraticPlanner:
         for one in self._programs(sample, best):
             if best.last is None or one.error < best.error:
                 best = one
-            if one.error <= KKT or (before is not None and not _soon(one.error, before)):
+            size = self._moves(one)
+            if one.error <= KKT or (before is not None and not _soon(size, before)):
                 break
-            before = one.error
+            before = size
         return best
+
+    def _moves(self, path: _Path) -> float:
+        """Largest move by the program of a path, in sizes of states and inputs."""
+        parts = zip((path.last.states, path.last.inputs), (self.programs.size, self.programs.input_size)) if path.last else ()
+        return max(float(np.abs(part / size).max()) for part, size in parts)
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
         """Paths, each moved by the program at the one before, and the program there, as long as there is time."""
