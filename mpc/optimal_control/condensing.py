@@ -35,14 +35,16 @@ def gains_along(A: Array, B: Array, weights: Array) -> tuple[Array, Array]:
     gains = np.zeros((N, nu, nx))
     prices = np.zeros((N, nu, nu))
     V = weights[N, :nx, :nx].copy()
+    both = np.zeros((nx, nx + nu))
     for k in range(N - 1, -1, -1):
-        M = weights[k, nx:, nx:] + B[k].T @ V @ B[k]
-        slope = weights[k, nx:, :nx] + B[k].T @ V @ A[k]
-        K = _divided(M, slope)
-        V = weights[k, :nx, :nx] + A[k].T @ V @ A[k] - slope.T @ K
+        both[:, :nx] = A[k]
+        both[:, nx:] = B[k]
+        M = weights[k] + both.T @ (V @ both)
+        prices[k] = M[nx:, nx:]
+        slope = np.ascontiguousarray(M[nx:, :nx])
+        gains[k] = _divided(prices[k], slope)
+        V = M[:nx, :nx] - slope.T @ gains[k]
         V = 0.5 * (V + V.T)
-        gains[k] = K
-        prices[k] = M
     return gains, prices
 
 

@@ -160,8 +160,7 @@ class QuadraticPlanner:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
         enough = not self._law_does_better(sample, at) if follow else stayed
-        certain = at.last is not None and at.last.strict and at.solved
-        if stayed and not certain and sample.size > TINY:  # it may be a saddle, to which no plan beside it comes back
+        if stayed and sample.size > TINY and not (at.last and at.last.strict):  # it may be a saddle, to which no plan beside it comes back
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)
@@ -211,7 +210,7 @@ class QuadraticPlanner:
             if best.last is None or one.error < best.error:
                 best = one
             size = self._moves(one)
-            if one.error <= KKT or (before is not None and not _soon(size, before)):
+            if one.error <= KKT or (before is not None and not _soon(size, before, one.last.newton)):
                 break
             before = size
         return best
@@ -351,9 +350,12 @@ def _moved(path: _Path) -> _Path:
     return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, costates=step.costates)
 
 
-def _soon(left: float, before: float) -> bool:
-    """Whether errors that fall at this rate will be gone soon."""
-    return left < before and np.log(KKT / left) / np.log(left / before) <= PROGRAMS_TO_GO
+def _soon(left: float, before: float, newton: bool) -> bool:
+    """Whether moves that fall at this rate will be gone soon.
+
+    Those of Newton's method fall ever faster once they are halved (Deuflhard, Newton Methods, 2004).
+    """
+    return left < before / 2 if newton else left < before and np.log(KKT / left) / np.log(left / before) <= PROGRAMS_TO_GO
 
 
 def gain_at_rest(law: LinearMPC) -> Array:

@@ -38,13 +38,19 @@ class Step:
     stationarity: float
     relaxed: bool  # whether limits of states had to be relaxed
     solved: bool
-    strict: bool = False  # whether its Hessian was the Lagrangian's, positive definite: no saddle where it ends
-    pull: Callable[[], Array] = lambda: np.zeros(0)
+    newton: bool = False  # whether its Hessian was the Lagrangian's
+    _pulled: Callable[[], Array] = lambda: np.zeros(0)
+    _curved: Callable[[Array], _Program | None] = lambda costates: None
 
     @cached_property
     def costates(self) -> Array:
         """Costates (N, nx) of the states from the second on, of the plan after the step."""
-        return self.pull()
+        return self._pulled()
+
+    @property
+    def strict(self) -> bool:
+        """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
+        return self._curved(self.costates) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +137,9 @@ class Sequential:
         if not all(np.isfinite(part).all() for part in (after, A, B)):
             return failed
         about = (states, inputs), (A, B, gaps, x - states[0]), given
-        program = None
-        if costates is not None:
-            bend = self._held(*about[:2], costates, dear, given)
-            bend[:-1] += self.model.curvature(states[:-1], inputs, w, p, costates)
-            program = self._program(*about, bend)
-        strict = program is not None
-        program = program or self._program(*about, np.zeros_like(self._weights))
+        curved = partial(self._curved, *about, dear, w, p)
+        newton = None if costates is None else curved(costates)
+        program = newton or self._program(*about, np.zeros_like(self._weights))
         if program is None:
             return failed
         z, relaxed, solved, *pushes = self._solve(program, dear, relaxed)
@@ -153,8 +155,15 @@ class Sequential:
             gain = -float(program.gradient @ z + 0.5 * z @ curvature)
             cost = max(abs(cost_of(self.problem, *program.start[::-1], given)), program.lost_cost, TINY)
             stationarity = min(stationarity, max(still, abs(gain) / cost))
-        pull = partial(self._costates, program, moves, change, *pushes)
-        return Step(moves, change, gains, defects, stationarity, relaxed, solved, strict, pull)
+        costs = partial(self._costates, program, moves, change, *pushes)
+        return Step(moves, change, gains, defects, stationarity, relaxed, solved, newton is not None, costs, curved)
+
+    def _curved(self, plan: tuple[Array, Array], about: tuple[Array, ...], given: Given, dear: float, w: Array,
+                p: Array, costates: Array) -> _Program | None:  # fmt: skip
+        """Program with the model's curvature, None where it is not convex along the limits that push."""
+        bend = self._held(plan, about, costates, dear, given)
+        bend[:-1] += self.model.curvature(plan[0][:-1], plan[1], w, p, costates)
+        return self._program(plan, about, given, bend)
 
     def _held(self, plan: tuple[Array, Array], along: Along, costates: Array, dear: float, given: Given) -> Array:
         """Curvature (N + 1, nx + nu, nx + nu) that a price of moves across limits which push adds.

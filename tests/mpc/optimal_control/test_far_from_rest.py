@@ -79,7 +79,7 @@ def test_it_swings_up_and_every_plan_on_the_way_is_solved():
 
 
 def test_a_solver_that_is_stopped_goes_on_in_the_next_sample():
-    controller, x = law(most_iterations=10, starts=1), HANGING
+    controller, x = law(most_iterations=5, starts=1), HANGING
     statuses = []
     for _ in range(80):
         u = controller(x)
