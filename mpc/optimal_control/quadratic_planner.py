@@ -160,7 +160,8 @@ class QuadraticPlanner:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
         enough = not self._law_does_better(sample, at) if follow else stayed
-        if stayed and sample.size > TINY and not (at.last and at.last.strict):  # it may be a saddle, to which no plan beside it comes back
+        # it may be a saddle, to which no plan beside it comes back
+        if stayed and at.solved and sample.size > TINY and not (at.last and at.last.strict):
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)
