@@ -110,8 +110,8 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
     Q = np.asarray(problem.Q)
     R = np.asarray(problem.R)
     P = np.asarray(problem.P)
-    along = error[:-1]
-    cost = np.vdot(along @ Q, along) + np.vdot(effort @ R + 2 * along @ problem.cross, effort) + error[-1] @ P @ error[-1]
+    cost = np.vdot(error[:-1] @ Q, error[:-1]) + np.vdot(effort @ R, effort) + error[-1] @ P @ error[-1]
+    cost += 2 * np.vdot(error[:-1] @ problem.cross, effort)
     if problem.soft is not None:
         linear, quadratic = problem.soft
         s = relative_violations(problem, states, problem.price_units)

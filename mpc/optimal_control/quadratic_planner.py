@@ -14,7 +14,6 @@ from mpc.budgets import ASIDE, PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
-from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
@@ -22,6 +21,7 @@ from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
 from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost, weights_along
 from mpc.plan import Plan, Residuals, Status
+from mpc.problem import MPCProblem
 from mpc.rollout import (
     Given,
     admissible,
@@ -82,7 +82,7 @@ class QuadraticPlanner:
     begins at so many `starts`. No program is begun that would probably end later than `time_limit` [s].
     """
 
-    law: LinearMPC
+    law: MPCProblem
     model: DiscreteModel
     p: Array
     iterations: int | None
@@ -206,30 +206,22 @@ class QuadraticPlanner:
         They end at the optimum, or where so many more are to be expected that another solver will be sooner there.
         """
         best = replace(at, last=None)
-        before: float | None = None
+        before: Step | None = None
         for one in self._programs(sample, best):
             if best.last is None or one.error < best.error:
                 best = one
-            size = self._moves(one)
-            if one.error <= KKT or (before is not None and not _soon(size, before, one.last.newton)):
+            if one.error <= KKT or one.last is None or (before is not None and not _soon(one.last, before)):
                 break
-            before = size
+            before = one.last
         return best
-
-    def _moves(self, path: _Path) -> float:
-        """Largest move by the program of a path, in sizes of states and inputs."""
-        parts = zip((path.last.states, path.last.inputs), (self.programs.size, self.programs.input_size)) if path.last else ()
-        return max(float(np.abs(part / size).max()) for part, size in parts)
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
         """Paths, each moved by the program at the one before, and the program there, as long as there is time."""
         w = disturbance(self.law, sample.given)
         while at.last is None or not sample.clock.up:
             relaxed = at.last is not None and at.last.relaxed
-            step = self.programs.step(
-                sample.x, at.states, at.inputs, w, self.p, sample.given, sample.dear, relaxed=relaxed,
-                costates=at.costates,
-            )
+            about = at.states, at.inputs, w, self.p, sample.given
+            step = self.programs.step(sample.x, *about, sample.dear, relaxed=relaxed, costates=at.costates)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return
             at = replace(at, gains=step.gains, last=step)
@@ -351,15 +343,18 @@ def _moved(path: _Path) -> _Path:
     return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, costates=step.costates)
 
 
-def _soon(left: float, before: float, newton: bool) -> bool:
+def _soon(last: Step, before: Step) -> bool:
     """Whether moves that fall at this rate will be gone soon.
 
     Those of Newton's method fall ever faster once they are halved (Deuflhard, Newton Methods, 2004).
     """
-    return left < before / 2 if newton else left < before and np.log(KKT / left) / np.log(left / before) <= PROGRAMS_TO_GO
+    rate = last.size / max(before.size, TINY)
+    if last.newton:
+        return rate < 0.5
+    return rate < 1.0 and np.log(KKT / last.size) / np.log(rate) <= PROGRAMS_TO_GO
 
 
-def gain_at_rest(law: LinearMPC) -> Array:
+def gain_at_rest(law: MPCProblem) -> Array:
     """Gain (nu, nx) of the regulator, else of the horizon's first step.
 
     Vehicles that cannot move sideways are such: at rest their linearisation cannot be stabilised.

@@ -11,6 +11,7 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
+from mpc.exceptions import NotConvexError
 from mpc.feedback import stabilising_weights
 from mpc.optimal_control.condensing import compile_kernels, gains_along, moved, pulled
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -31,6 +32,7 @@ class Step:
     states: Array
     inputs: Array
     gains: Array  # (N, nu, nx): of the feedback along the plan that keeps it together
+    size: float  # largest move, in sizes of states and inputs
     # the largest gap in the plan between a state and what the model makes of the one before it, in sizes of the states
     defects: float
     # of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
@@ -119,6 +121,11 @@ class Sequential:
         self._prices = np.concatenate([np.tile(prices["state"], N), prices["terminal"]])
         self._rows = _rows(problem)
         compile_kernels()
+        A, B = (np.tile(matrix, (N, 1, 1)) for matrix in (problem.A, problem.B))
+        rest = np.zeros((N + 1, problem.nx)), np.zeros((N, problem.nu))
+        if self._program(rest, (A, B, rest[0][1:], rest[0][0]), {}, np.zeros_like(self._weights)) is None:
+            got = "the Hessian along the model at rest is not positive definite; some input is free of cost."
+            raise NotConvexError(f"{got} Make R positive definite, or let Q and P see every input.", "Hessian", 0.0)
 
     def step(
         self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
@@ -133,7 +140,7 @@ class Sequential:
         gaps = after - states[1:]
         defects = max(_largest(gaps / self.size), _largest((x - states[0]) / self.size))
         none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
-        failed = Step(states, inputs, none, defects, np.inf, False, False)
+        failed = Step(states, inputs, none, np.inf, defects, np.inf, False, False)
         if not all(np.isfinite(part).all() for part in (after, A, B)):
             return failed
         about = (states, inputs), (A, B, gaps, x - states[0]), given
@@ -156,7 +163,9 @@ class Sequential:
             cost = max(abs(cost_of(self.problem, *program.start[::-1], given)), program.lost_cost, TINY)
             stationarity = min(stationarity, max(still, abs(gain) / cost))
         costs = partial(self._costates, program, moves, change, *pushes)
-        return Step(moves, change, gains, defects, stationarity, relaxed, solved, newton is not None, costs, curved)
+        size = max(_largest(moves / self.size), _largest(change / self.input_size))
+        found = moves, change, gains, size, defects, stationarity
+        return Step(*found, relaxed, solved, newton is not None, costs, curved)
 
     def _curved(self, plan: tuple[Array, Array], about: tuple[Array, ...], given: Given, dear: float, w: Array,
                 p: Array, costates: Array) -> _Program | None:  # fmt: skip
@@ -165,13 +174,15 @@ class Sequential:
         bend[:-1] += self.model.curvature(plan[0][:-1], plan[1], w, p, costates)
         return self._program(plan, about, given, bend)
 
-    def _held(self, plan: tuple[Array, Array], along: Along, costates: Array, dear: float, given: Given) -> Array:
+    def _held(self, plan: tuple[Array, Array], about: tuple[Array, ...], costates: Array, dear: float,
+              given: Given) -> Array:  # fmt: skip
         """Curvature (N + 1, nx + nu, nx + nu) that a price of moves across limits which push adds.
 
         No move along them pays it, so what the program comes to is the same, and the Hessian is positive definite where
         it is along the limits (Debreu, Econometrica 20, 1952).
         """
-        (A, B, _, _), rows, (N, nx, nu) = along, self._rows, along[1].shape
+        A, B = about[:2]
+        rows, (N, nx, nu) = self._rows, B.shape
         by_state, by_input = self._slopes(*deviations(*plan, given))
         push = np.zeros((N + 1, nx + nu))
         push[1:, :nx] = costates - by_state[1:]
@@ -206,7 +217,8 @@ class Sequential:
         H = 2 * Z.reshape(-1, n).T @ (weights @ Z).reshape(-1, n)
         return np.asarray((H + H.T) / 2)[None]
 
-    def _program(self, plan: tuple[Array, Array], about: tuple[Array, ...], given: Given, bend: Array) -> _Program | None:
+    def _program(self, plan: tuple[Array, Array], about: tuple[Array, ...], given: Given,
+                 bend: Array) -> _Program | None:  # fmt: skip
         """Program in v about the plan of v = 0; None where it is not convex, or no numbers."""
         A, B, gaps, first = about
         weights = self._weights + bend / 2
@@ -278,8 +290,9 @@ class Sequential:
                 places = n + rows.steps[taken[of_states]] - 1
                 matrix[of_states, places] = -self._prices[taken[of_states] - others] * size
                 least = -np.eye(len(q))[np.unique(places)]
-            y, pushes, solved = _least(q, np.vstack([matrix, least]), np.concatenate([bounds[taken], np.zeros(len(least))]),
-                               np.concatenate([rows.units[taken], np.ones(len(least))]))  # fmt: skip
+            sides = np.concatenate([bounds[taken], np.zeros(len(least))])
+            units = np.concatenate([rows.units[taken], np.ones(len(least))])
+            y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
             z = (program.roots @ y[:n].reshape(*program.shape, 1)).ravel()
             moves, change = program.moves(z)
             room = self._room(program.plan[0] + moves, program.plan[1] + change, program.given) / rows.units
