@@ -3,10 +3,11 @@
     python benchmarks/nmpc_statements.py [--first SEED] [--count N] [--starts N] [--decades N]   # first plans
     python benchmarks/nmpc_statements.py --loops                                  # closed loops
 
-A statement has one of six plants in random units (over three decades to either side, or `--decades`), a horizon of 8 to 30 samples, and by chance: obstacles, a box or a
-ball as terminal set, end conditions, an economic cost, parameters that change over the horizon, references, soft
-limits, limits and prices of changes of the inputs; some cannot be met. The reference is multiple shooting written here,
-from the state held, and from ten other places: roll-outs of inputs by chance and straight ways.
+A statement has one of six plants in random units (three decades to either side, or `--decades`), a horizon of 8 to 30
+samples, and by chance: obstacles, a box or a ball as terminal set, end conditions, an economic cost, parameters that
+change over the horizon, references, soft limits, limits and prices of changes of the inputs; some cannot be met. The
+reference is multiple shooting written here, from the state held, and from ten other places: roll-outs of inputs by
+chance and straight ways.
 Required: never dearer than the reference from the same start, nor than the best of all eleven, by more than 1e-6; never
 SOLVED where no start is feasible, nor where a limit is passed by more than 1e-6 of its size.
 """
