@@ -350,7 +350,7 @@ def _soon(last: Step, before: Step) -> bool:
     """
     rate = last.size / max(before.size, TINY)
     if last.newton:
-        return rate < 0.5
+        return rate < 1.0
     return rate < 1.0 and np.log(KKT / last.size) / np.log(rate) <= PROGRAMS_TO_GO
 
 
