@@ -361,8 +361,11 @@ def _weighed(weights: Array, states: Array, inputs: Array) -> Array:
 
 
 def _roots(blocks: Array) -> Array:
-    """Roots T with T'HT = 1 of blocks of H (b, n/b, n/b)."""
-    unit = 1 / np.sqrt(np.diagonal(blocks, axis1=1, axis2=2))
+    """Roots T with T'HT = 1 of blocks of H (b, n/b, n/b), an error where one is not positive definite."""
+    diagonal = np.diagonal(blocks, axis1=1, axis2=2)
+    if not (diagonal > 0).all():
+        raise np.linalg.LinAlgError
+    unit = 1 / np.sqrt(diagonal)
     scaled = blocks * unit[:, :, None] * unit[:, None, :]
     lower = np.linalg.cholesky(scaled + ROUNDED_SUM * np.eye(scaled.shape[1]))
     return np.asarray(np.linalg.inv(lower).transpose(0, 2, 1) * unit[:, :, None])
