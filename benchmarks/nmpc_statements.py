@@ -1,12 +1,13 @@
 """Random statements of nonlinear MPC by a `Phase`, beside plain CasADi and Ipopt from the same start and ten others.
 
-    python benchmarks/nmpc_statements.py [--first SEED] [--count N] [--starts N]   # first plans
+    python benchmarks/nmpc_statements.py [--first SEED] [--count N] [--starts N] [--decades N]   # first plans
     python benchmarks/nmpc_statements.py --loops                                  # closed loops
 
-A statement has one of six plants in random units, a horizon of 8 to 30 samples, and by chance: obstacles, a box or a
-ball as terminal set, end conditions, an economic cost, parameters that change over the horizon, references, soft
-limits, limits and prices of changes of the inputs; some cannot be met. The reference is multiple shooting written here,
-from the state held, and from ten other places: roll-outs of inputs by chance and straight ways.
+A statement has one of six plants in random units (three decades to either side, or `--decades`), a horizon of 8 to 30
+samples, and by chance: obstacles, a box or a ball as terminal set, end conditions, an economic cost, parameters that
+change over the horizon, references, soft limits, limits and prices of changes of the inputs; some cannot be met. The
+reference is multiple shooting written here, from the state held, and from ten other places: roll-outs of inputs by
+chance and straight ways.
 Required: never dearer than the reference from the same start, nor than the best of all eleven, by more than 1e-6; never
 SOLVED where no start is feasible, nor where a limit is passed by more than 1e-6 of its size.
 """
@@ -133,7 +134,7 @@ class Statement:
         return x[1] - self.soft[0]
 
 
-def random_statement(seed: int) -> Statement:
+def random_statement(seed: int, decades: int = 3) -> Statement:
     """Statement of a seed."""
     rng = np.random.default_rng(seed)
     plant = list(PLANTS)[seed % len(PLANTS)]
@@ -141,8 +142,8 @@ def random_statement(seed: int) -> Statement:
     nx, nu, N = len(about), len(limit), int(rng.integers(8, 31))
     x = rng.uniform(-1, 1, nx) * about
     w = np.zeros((N + 1, 2))
-    one = Statement(plant, N, x, 10.0 ** rng.integers(-3, 4, nx), 10.0 ** rng.integers(-3, 4, nu),
-                    10.0 ** rng.integers(-3, 4), w, float(rng.uniform(0.5, 2)))  # fmt: skip
+    size_x, size_u, unit = (10.0 ** rng.integers(-decades, decades + 1, count) for count in (nx, nu, 1))
+    one = Statement(plant, N, x, size_x, size_u, float(unit[0]), w, float(rng.uniform(0.5, 2)))
     one.Q, one.R = np.diag(rng.uniform(0.2, 2, nx)), np.diag(rng.uniform(0.05, 0.5, nu))
 
     def some(name: str, chance: float) -> bool:
@@ -317,13 +318,13 @@ class Reference:
         return float(f), float(over)
 
 
-def first_plans(first: int, count: int, starts: int) -> None:
+def first_plans(first: int, count: int, starts: int, decades: int) -> None:
     """Print the table."""
     tally: Counter[str] = Counter()
     kinds: dict[str, Counter[str]] = {}
     times = []
     for seed in range(first, first + count):
-        one = random_statement(seed)
+        one = random_statement(seed, decades)
         reference = Reference(one)
         law, signals = law_of(one, starts)
         began = time.perf_counter()
@@ -414,11 +415,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--starts", type=int, default=3)
+    parser.add_argument("--decades", type=int, default=3)
     parser.add_argument("--loops", action="store_true")
     asked = parser.parse_args()
     if asked.loops:
         return loops()
-    return first_plans(asked.first, asked.count, asked.starts)
+    return first_plans(asked.first, asked.count, asked.starts, asked.decades)
 
 
 if __name__ == "__main__":

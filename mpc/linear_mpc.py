@@ -91,11 +91,9 @@ class LinearMPC(MPCProblem):
     """
 
     solver: str = field(default="daqp", kw_only=True)
-    uses: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._set(uses=_checked_uses(self.uses, self.nw))
         if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InputError("solver", repr(self.solver), f"one of {SOLVERS}")
         self._solver_for(("u_prev",) if self.rate_limit is not None else ())  # builds the QP: fails here
@@ -106,15 +104,6 @@ class LinearMPC(MPCProblem):
             return f"LinearMPC({size}, {self.solver})"
         qp = self._condensed(("u_prev",) if self.rate_limit is not None else ()).qp
         return f"LinearMPC({size}, {qp.nz} variables, {qp.m} constraints)"
-
-    @property
-    def needs(self) -> frozenset[str]:
-        """Signals that a closed loop hands over besides the state.
-
-        "last_input" (keyword `u_prev`, (n, nu)) with a rate limit; "reference" (`x_ref`, and `u_ref` where there is
-        one) and "preview" (`w`, (N, nw) or (n, N, nw) for the next N = `horizon` steps) where `uses` names them.
-        """
-        return frozenset(self.uses) | ({"last_input"} if self.rate_limit is not None else set())
 
     def build(self, *parameters: str) -> ParametricQP:
         """QP with the state and named parameters left open.
@@ -299,13 +288,3 @@ class LinearMPC(MPCProblem):
     def _sparse(self) -> Callable[[tuple[str, ...]], SparseSolver]:
         """Signals → solver with the states kept."""
         return cache(partial(SparseSolver, self, solver=self.solver))
-
-
-def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:
-    """Names in `uses`, checked."""
-    names = tuple(value) if isinstance(value, (tuple, list, set, frozenset)) else (value,)
-    known = ("reference", "preview") if nw else ("reference",)
-    for name in names:
-        if name not in known:
-            raise InputError("uses", repr(name), f"some of {known}", "" if nw else "A preview needs E.")
-    return names

@@ -68,6 +68,8 @@ class Plan:
         Wall time [s].
     solver : str
         The solver that produced the result.
+    costates : (N, nx) array or None
+        Slopes of the cost by x_1 … x_N along the plan, of a nonlinear one by quadratic programs.
     """
 
     inputs: Array
@@ -78,6 +80,7 @@ class Plan:
     violation: float
     solve_time: float
     solver: str
+    costates: Array | None = None
 
     def __post_init__(self) -> None:
         self.inputs.flags.writeable = False

@@ -62,6 +62,7 @@ class MPCProblem(Immutable):
     rate_limit: Any = field(default=None, kw_only=True)
     soft: tuple[float, float] | None = field(default=None, kw_only=True)
     blocks: tuple[int, ...] | None = field(default=None, kw_only=True)
+    uses: tuple[str, ...] = field(default=(), kw_only=True)
     state_rows: tuple[Array, Array] = field(init=False)
     input_rows: tuple[Array, Array] = field(init=False)
     terminal_rows: tuple[Array, Array] = field(init=False)
@@ -84,6 +85,7 @@ class MPCProblem(Immutable):
             self._set(**{name: checked, rows: (H, h)})
         if self.E is not None:
             self._set(E=as_array("E", self.E, (self.nx, None)))
+        self._set(uses=_checked_uses(self.uses, self.nw))
         if self.rate_limit is not None:
             self._set(rate_limit=as_rate_limit(self.rate_limit, self.nu))
         if self.soft is not None:
@@ -164,6 +166,15 @@ class MPCProblem(Immutable):
     def nw(self) -> int:
         """Number of disturbances; 0 without E."""
         return 0 if self.E is None else int(self.E.shape[1])
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Signals that a closed loop hands over besides the state.
+
+        "last_input" (keyword `u_prev`, (n, nu)) with a rate limit; "reference" (`x_ref`, and `u_ref` where there is
+        one) and "preview" (`w`, (N, nw) or (n, N, nw) for the next N = `horizon` steps) where `uses` names them.
+        """
+        return frozenset(self.uses) | ({"last_input"} if self.rate_limit is not None else set())
 
     @property
     def signal_shapes(self) -> dict[str, tuple[int, int]]:
@@ -290,3 +301,13 @@ class MPCProblem(Immutable):
             By default the one that was given to this problem; where none was, the Riccati solution of the new model.
         """
         return replace(self, A=A, B=B, E=self.E if E is None else E, P=self.given_P if P is None else P)
+
+
+def _checked_uses(value: Any, nw: int) -> tuple[str, ...]:
+    """Names in `uses`, checked."""
+    names = tuple(value) if isinstance(value, (tuple, list, set, frozenset)) else (value,)
+    known = ("reference", "preview") if nw else ("reference",)
+    for name in names:
+        if name not in known:
+            raise InputError("uses", repr(name), f"some of {known}", "" if nw else "A preview needs E.")
+    return names

@@ -110,8 +110,8 @@ def cost_of(problem: MPCProblem, inputs: Array, states: Array, given: Given) -> 
     Q = np.asarray(problem.Q)
     R = np.asarray(problem.R)
     P = np.asarray(problem.P)
-    cost = np.sum(error[:-1] @ Q * error[:-1]) + np.sum(effort @ R * effort) + error[-1] @ P @ error[-1]
-    cost += 2 * np.sum(error[:-1] @ problem.cross * effort)
+    cost = np.vdot(error[:-1] @ Q, error[:-1]) + np.vdot(effort @ R, effort) + error[-1] @ P @ error[-1]
+    cost += 2 * np.vdot(error[:-1] @ problem.cross, effort)
     if problem.soft is not None:
         linear, quadratic = problem.soft
         s = relative_violations(problem, states, problem.price_units)

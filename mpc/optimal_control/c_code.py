@@ -11,14 +11,14 @@ import numpy as np
 from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.halfspaces import box_of
-from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.quadratic_planner import gain_at_rest
+from mpc.problem import MPCProblem
 from mpc.tolerances import VIOLATION_PRICE
 
 
-def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
+def real_time_iteration(law: MPCProblem, model: DiscreteModel) -> ca.Function:
     """CasADi function of one real-time iteration, one quadratic program.
 
     Its arguments, those of no entries left out: `state`; `states` (nx, N + 1) and `inputs` (nu, N) of the plan of the
@@ -61,7 +61,7 @@ def real_time_iteration(law: LinearMPC, model: DiscreteModel) -> ca.Function:
     return ca.Function("iteration", list(kept.values()), results, list(kept), names)
 
 
-def write_c(law: LinearMPC, model: DiscreteModel, folder: Any) -> Path:
+def write_c(law: MPCProblem, model: DiscreteModel, folder: Any) -> Path:
     """Write `nonlinear_mpc.c` and its header; return the path of the former."""
     iteration = real_time_iteration(law, model)
     try:
@@ -86,7 +86,7 @@ def _of_columns(function: ca.Function) -> ca.Function:
     return ca.Function(name, list(kept.values()), results, list(kept), names)
 
 
-def _program(law: LinearMPC, lowest: Array, highest: Array) -> tuple[ca.Function, ca.Function]:
+def _program(law: MPCProblem, lowest: Array, highest: Array) -> tuple[ca.Function, ca.Function]:
     """Scaled data of the QP along a plan, and moves of it."""
     nx, nu, N = law.nx, law.nu, law.horizon
     size_x, size_u = law.state_extent, np.where(law.input_extent > 0, law.input_extent, 1.0)
@@ -138,7 +138,7 @@ def _program(law: LinearMPC, lowest: Array, highest: Array) -> tuple[ca.Function
     return ca.Function("data", arguments, results, {"cse": True}), ca.Function("moves", [z], [d, v])
 
 
-def _cost(law: LinearMPC, error: Any, effort: Any) -> Any:
+def _cost(law: MPCProblem, error: Any, effort: Any) -> Any:
     """Cost of deviations from the references."""
     along = error[:, :-1]
     cost = ca.bilin(law.P, error[:, -1]) + ca.dot(along, ca.DM(law.Q) @ along) + ca.dot(effort, ca.DM(law.R) @ effort)

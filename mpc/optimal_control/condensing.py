@@ -18,30 +18,33 @@ from mpc.tolerances import ROUNDED_SUM
 def compile_kernels() -> None:
     """Compile the kernels before a clock runs."""
     one, column = np.ones((1, 1, 1)), np.ones((1, 1))
-    gains, _ = gains_along(one, one, column, column, column, column)
+    gains, _ = gains_along(one, one, np.ones((2, 2, 2)))
     moved(one, one, gains, column, np.ones(1), one)
     pulled(one, one, gains, np.ones((1, 2, 1)), one)
 
 
 @njit(cache=True)
-def gains_along(A: Array, B: Array, Q: Array, R: Array, S: Array, P: Array) -> tuple[Array, Array]:
+def gains_along(A: Array, B: Array, weights: Array) -> tuple[Array, Array]:
     """Gains (N, nu, nx) and prices of the regulator of dx⁺ = A dx + B du.
 
-    A (N, nx, nx) and B (N, nx, nu); weights as of a quadratic cost x'Qx + 2 x'Su + u'Ru. With them what a deviation v
-    from the regulator, du = v - K dx, costs at every step whatever the others: v'Mv, the M (N, nu, nu).
+    A (N, nx, nx) and B (N, nx, nu); the weights (N + 1, nx + nu, nx + nu) are [Q S; S' R] of every step and P of the
+    end. With them what a deviation v from the regulator, du = v - K dx, costs at every step whatever the others: v'Mv,
+    the M (N, nu, nu).
     """
     N, nx, nu = B.shape
     gains = np.zeros((N, nu, nx))
     prices = np.zeros((N, nu, nu))
-    V = P.copy()
+    V = weights[N, :nx, :nx].copy()
+    both = np.zeros((nx, nx + nu))
     for k in range(N - 1, -1, -1):
-        M = R + B[k].T @ V @ B[k]
-        slope = S.T + B[k].T @ V @ A[k]
-        K = _divided(M, slope)
-        V = Q + A[k].T @ V @ A[k] - slope.T @ K
+        both[:, :nx] = A[k]
+        both[:, nx:] = B[k]
+        M = weights[k] + both.T @ (V @ both)
+        prices[k] = M[nx:, nx:]
+        slope = np.ascontiguousarray(M[nx:, :nx])
+        gains[k] = _divided(prices[k], slope)
+        V = M[:nx, :nx] - slope.T @ gains[k]
         V = 0.5 * (V + V.T)
-        gains[k] = K
-        prices[k] = M
     return gains, prices
 
 
@@ -72,30 +75,27 @@ def moved(A: Array, B: Array, gains: Array, gaps: Array, first: Array, v: Array)
 
 
 @njit(cache=True)
-def pulled(A: Array, B: Array, gains: Array, by_state: Array, by_input: Array) -> Array:
-    """Slopes (c, N, nu) by v of functions of the moves.
+def pulled(A: Array, B: Array, gains: Array, by_state: Array, by_input: Array) -> tuple[Array, Array]:
+    """Slopes (c, N, nu) by v of functions of the moves, and their costates (c, N + 1, nx).
 
     Their slopes by the moves of `moved` are (c, N + 1, nx) and (c, N, nu).
     """
     N, nx, nu = B.shape
     slopes = by_input.copy()
-    costate = np.zeros(nx)
-    before = np.zeros(nx)
+    costates = by_state.copy()
     for c in range(len(slopes)):
-        costate[:] = by_state[c, N]
         for k in range(N - 1, -1, -1):
-            before[:] = by_state[c, k]
             for i in range(nx):
-                if costate[i] != 0.0:
+                costate = costates[c, k + 1, i]
+                if costate != 0.0:
                     for j in range(nu):
-                        slopes[c, k, j] += B[k, i, j] * costate[i]
+                        slopes[c, k, j] += B[k, i, j] * costate
                     for j in range(nx):
-                        before[j] += A[k, i, j] * costate[i]
+                        costates[c, k, j] += A[k, i, j] * costate
             for i in range(nu):
                 for j in range(nx):
-                    before[j] -= gains[k, i, j] * slopes[c, k, i]
-            costate[:] = before
-    return slopes
+                    costates[c, k, j] -= gains[k, i, j] * slopes[c, k, i]
+    return slopes, costates
 
 
 @njit(cache=True)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array
-from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.quadratic_phase import priced, quadratic_parameters, quadratic_phase
+from mpc.problem import MPCProblem
 from mpc.sensitivities.changes import PlanModel
 from mpc.tolerances import SOLVERS, TARGET_COST
 from mpc.tracking import sizes_of
@@ -78,7 +78,7 @@ class DiscreteModel:
         self._followed = Buffered(_following(step).mapaccum("followed", horizon))
         self._loops: dict[int, LoopPhase] = {}
 
-    def loop(self, law: LinearMPC, p: Array) -> LoopPhase:
+    def loop(self, law: MPCProblem, p: Array) -> LoopPhase:
         """Statement of a plan as a phase, for all p, built on demand."""
         key = len(law.terminal_rows[1])
         if key not in self._loops:
@@ -206,7 +206,7 @@ def _following(step: ca.Function) -> ca.Function:
     return ca.Function("following", [now, v, s, gain, low, high, rate, w, p], [then])
 
 
-def steady_solver(law: LinearMPC, model: DiscreteModel) -> ca.Function:
+def steady_solver(law: MPCProblem, model: DiscreteModel) -> ca.Function:
     """Ipopt for the steady state of a model in X and U whose outputs are nearest to a reference.
 
     Its parameters are C'C, C'r, w and p; its unknowns states and inputs in their sizes, its rows the drift of the

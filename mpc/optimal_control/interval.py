@@ -194,5 +194,7 @@ def _sizes(phase: Phase, functions: PhaseFunctions, parameters: Array, mesh: Arr
             found = np.logical_not(told) & (needed > 0)
         sizes, told = np.where(found, needed, sizes), told | found
         if not found.any():
-            steep = steepness(sizes * told)
+            before, steep = steep, steepness(sizes * told)
+            if np.array_equal(before, steep):  # nothing is left to ask
+                break
     return sizes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -158,6 +158,12 @@ class NonlinearMPC(Immutable):
     @cached_property
     def linear(self) -> LinearMPC:
         """Linear MPC of the linearisation at rest."""
+        stated = {one.name: getattr(self.problem, one.name) for one in fields(MPCProblem) if one.init}
+        return LinearMPC(**stated | {"P": self.problem.given_P})
+
+    @cached_property
+    def problem(self) -> MPCProblem:
+        """Statement of linear MPC for the linearisation at rest."""
         if self._loop is not None:
             cure = "State them: NonlinearMPC(step, nx, nu, Q=…, R=…, horizon=…)."
             expected = "quadratic costs and polytopes, for C code, derivatives, steady states and offset-free control"
@@ -173,7 +179,7 @@ class NonlinearMPC(Immutable):
             raise InputError("step", got, "one that stays at x = 0 under u = 0, w = 0", cure)
         E = self.model.by_disturbance(x, u, w, self.p) if self.disturbances else None
         try:
-            law = LinearMPC(
+            law = MPCProblem(
                 A, B, Q=self.Q, R=self.R, S=self.S, horizon=self.horizon, P=self.P, X=self.X, U=self.U, E=E,
                 terminal_set=None if self._invariant else self.terminal_set, rate_limit=self.rate_limit, soft=self.soft,
                 uses=self.uses,
@@ -197,7 +203,7 @@ class NonlinearMPC(Immutable):
         if self._loop is not None:
             return LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
         return QuadraticPlanner(
-            self.linear, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
+            self.problem, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
         )
 
     def __repr__(self) -> str:
@@ -210,7 +216,7 @@ class NonlinearMPC(Immutable):
         if self._loop is not None:
             own = {"last_input": self._loop.carries, "time": self._loop.timed}
             return frozenset(self.uses) | {name for name, asked in own.items() if asked}
-        return self.linear.needs
+        return self.problem.needs
 
     @property
     def last_plans(self) -> tuple[Plan, ...]:
@@ -221,7 +227,7 @@ class NonlinearMPC(Immutable):
         """Controller for other parameters p (np,), with the same model."""
         value = as_array("p", p, (len(self.p),))
         other = copy.copy(self)
-        for name in ("linear", "planner", "steady_solver"):
+        for name in ("linear", "problem", "planner", "steady_solver"):
             other.__dict__.pop(name, None)
         object.__setattr__(other, "p", value)
         _ = other.planner
@@ -297,21 +303,21 @@ class NonlinearMPC(Immutable):
         """
         x = as_array("x", x, (self.states,))
         self._check_start(start)
-        given = spread_signals(self.linear, dict(signals))
+        given = spread_signals(self.problem, dict(signals))
         planner: Any = self.planner
         to_the_end = replace(planner, iterations=None, time_limit=np.inf)
         plan = to_the_end.plan(x, given, start)
         at_rest = self.model.at_rest(self.p)
         own = {"dQ": dQ, "dR": dR, "dS": dS, "dP": dP, "dX": dX, "dU": dU, "d_terminal_set": d_terminal_set,
                "d_rate_limit": d_rate_limit, "dA": at_rest[0], "dB": at_rest[1]}  # fmt: skip
-        changes = as_changes(self.linear, own, len(self.p))
-        derivatives = self.model.along_signals(disturbance(self.linear, given), self.p)
-        return sensitivity_of(self.linear, derivatives, changes, plan, given)
+        changes = as_changes(self.problem, own, len(self.p))
+        derivatives = self.model.along_signals(disturbance(self.problem, given), self.p)
+        return sensitivity_of(self.problem, derivatives, changes, plan, given)
 
     @cached_property
     def steady_solver(self) -> ca.Function:
         """Solver for steady states of the model in X and U."""
-        return steady_solver(self.linear, self.model)
+        return steady_solver(self.problem, self.model)
 
     def _check_start(self, start: Any) -> None:
         """Raise unless it is None or a plan of this controller."""
@@ -360,10 +366,10 @@ class NonlinearMPC(Immutable):
         InputError
             A folder that cannot be written; or U is no box.
         """
-        return write_c(self.linear, self.model, folder)
+        return write_c(self.problem, self.model, folder)
 
 
-def _invariant_set(law: LinearMPC) -> Polytope:
+def _invariant_set(law: MPCProblem) -> Polytope:
     """Largest set in which the linearisation keeps X and U under u = -Kx."""
     (HX, hX), (HU, hU) = law.state_rows, law.input_rows
     if not len(hX) + len(hU):

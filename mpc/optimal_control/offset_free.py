@@ -57,13 +57,13 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         """Regulator, checked, of a model with disturbances."""
         if not isinstance(self.mpc, NonlinearMPC):
             raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
-        _ = self.mpc.linear  # which a phase has not
+        _ = self.mpc.problem  # which a phase has not
         return self.mpc if self.mpc.disturbances else _with_additive(self.mpc)
 
     @property
     def problem(self) -> MPCProblem:
         """Sizes, weights and sets."""
-        problem: MPCProblem = self.mpc.linear
+        problem: MPCProblem = self.mpc.problem
         return problem
 
     def alone(self) -> OffsetFreeNonlinearMPC:

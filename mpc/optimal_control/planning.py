@@ -44,7 +44,9 @@ class Clock:
 
 def shifted(plan: Plan, u: Array, after: Array) -> Plan:
     """Plan one sample later, with one more input and the state that it leads to."""
-    return replace(plan, inputs=np.vstack([plan.inputs[1:], u]), states=np.vstack([plan.states[1:], after]))
+    held = None if plan.costates is None else np.vstack([plan.costates[1:], plan.costates[-1:]])
+    inputs, states = np.vstack([plan.inputs[1:], u]), np.vstack([plan.states[1:], after])
+    return replace(plan, inputs=inputs, states=states, costates=held)
 
 
 def beginnings(first: Path, x: Array, end: Array, led_to: Callable[[Array], Path],

@@ -14,14 +14,14 @@ from mpc.budgets import ASIDE, PROGRAMS_TO_GO
 from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.halfspaces import box_of
-from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.condensing import gains_along
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
-from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost
+from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost, weights_along
 from mpc.plan import Plan, Residuals, Status
+from mpc.problem import MPCProblem
 from mpc.rollout import (
     Given,
     admissible,
@@ -49,6 +49,7 @@ class _Path:
     gains: Array
     name: str
     last: Step | None = None
+    costates: Array | None = None  # (N, nx), for the curvature of the program there
 
     @property
     def error(self) -> float:
@@ -81,7 +82,7 @@ class QuadraticPlanner:
     begins at so many `starts`. No program is begun that would probably end later than `time_limit` [s].
     """
 
-    law: LinearMPC
+    law: MPCProblem
     model: DiscreteModel
     p: Array
     iterations: int | None
@@ -132,7 +133,7 @@ class QuadraticPlanner:
                 first = self._linear_law(x, given)
                 known = [first, _held(first, given)]
             else:
-                first = _Path(before.states, before.inputs, self._gains, SHIFTED)
+                first = _Path(before.states, before.inputs, self._gains, SHIFTED, costates=before.costates)
                 known = [first]
             size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
             sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
@@ -159,7 +160,8 @@ class QuadraticPlanner:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
         stayed = at.inputs is first.inputs
         enough = not self._law_does_better(sample, at) if follow else stayed
-        if stayed and sample.size > TINY:  # it may be a saddle, to which no plan beside it comes back
+        # it may be a saddle, to which no plan beside it comes back
+        if stayed and at.solved and sample.size > TINY and not (at.last and at.last.strict):
             at = self._contracted(sample, self._aside(at))
         if at.solved and enough:
             return self._plan(sample, at)
@@ -170,7 +172,7 @@ class QuadraticPlanner:
 
     def _real_time(self, sample: _Sample, iterations: int) -> Plan:
         """Plan after so many quadratic programs."""
-        done = list(islice(self._programs(sample, replace(sample.first, name=REAL_TIME)), iterations))
+        done = list(islice(self._programs(sample, replace(sample.first, name=REAL_TIME, costates=None)), iterations))
         if not done:
             return self._plan(sample, sample.first, Status.REPLACED)
         cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
@@ -187,7 +189,8 @@ class QuadraticPlanner:
             softened = at.last.relaxed and status in (Status.SOLVED, Status.FOLLOWED)
             if softened and relative_violations(self.law, path.states).max() > FEASIBLE:
                 status = Status.SOFTENED
-        return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name)
+        return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name,
+                    None if at.last is None else at.last.costates)  # fmt: skip
 
     def _kept(self, path: _Path, at: _Path, cost: float, given: Given) -> bool:
         """Whether the model itself goes along a path, or costs as much where it does not."""
@@ -203,13 +206,13 @@ class QuadraticPlanner:
         They end at the optimum, or where so many more are to be expected that another solver will be sooner there.
         """
         best = replace(at, last=None)
-        before: float | None = None
+        before: Step | None = None
         for one in self._programs(sample, best):
             if best.last is None or one.error < best.error:
                 best = one
-            if one.error <= KKT or (before is not None and not _soon(one.error, before)):
+            if one.error <= KKT or one.last is None or (before is not None and not _soon(one.last, before)):
                 break
-            before = one.error
+            before = one.last
         return best
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
@@ -217,9 +220,8 @@ class QuadraticPlanner:
         w = disturbance(self.law, sample.given)
         while at.last is None or not sample.clock.up:
             relaxed = at.last is not None and at.last.relaxed
-            step = self.programs.step(
-                sample.x, at.states, at.inputs, w, self.p, sample.given, sample.dear, relaxed=relaxed
-            )
+            about = at.states, at.inputs, w, self.p, sample.given
+            step = self.programs.step(sample.x, *about, sample.dear, relaxed=relaxed, costates=at.costates)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return
             at = replace(at, gains=step.gains, last=step)
@@ -336,15 +338,23 @@ def _held(path: _Path, given: Given) -> _Path:
 def _moved(path: _Path) -> _Path:
     """Path after the step of its program."""
     step = path.last
-    return path if step is None else replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs)
+    if step is None:
+        return path
+    return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, costates=step.costates)
 
 
-def _soon(left: float, before: float) -> bool:
-    """Whether errors that fall at this rate will be gone soon."""
-    return left < before and np.log(KKT / left) / np.log(left / before) <= PROGRAMS_TO_GO
+def _soon(last: Step, before: Step) -> bool:
+    """Whether moves that fall at this rate will be gone soon.
+
+    Those of Newton's method fall ever faster once they are halved (Deuflhard, Newton Methods, 2004).
+    """
+    rate = last.size / max(before.size, TINY)
+    if last.newton:
+        return rate < 1.0
+    return rate < 1.0 and np.log(KKT / last.size) / np.log(rate) <= PROGRAMS_TO_GO
 
 
-def gain_at_rest(law: LinearMPC) -> Array:
+def gain_at_rest(law: MPCProblem) -> Array:
     """Gain (nu, nx) of the regulator, else of the horizon's first step.
 
     Vehicles that cannot move sideways are such: at rest their linearisation cannot be stabilised.
@@ -353,6 +363,5 @@ def gain_at_rest(law: LinearMPC) -> Array:
         return law.gain
     except NotStabilisableError:
         A, B = (np.tile(matrix, (law.horizon, 1, 1)) for matrix in (law.A, law.B))
-        weights = (np.array(weight, order="C") for weight in (law.Q, law.R, law.cross, law.P))
-        gains, _ = gains_along(A, B, *weights)
+        gains, _ = gains_along(A, B, weights_along(law.horizon, law.Q, law.R, law.cross, law.P))
         return np.asarray(gains[0])

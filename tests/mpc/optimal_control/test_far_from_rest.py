@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from nonlinear_programs import optimum
 
-from mpc import InputError, Status
+from mpc import InputError, NotConvexError, Status
 from mpc.optimal_control import NonlinearMPC
 
 Q, R = np.diag([10.0, 10.0, 0.1, 0.1]), np.diag([0.01, 0.01])
@@ -71,15 +71,18 @@ def test_units_do_not_matter(sx, su, cost):
 
 def test_it_swings_up_and_every_plan_on_the_way_is_solved():
     controller, x = law(), HANGING
+    solvers = []
     for _ in range(60):
         u = controller(x)
         assert controller.last_plans[0].status is Status.SOLVED
+        solvers.append(controller.last_plans[0].solver)
         x = np.asarray(arm(x, u)).ravel()
     assert np.abs(x).max() < 0.05
+    assert set(solvers[1:]) == {"SQP"}  # quadratic programs alone, without the interior-point solver
 
 
 def test_a_solver_that_is_stopped_goes_on_in_the_next_sample():
-    controller, x = law(most_iterations=10, starts=1), HANGING
+    controller, x = law(most_iterations=5, starts=1), HANGING
     statuses = []
     for _ in range(80):
         u = controller(x)
@@ -158,3 +161,28 @@ def test_starts_are_a_count(starts):
     with pytest.raises(InputError) as caught:
         law(starts=starts)
     assert caught.value.argument == "starts"
+
+
+def test_costates_are_the_slopes_of_the_cost_by_the_states():
+    controller = NonlinearMPC(lambda x, u, w: unicycle(x, u) + w, 3, 2, Q=[1, 1, 0.1], R=[0.05, 0.05], P=[10, 10, 1],
+                              horizon=15, U=([-1, -2], [1, 2]), disturbances=3)  # fmt: skip
+    x, step = [1.0, 0.5, 0.3], 1e-4
+    costates = controller.solve(x).costates
+    for k in (0, 7):
+        for i in range(3):
+            w = np.zeros((15, 3))
+            w[k, i] = step
+            up, down = (controller.solve(x, w=sign * w).cost for sign in (1, -1))
+            assert costates[k, i] == pytest.approx((up - down) / (2 * step), rel=1e-4, abs=1e-6)
+
+
+def test_a_horizon_too_long_for_a_condensed_program_is_built():
+    stated = {"Q": [1, 1, 0.1], "R": [0.05, 0.05], "P": [10, 10, 1], "horizon": 5000, "U": ([-1, -2], [1, 2])}
+    controller = NonlinearMPC(unicycle, 3, 2, **stated)
+    with pytest.raises(InputError, match="horizon"):
+        _ = controller.linear
+
+
+def test_an_input_that_costs_nothing_is_refused():
+    with pytest.raises(NotConvexError, match="input is free of cost"):
+        NonlinearMPC(lambda x, u: 0.5 * x + 0 * u, 1, 1, Q=[1], R=[0], P=[1], horizon=3, U=(-1, 1))

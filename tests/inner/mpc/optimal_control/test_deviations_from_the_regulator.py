@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mpc.optimal_control.condensing import gains_along
+from mpc.optimal_control.sqp import weights_along
 
 
 def simulated(v, A, B, gains, weights):
@@ -25,7 +26,7 @@ def test_what_a_move_costs_does_not_depend_on_the_others(nx, nu, N, radius, S, u
     A, B = rng.normal(size=(N, nx, nx)), unit * rng.normal(size=(N, nx, nu))
     A *= radius / np.abs(np.linalg.eigvals(A)).max()
     weights = np.eye(nx), unit**2 * np.eye(nu), np.full((nx, nu), S * unit), 2.0 * np.eye(nx)
-    gains, prices = gains_along(A, B, *weights)
+    gains, prices = gains_along(A, B, weights_along(N, *weights))
     for _ in range(3):
         v = rng.normal(size=(N, nu)) / unit
         assert sum(m @ M @ m for m, M in zip(v, prices)) == pytest.approx(simulated(v, A, B, gains, weights), rel=1e-9)
