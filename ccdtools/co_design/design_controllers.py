@@ -194,7 +194,8 @@ def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:
 
 
 def long_mpc(problem: CoDesignProblem, design: ArrayLike) -> Controller:
-    """MPC of the model itself over an episode, or `LONGEST_PLAN` steps of it."""
-    made: Any = linear_mpc if isinstance(problem.model, LinearModel) else nonlinear_mpc
-    found: Controller = made(problem, design, horizon=min(problem.steps, LONGEST_PLAN))
-    return found
+    """MPC of the model itself, to the optimum of every sample, over an episode or `LONGEST_PLAN` steps of it."""
+    horizon = min(problem.steps, LONGEST_PLAN)
+    if isinstance(problem.model, LinearModel):
+        return linear_mpc(problem, design, horizon=horizon)
+    return nonlinear_mpc(problem, design, horizon=horizon, iterations=None)
