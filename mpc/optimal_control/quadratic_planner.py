@@ -154,7 +154,9 @@ class QuadraticPlanner:
         """Plan that programs lead to."""
         first, follow = sample.first, sample.first.name == SHIFTED
         if follow and self.iterations is not None:
-            return self._real_time(sample, self.iterations)
+            found = self._real_time(sample, self.iterations)
+            if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
+                return found
         at = self._contracted(sample, replace(first, name=CONVERGING))
         if sample.clock.up:
             return self._plan(sample, first if at.last is None else at, Status.LATE)
