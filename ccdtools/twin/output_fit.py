@@ -1,0 +1,283 @@
+"""Plant that logged outputs and inputs tell, by the likelihood of innovations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+from scipy.stats import norm
+
+from ccdtools.arrays import Array, ArrayField, Immutable
+from ccdtools.checks import as_array, as_flag, as_floats, as_instance, as_share, finite, shown
+from ccdtools.co_design.measured import kalman_filter
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.estimation.innovations import Innovations
+from ccdtools.exceptions import InputError
+from ccdtools.plants.models import as_model
+from ccdtools.plants.plant import Plant
+from ccdtools.twin.unknown_model import UnknownModel, changed_model, stated_model
+from ccdtools_ground.outcome import Outcome
+from mpc.optimal_control.estimation.experiment import whitened
+from mpc.optimal_control.estimation.information import Information
+from mpc.optimal_control.estimation.parameter_estimate import in_words
+from mpc.tolerances import NEGLIGIBLE
+
+NOISE = ("variance of w", "variance of the sensors")  # logarithms of the factors by which they differ
+
+
+class FitStatus(Outcome):
+    """Outcome of a fit to outputs; the value is the advice."""
+
+    SOLVED = "Solved: nothing near is likelier, and the log tells every combination of the parameters."
+    OPEN = (
+        "The log leaves combinations of parameters open, see `open`. State a plant with fewer of them, measure another "
+        "output, or excite what distinguishes them."
+    )
+    AT_BOUND = "A parameter is held by a bound of the stated plant: widen it, or doubt the plant."
+    UNSOLVED = "The likelihood could not be maximised: narrow the bounds of the stated plant, or log longer."
+
+
+@dataclass(frozen=True, eq=False)
+class OutputLog(Immutable):
+    """Logged outputs and inputs of several runs at one design.
+
+    A `Trajectory` of a loop with sensors is one, too.
+
+    Parameters
+    ----------
+    outputs : (n, T, ny) array_like
+        NaN where a sensor told nothing; of one run also (T, ny).
+    inputs : (n, T, nu) array_like
+        As applied from each sample to the next.
+    design : (np,) array_like
+    """
+
+    outputs: ArrayField
+    inputs: ArrayField
+    design: ArrayField
+
+    def __post_init__(self) -> None:
+        for name in ("outputs", "inputs"):
+            rows = as_floats(name, getattr(self, name))
+            self._set(**{name: rows[None] if rows.ndim == 2 else rows})
+        if self.outputs.ndim != 3 or np.isinf(self.outputs).any():
+            raise InputError("outputs", f"shape {self.outputs.shape}", "(n, T, ny), NaN in gaps and else finite")
+        n, steps = self.outputs.shape[:2]
+        if self.inputs.ndim != 3 or self.inputs.shape[:2] != (n, steps):
+            raise InputError("inputs", f"shape {self.inputs.shape}", f"({n}, {steps}, nu), as many as outputs")
+        finite("inputs", self.inputs)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutputFit(Immutable):
+    """Parameters that a log of outputs tells.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : (m,) array
+        The likeliest; of a change of the nominal model 0 is none.
+    covariance : (m, m) array
+        Inverse of Fisher's information; infinite variances where the log tells nothing.
+    status : FitStatus
+    open : tuple of dict
+        Combinations that the log does not tell: changes by name, each in its own size.
+    innovation_variance : float
+        Mean square of the innovations beside what is expected of them: about 1 where model and noise are right.
+    unknown : UnknownModel
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    status: FitStatus
+    open: tuple[dict[str, float], ...]
+    innovation_variance: float
+    unknown: UnknownModel
+
+    def __repr__(self) -> str:
+        rows = zip(self.names, self.values, self.deviations)
+        said = ", ".join(f"{name}={value:.6g}±{deviation:.2g}" for name, value, deviation in rows)
+        return f"OutputFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g})"
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (m,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def advice(self) -> str:
+        """Advice on the outcome, with the combinations that stay open."""
+        return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open)])
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Confidence intervals (m, 2) of the single parameters, by the normal distribution."""
+        factor = norm.ppf((1 + as_share("level", level)) / 2)
+        return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
+
+
+def fit_outputs(
+    problem: CoDesignProblem, logs: Any, *, plant: Plant | None = None, fit_noise: bool = False
+) -> OutputFit:  # fmt: skip
+    """Likeliest parameters of a plant whose outputs and inputs were logged.
+
+    Prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so inputs that
+    follow the errors of the filter in the loop mislead nothing. Without a `plant` a change of the nominal model is
+    fitted that enters where w does: w + Θx x + Θu u + θ in its place, at every design.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Gives model, sensors, and mean and covariance of starts and disturbance, which counts as white.
+    logs : Trajectory or OutputLog, or a sequence of them
+        Runs that diverged are left out.
+    plant : Plant, optional
+        With the problem's design and unknown entries besides, such as a mass or a gain, within their bounds.
+    fit_noise : bool
+        Whether factors of the variances of w and of the sensors' noise are fitted, too.
+
+    Returns
+    -------
+    OutputFit
+        Never SOLVED where the log leaves a combination open, or a bound holds one.
+
+    Raises
+    ------
+    InputError
+        If the problem has no sensors, or a function as outputs; a log is of other sizes or designs, or has fewer
+        measured values than there are unknowns.
+
+    References
+    ----------
+    Ljung, *System Identification*, 2nd ed., 1999, sections 7.2 and 9.2; Åström, "Maximum likelihood and prediction
+    error methods", Automatica 16, 1980.
+
+    Examples
+    --------
+    >>> log = deploy(real, law, design, w, x0=x0, output=problem.measurement, rng=rng)  # doctest: +SKIP
+    >>> fit = fit_outputs(problem, log)  # doctest: +SKIP
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_model("problem.model", problem.model)
+    if not isinstance(getattr(problem.measurement, "output", None), Plant | np.ndarray):
+        expected = "Measurement(output, noise=…) of a matrix or a Plant, which can be differentiated"
+        raise InputError("problem.measurement", shown(problem.measurement), expected)
+    several = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not several:
+        raise InputError("logs", shown(logs), "at least one log")
+    given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
+    scaled = as_flag("fit_noise", fit_noise)
+    unknown = changed_model(problem, given[-1].design) if plant is None else stated_model(problem, plant)
+    names = unknown.free + NOISE * scaled
+    measured = sum(int(np.isfinite(log.outputs).sum()) for log in given)
+    if measured < len(names):
+        got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
+        raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
+    parts = [_innovations(problem, unknown, log, scaled) for log in given]
+    likelihood = _Likelihood(unknown, parts, scaled, measured)
+    z = likelihood.largest()
+    told, held = likelihood.at(z), likelihood.held(z)
+    values = likelihood.values(z)
+    free = np.eye(len(z))[:, ~held]
+    known = Information(np.arange(len(z)), names, values, likelihood.units, free, told.slopes)
+    open_ = known.named(1.0)
+    status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
+    status = status if likelihood.flat(z, free) else FitStatus.UNSOLVED
+    return OutputFit(names, values, known.covariance(1.0), status, open_, told.variance, unknown)
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What logs tell at one value of the parameters, in their units."""
+
+    cost: float  # minus the logarithm of the likelihood, but for a constant
+    slope: Array  # (m,)
+    slopes: Array  # (m, m): their squares add up to Fisher's information
+    variance: float
+
+
+class _Likelihood:
+    """Likelihood of logs, as a function of parameters in their units, 0 at the guess."""
+
+    def __init__(
+        self, unknown: UnknownModel, parts: Sequence[Innovations], scaled: bool, measured: int
+    ) -> None:  # fmt: skip
+        none = np.zeros(2 * scaled)
+        self.parts = parts
+        self.measured = measured
+        self.guess = np.concatenate([unknown.guess, none])
+        self.units = np.concatenate([unknown.units, none + 1])
+        lower = np.concatenate([unknown.lower, none - np.inf])
+        upper = np.concatenate([unknown.upper, none + np.inf])
+        self.bounds = Bounds(*((side - self.guess) / self.units for side in (lower, upper)), keep_feasible=True)
+        self._last: tuple[bytes, _Told] | None = None
+
+    def values(self, z: Array) -> Array:
+        """Parameters (m,) as they are."""
+        return np.asarray(self.guess + self.units * z)
+
+    def at(self, z: Array) -> _Told:
+        """What the logs tell at a point (m,), kept until another is asked for."""
+        key = np.asarray(z, dtype=float).tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._told(z)
+        return self._last[1]
+
+    def _told(self, z: Array) -> _Told:
+        r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
+        dr, ds, square = dr * self.units, ds * self.units, r**2 / s
+        cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
+        slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
+        slopes = np.linalg.qr(np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]]), mode="r")
+        return _Told(cost, slope, slopes, float(square.sum() / self.measured))
+
+    def largest(self) -> Array:
+        """Point (m,) of the largest likelihood, by a trust region with Fisher's information as curvature."""
+        found = minimize(
+            lambda z: self.at(z).cost, np.zeros(len(self.guess)), jac=lambda z: self.at(z).slope,
+            hess=lambda z: self.at(z).slopes.T @ self.at(z).slopes, method="trust-constr", bounds=self.bounds,
+        )  # fmt: skip
+        return np.asarray(found.x)
+
+    def held(self, z: Array) -> Array:
+        """Which of the parameters (m,) a bound holds."""
+        return np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE
+
+    def flat(self, z: Array, free: Array) -> bool:
+        """Whether no step along free directions would gain more than a part of a deviation."""
+        told = self.at(z)
+        slope, rows = free.T @ told.slope, told.slopes @ free
+        step = np.linalg.lstsq(rows.T @ rows, slope)[0]
+        return bool(np.isfinite(told.cost) and slope @ step <= NEGLIGIBLE)
+
+
+def _innovations(problem: CoDesignProblem, unknown: UnknownModel, log: OutputLog, scaled: bool) -> Innovations:
+    """Innovations of a log, as the filter of the problem expects them."""
+    known = kalman_filter(problem, log.design)
+    w = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1]
+    mean = w.mean(axis=(0, 1))
+    rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
+    disturbance = (mean, problem.moments[2] - np.outer(mean, mean))
+    return Innovations(*unknown.functions(log.design), disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
+
+
+def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
+    """Log of the problem's sizes, without runs that diverged."""
+    outputs = getattr(log, "outputs", None)
+    if outputs is None:
+        expected = "a Trajectory with outputs, as of deploy(…, output=problem.measurement), or an OutputLog"
+        raise InputError(argument, shown(log), expected)
+    kept = ~np.asarray(getattr(log, "diverged", np.zeros(len(outputs), dtype=bool)))
+    if not kept.any():
+        raise InputError(argument, f"{len(kept)} runs that all diverged", "at least one that did not")
+    p = problem.design.check_one(log.design, argument=f"{argument}.design")
+    found = OutputLog(outputs[kept], log.inputs[kept], p)
+    stated = problem.measurement.output
+    sizes = (found.outputs.shape[2], found.inputs.shape[2])
+    asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)
+    if sizes != asked:
+        raise InputError(argument, f"{sizes[0]} outputs and {sizes[1]} inputs", f"{asked[0]} and {asked[1]}")
+    return found
