@@ -47,7 +47,7 @@ class Innovations:
 
     @cached_property
     def _sample(self) -> ca.Function:
-        """Belief before a sample and its data → innovations, their variances, and the belief before the next."""
+        """Belief and data of a sample → the next belief, innovations, their variances."""
         x, u, w, p = (ca.MX.sym(name, self.step.size1_in(i)) for i, name in enumerate("xuwp"))
         after, y = self.step(x, u, w, p), self.output(x, u, p)
         moved = ca.Function("moved", [x, u, w, p], [after, ca.jacobian(after, x), ca.jacobian(after, w)])
@@ -77,7 +77,7 @@ class Innovations:
 
     @cached_property
     def _carried(self) -> ca.Function:
-        """Belief with its slopes by θ, θ and data of a sample → the next, and innovations and variances with theirs."""
+        """`_sample` with slopes by θ beside each value."""
         sample = self._sample
         nx, m = sample.size1_in(0), sample.size1_in(2)
         belief = ca.MX.sym("belief", nx * (1 + nx) * (1 + m))
@@ -89,8 +89,9 @@ class Innovations:
         moved = sample.forward(m)(
             *given, *nominal, ca.reshape(dx, nx, m), ca.reshape(dP, nx, nx * m), ca.DM.eye(m), *held
         )
-        after = [ca.veccat(*nominal[:2], *moved[:2]), ca.horzcat(nominal[2], moved[2], nominal[3], moved[3])]
-        function = ca.Function("carried", [belief, p, *data], [after[0], ca.vec(after[1])])
+        after = ca.veccat(*nominal[:2], *moved[:2])
+        told = ca.veccat(nominal[2], moved[2], nominal[3], moved[3])
+        function = ca.Function("carried", [belief, p, *data], [after, told])
         with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
             function = function.expand()
         return function

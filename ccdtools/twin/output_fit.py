@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 from scipy.stats import norm
 
-from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.checks import as_array, as_flag, as_floats, as_instance, as_share, finite, shown
+from ccdtools.arrays import Array, ArrayField, Immutable, Mask
+from ccdtools.checks import as_flag, as_floats, as_instance, as_share, finite, shown
 from ccdtools.co_design.measured import kalman_filter
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.estimation.innovations import Innovations
@@ -181,11 +181,10 @@ def fit_outputs(
     z = likelihood.largest()
     told, held = likelihood.at(z), likelihood.held(z)
     values = likelihood.values(z)
-    free = np.eye(len(z))[:, ~held]
-    known = Information(np.arange(len(z)), names, values, likelihood.units, free, told.slopes)
+    known = Information(np.arange(len(z)), names, values, likelihood.units, np.eye(len(z))[:, ~held], told.slopes)
     open_ = known.named(1.0)
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
-    status = status if likelihood.flat(z, free) else FitStatus.UNSOLVED
+    status = status if likelihood.flat(z) else FitStatus.UNSOLVED
     return OutputFit(names, values, known.covariance(1.0), status, open_, told.variance, unknown)
 
 
@@ -231,25 +230,26 @@ class _Likelihood:
         dr, ds, square = dr * self.units, ds * self.units, r**2 / s
         cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
         slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
-        slopes = np.linalg.qr(np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]]), mode="r")
-        return _Told(cost, slope, slopes, float(square.sum() / self.measured))
+        slopes = np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
+        return _Told(cost, slope, np.asarray(np.linalg.qr(slopes, mode="r")), float(square.sum() / self.measured))
 
     def largest(self) -> Array:
         """Point (m,) of the largest likelihood, by a trust region with Fisher's information as curvature."""
         found = minimize(
             lambda z: self.at(z).cost, np.zeros(len(self.guess)), jac=lambda z: self.at(z).slope,
             hess=lambda z: self.at(z).slopes.T @ self.at(z).slopes, method="trust-constr", bounds=self.bounds,
+            callback=lambda z, _: self.flat(z),
         )  # fmt: skip
         return np.asarray(found.x)
 
-    def held(self, z: Array) -> Array:
+    def held(self, z: Array) -> Mask:
         """Which of the parameters (m,) a bound holds."""
-        return np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE
+        return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
 
-    def flat(self, z: Array, free: Array) -> bool:
-        """Whether no step along free directions would gain more than a part of a deviation."""
-        told = self.at(z)
-        slope, rows = free.T @ told.slope, told.slopes @ free
+    def flat(self, z: Array) -> bool:
+        """Whether the best step that no bound holds is a negligible part of a standard deviation."""
+        told, free = self.at(z), ~self.held(z)
+        slope, rows = told.slope[free], told.slopes[:, free]
         step = np.linalg.lstsq(rows.T @ rows, slope)[0]
         return bool(np.isfinite(told.cost) and slope @ step <= NEGLIGIBLE)
 
@@ -261,7 +261,8 @@ def _innovations(problem: CoDesignProblem, unknown: UnknownModel, log: OutputLog
     mean = w.mean(axis=(0, 1))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
     disturbance = (mean, problem.moments[2] - np.outer(mean, mean))
-    return Innovations(*unknown.functions(log.design), disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
+    functions = unknown.functions(problem.design.names, log.design)
+    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
 
 
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:

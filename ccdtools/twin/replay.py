@@ -13,6 +13,7 @@ from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
+from ccdtools.twin.output_fit import FitStatus, OutputFit
 from ccdtools.twin.residuals import Residuals, groups
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
@@ -144,20 +145,23 @@ def replay_problem(
 
 
 def updated_problem(
-    problem: CoDesignProblem, twin: DigitalTwin, window: int | None = None, *, warm_up: int = 0,
+    problem: CoDesignProblem, twin: DigitalTwin | OutputFit, window: int | None = None, *, warm_up: int = 0,
     starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
     """Problem on the nominal model plus median, with the logged rest replayed.
 
     Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.
+    With sensors, by `fit_outputs`: the problem with its model at the likeliest parameters, and a constant part of w.
 
     Raises
     ------
     InputError
-        If the twin has learned nothing yet, the problem has sensors, or no logged run is as long as `window` and
-        `warm_up`.
+        If the twin has learned nothing yet, the problem has sensors but the twin is no `OutputFit`, that leaves
+        something open or was not solved, or no logged run is as long as `window` and `warm_up`.
     """
+    if isinstance(twin, OutputFit):
+        return _of_outputs(problem, twin)
     as_seen_problem(problem)
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
@@ -168,3 +172,11 @@ def updated_problem(
     discrepancy = replace(twin.discrepancy, noise="replayed")
     scenarios = Replay(logs, starts=starts)
     return replace(problem, discrepancy=discrepancy, scenarios=scenarios, steps=steps, warm_up=warm_up)
+
+
+def _of_outputs(problem: CoDesignProblem, fit: OutputFit) -> CoDesignProblem:
+    """Problem on the model that outputs tell."""
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+        raise InputError("twin", f"a fit that is {fit.status.name}", "one that is SOLVED", fit.advice)
+    return fit.unknown.known(problem, fit.values[: len(fit.unknown.free)])

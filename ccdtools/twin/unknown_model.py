@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -39,8 +39,6 @@ class UnknownModel:
     names : tuple of str
     free : tuple of str
         Those of the unknown entries (m,).
-    box : DesignSpace
-        The problem's.
     guess, units, lower, upper : (m,) arrays
     offsets : int
         So many of the last are constant parts of w.
@@ -50,39 +48,44 @@ class UnknownModel:
     measurement: Measurement
     names: tuple[str, ...]
     free: tuple[str, ...]
-    box: DesignSpace
     guess: Array
     units: Array
     lower: Array
     upper: Array
     offsets: int = 0
 
-    def functions(self, p: Array) -> tuple[ca.Function, ca.Function]:
-        """(x, u, w, θ) → x⁺ and (x, u, θ) → y at a design (np,) of the problem."""
+    def functions(self, own: Sequence[str], p: Array) -> tuple[ca.Function, ca.Function]:
+        """(x, u, w, θ) → x⁺ and (x, u, θ) → y at a named design."""
         nx, nu, nw = self.model.nx, self.model.nu, self.model.nw
         x, u, w, theta = (ca.MX.sym(*sized) for sized in zip("xuwq", (nx, nu, nw, len(self.free))))
-        given = dict(zip((*self.box.names, *self.free), [*map(float, p), *ca.vertsplit(theta)]))
-        whole = ca.vertcat(*(given[name] for name in self.names))
+        places = [(*own, *self.free).index(name) for name in self.names]
+        whole = ca.vertcat(ca.DM(p), theta)[places]
         stated = self.measurement.output
         y = stated.output(x, u, whole) if isinstance(stated, Plant) else ca.DM(stated) @ x
         after = ca.Function("step", [x, u, w, theta], [self.model.step(x, u, w, whole)])
         return after, ca.Function("output", [x, u, theta], [y])
 
     def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
-        """Problem on the model with its unknown entries at values (m,), the constant parts in its disturbance."""
-        cut = len(values) - self.offsets
+        """Problem with the unknown entries at values (m,).
+
+        Constant parts of w go into its disturbance.
+        """
+        box, cut = problem.design, len(values) - self.offsets
+        if set(box.names) | set(self.free) != set(self.names) or len(box.names) + len(self.free) != len(self.names):
+            own = [name for name in self.names if name not in self.free]
+            raise InputError("problem", f"a design of {', '.join(box.names)}", ", ".join(own))
         held = dict(zip(self.free, np.concatenate([values[:cut], np.zeros(self.offsets)])))
         model = self.model
         if isinstance(model, LinearModel):
-            p, put = _held(model.symbols, self.names, self.box, held)
+            p, put = _held(model.symbols, self.names, box, held)
             known: Model = replace(
-                model, symbols=p, A=put(model.A), B=put(model.B), E=put(model.E), c=put(model.c), design=self.box
+                model, symbols=p, A=put(model.A), B=put(model.B), E=put(model.E), c=put(model.c), design=box
             )
         else:
-            known = replace(model, plant=self._plant(model.plant, held), error=None)
+            known = replace(model, plant=self._plant(model.plant, box, held), error=None)
         measurement = self.measurement
         if isinstance(measurement.output, Plant):
-            measurement = replace(measurement, output=self._plant(measurement.output, held))
+            measurement = replace(measurement, output=self._plant(measurement.output, box, held))
         scenarios, offset = problem.scenarios, values[cut:]
         if offset.any():
             if not isinstance(scenarios, FixedStart | RandomStarts):
@@ -91,16 +94,16 @@ class UnknownModel:
             scenarios = replace(scenarios, disturbance=Sum((scenarios.disturbance, Gaussian(0 * offset, offset))))
         return replace(problem, model=known, measurement=measurement, scenarios=scenarios)
 
-    def _plant(self, plant: Plant, held: dict[str, float]) -> Plant:
-        """Plant of the problem's design alone."""
-        p, put = _held(plant.p, self.names, self.box, held)
-        return replace(plant, p=p, dynamics=put(plant.dynamics), outputs=put(plant.outputs), design=self.box)
+    def _plant(self, plant: Plant, box: DesignSpace, held: dict[str, float]) -> Plant:
+        """Plant of a problem's design alone."""
+        p, put = _held(plant.p, self.names, box, held)
+        return replace(plant, p=p, dynamics=put(plant.dynamics), outputs=put(plant.outputs), design=box)
 
 
 def _held(
     symbols: ca.SX, names: tuple[str, ...], box: DesignSpace, held: dict[str, float]
 ) -> tuple[ca.SX, Callable[[ca.SX], ca.SX]]:
-    """Symbols of a problem's design, and what puts numbers in the place of the others."""
+    """Symbols of a problem's design, and what removes the others."""
     known = dict(zip(names, elements(symbols)))
     rest = ca.vertcat(*(known[name] for name in held))
     numbers = ca.DM([*held.values()])
@@ -108,7 +111,7 @@ def _held(
 
 
 def stated_model(problem: CoDesignProblem, plant: Plant) -> UnknownModel:
-    """Model of a plant whose design has more entries than the problem's, between their bounds.
+    """Model of a plant with unknown entries in its design.
 
     Raises
     ------
@@ -133,7 +136,7 @@ def stated_model(problem: CoDesignProblem, plant: Plant) -> UnknownModel:
     if isinstance(measurement.output, Plant):
         measurement = replace(measurement, output=plant)
     names = tuple(plant.design.names)
-    return UnknownModel(wide, measurement, names, free, box, (lower + upper) / 2, (upper - lower) / 2, lower, upper)
+    return UnknownModel(wide, measurement, names, free, (lower + upper) / 2, (upper - lower) / 2, lower, upper)
 
 
 def changed_model(problem: CoDesignProblem, p: Array) -> UnknownModel:
@@ -154,7 +157,8 @@ def changed_model(problem: CoDesignProblem, p: Array) -> UnknownModel:
     free = tuple(f"w{i + 1} by {name}" for name in by for i in range(nw))
     theta = ca.SX.sym("theta", len(free))
     change = ca.reshape(theta, nw, nx + nu + 1)
-    space = DesignSpace((*box.names, *free), np.r_[box.lower, -units], np.r_[box.upper, units])
+    names = (*box.names, *free)
+    space = DesignSpace(names, np.r_[box.lower, -units], np.r_[box.upper, units])
     measurement = problem.measurement
     if isinstance(measurement.output, Plant):
         own = measurement.output
@@ -171,5 +175,5 @@ def changed_model(problem: CoDesignProblem, p: Array) -> UnknownModel:
         wide = replace(model, plant=plant, error=None)
     none = np.zeros(len(free))
     return UnknownModel(
-        wide, measurement, space.names, free, box, none, units, none - np.inf, none + np.inf, offsets=nw
+        wide, measurement, names, free, none, units, none - np.inf, none + np.inf, offsets=nw
     )  # fmt: skip
