@@ -235,12 +235,14 @@ class _Likelihood:
 
     def largest(self) -> Array:
         """Point (m,) of the largest likelihood, by a trust region with Fisher's information as curvature."""
-        found = minimize(
-            lambda z: self.at(z).cost, np.zeros(len(self.guess)), jac=lambda z: self.at(z).slope,
-            hess=lambda z: self.at(z).slopes.T @ self.at(z).slopes, method="trust-constr", bounds=self.bounds,
-            callback=lambda z, _: self.flat(z),
-        )  # fmt: skip
-        return np.asarray(found.x)
+        cost, slope = (lambda z: self.at(z).cost), (lambda z: self.at(z).slope)
+        z = minimize(
+            cost, np.zeros(len(self.guess)), jac=slope, hess=lambda z: self.at(z).slopes.T @ self.at(z).slopes,
+            method="trust-constr", bounds=self.bounds, callback=lambda z, _: self.flat(z),
+        ).x  # fmt: skip
+        if not self.flat(z):  # its barrier may end short of a bound, which a projection reaches
+            z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
+        return np.asarray(z)
 
     def held(self, z: Array) -> Mask:
         """Which of the parameters (m,) a bound holds."""
