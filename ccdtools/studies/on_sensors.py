@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import t
 
 from ccdtools.arrays import Array
 from ccdtools.checks import as_count, as_generator, as_instance
@@ -70,12 +71,13 @@ class SensorGeneration:
 
 def generations_on_sensors(
     problem: CoDesignProblem, real: RealPlant, *, method: Any = "nested", generations: int = 2,
-    design: ArrayLike | None = None, plant: Plant | None = None, fit_noise: bool = False, rng: np.random.Generator,
+    design: ArrayLike | None = None, plant: Plant | None = None, fit_noise: bool = False, draws: int = 20,
+    rng: np.random.Generator,
 ) -> tuple[SensorGeneration, ...]:  # fmt: skip
     """Generations of a problem with sensors, on a real plant.
 
     Each is deployed and its outputs logged. The plant that all logs tell (`fit_outputs`) is designed for again, and the
-    redesign deployed if the updated model predicts a gain whose interval lies above 0.
+    redesign deployed if a gain is predicted whose interval lies above 0.
 
     Parameters
     ----------
@@ -90,6 +92,8 @@ def generations_on_sensors(
         Where the first search starts, as of `codesign`.
     plant, fit_noise
         Of `fit_outputs`.
+    draws : int
+        Plants drawn from what is known of the parameters, at least 2, for the interval of a prediction.
     rng : numpy.random.Generator
 
     Returns
@@ -109,6 +113,7 @@ def generations_on_sensors(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_instance("real", real, RealPlant, "a RealPlant")
     as_generator("rng", rng)
+    as_count("draws", draws, least=2)
     if problem.measurement is None:
         raise InputError("problem", "one without sensors", "CoDesignProblem(measurement=…); a Study sees the states")
     runs = max(REAL_RUNS * problem.steps // real.steps, 2)
@@ -121,17 +126,40 @@ def generations_on_sensors(
         if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
             found.append(where.deployed(before, rng, fit))
             continue
-        updated = updated_problem(problem, fit)
-        again = codesign(updated, method=method, design=before.design, rng=rng)
-        seed = int(rng.integers(2**31))
-        after, now = (closed_loop_returns(updated, one.controller, one.design, np.random.default_rng(seed))
-                      for one in (again, before))  # fmt: skip
-        kept = ~(after.lost | now.lost)
-        predicted = paired_difference(after.values[kept], now.values[kept])
-        better = predicted.ci95[0] > 0 and after.lost_share <= now.lost_share
+        again = codesign(updated_problem(problem, fit), method=method, design=before.design, rng=rng)
+        predicted = _predicted(problem, fit, again, before, draws, rng)
+        better = predicted.ci95[0] > 0
         gain = where.gain(again, before) if better else None
         found.append(where.deployed(again if better else before, rng, fit, predicted, gain))
     return tuple(found)
+
+
+def _predicted(
+    problem: CoDesignProblem, fit: OutputFit, one: Any, other: Any, draws: int, rng: np.random.Generator
+) -> PairedDifference:  # fmt: skip
+    """Return of one above the other's on the plant of a fit.
+
+    Its interval has the runs in it and what is not known of the parameters: the spread over plants drawn from the fit.
+    It has no end where one loses more runs than the other.
+    """
+    seed = int(rng.integers(2**31))
+
+    def gains(updated: CoDesignProblem, runs: int | None) -> Array:
+        """Gains of runs, the same on all plants; none where one loses more."""
+        after, before = (
+            closed_loop_returns(updated, of.controller, of.design, np.random.default_rng(seed), runs=runs)
+            for of in (one, other)
+        )
+        return (after.values - before.values)[~(after.lost | before.lost) & (after.lost_share <= before.lost_share)]
+
+    drawn = [gains(updated, REAL_RUNS // draws) for updated in fit.drawn(problem, draws, rng)]
+    whole = gains(updated_problem(problem, fit), None)
+    if not len(whole) or not all(map(len, drawn)):
+        return PairedDifference(float("nan"), (-np.inf, np.inf))
+    found = paired_difference(whole, np.zeros(len(whole)))
+    spread = float(np.std([part.mean() for part in drawn], ddof=1))
+    half = np.hypot((found.ci95[1] - found.ci95[0]) / 2, t.ppf(0.975, draws - 1) * spread)
+    return PairedDifference(found.mean, (found.mean - half, found.mean + half))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.stats import norm
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
-from ccdtools.checks import as_flag, as_floats, as_instance, as_share, finite, shown
+from ccdtools.checks import as_count, as_flag, as_floats, as_generator, as_instance, as_share, finite, shown
 from ccdtools.co_design.measured import kalman_filter
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.estimation.innovations import Innovations
@@ -107,6 +107,16 @@ class OutputFit(Immutable):
     def deviations(self) -> Array:
         """Standard deviations (m,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> list[CoDesignProblem]:
+        """Problems on parameters drawn from what is known of them, within their bounds."""
+        count, deviations = len(self.unknown.free), self.deviations
+        units = np.where(deviations > 0, deviations, 1.0)
+        scaled = self.covariance / units / units[:, None]
+        away = as_generator("rng", rng).multivariate_normal(0 * units, scaled, as_count("draws", draws))
+        drawn = self.values + units * away
+        inside = np.clip(drawn[:, :count], self.unknown.lower, self.unknown.upper)
+        return [self.unknown.known(problem, values) for values in inside]
 
     @property
     def advice(self) -> str:
