@@ -14,8 +14,6 @@ from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.problem import CoDesignProblem
-from ccdtools.controllers.controllers import Controller
-from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.scenario import Scenario
@@ -23,9 +21,7 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.deployment import deploy
 from ccdtools.twin.output_fit import FitStatus, OutputFit, fit_outputs
-from ccdtools.twin.replay import updated_problem
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,24 +33,26 @@ class SensorGeneration:
     design : (np,) array
     controller : callable
         Of outputs, as deployed.
+    log : Trajectory
+        Of the deployment, with its outputs.
     fit : OutputFit or None
         What all former logs told; None of the first generation.
     predicted, gain : PairedDifference or None
-        Return of the redesign above what was deployed before: on the updated model, and on fresh common runs of the
-        real plant. None of the first generation; without a prediction where the fit told too little for a redesign.
-    accepted : bool
-        Whether the redesign was deployed; else what was deployed before stays.
-    log : Trajectory
-        Of the deployment, with its outputs.
+        Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
+        the interval; and on fresh common runs of the real plant, None where no redesign was deployed.
     """
 
     design: Array
-    controller: Controller
-    fit: OutputFit | None
-    predicted: PairedDifference | None
-    gain: PairedDifference | None
-    accepted: bool
+    controller: Any
     log: Trajectory
+    fit: OutputFit | None = None
+    predicted: PairedDifference | None = None
+    gain: PairedDifference | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether its design was deployed for the first time."""
+        return self.fit is None or self.gain is not None
 
     def __str__(self) -> str:
         """Decision and gain in a sentence."""
@@ -62,11 +60,9 @@ class SensorGeneration:
             return f"first design {np.round(self.design, 4)}"
         if self.predicted is None:
             return f"no redesign: {self.fit.advice}"
-        promised = "predicted {:+.4g} [{:.4g}, {:.4g}]".format(self.predicted.mean, *self.predicted.ci95)
-        if not self.accepted or self.gain is None:
-            return f"redesign refused: {promised}"
-        measured = "{:+.4g} [{:.4g}, {:.4g}]".format(self.gain.mean, *self.gain.ci95)
-        return f"redesign {np.round(self.design, 4)}: {promised}, on the real plant {measured}"
+        said = [f"{one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for one in (self.predicted, self.gain) if one]
+        measured = f"{np.round(self.design, 4)}, measured {said[-1]}" if self.gain else "refused"
+        return f"redesign {measured}, predicted {said[0]}"
 
 
 def generations_on_sensors(
@@ -84,21 +80,15 @@ def generations_on_sensors(
     problem : CoDesignProblem
         With a `measurement`.
     real : RealPlant
-        Its outputs are measured where the problem's are those of a Plant and it has some.
+        Its own outputs are measured where the problem's are those of a Plant.
     method : str or Method
-        Of `codesign`, such as ``Nested("lqg")``; it designs every generation.
-    generations : int
+        Of every `codesign`, such as ``Nested("lqg")``.
     design : (np,) array_like, optional
-        Where the first search starts, as of `codesign`.
+        Where the first search starts.
     plant, fit_noise
         Of `fit_outputs`.
     draws : int
-        Plants drawn from what is known of the parameters, at least 2, for the interval of a prediction.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    tuple of SensorGeneration
+        Plants drawn from what is known of the parameters, for the interval of a prediction.
 
     Raises
     ------
@@ -112,25 +102,41 @@ def generations_on_sensors(
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_instance("real", real, RealPlant, "a RealPlant")
-    as_generator("rng", rng)
     as_count("draws", draws, least=2)
-    if problem.measurement is None:
+    seed = int(as_generator("rng", rng).integers(2**31))
+    sensors = problem.measurement
+    if sensors is None:
         raise InputError("problem", "one without sensors", "CoDesignProblem(measurement=…); a Study sees the states")
-    runs = max(REAL_RUNS * problem.steps // real.steps, 2)
-    where = _RealLoop(problem, real, real.disturbance.sample(runs, real.steps, rng), int(rng.integers(2**31)))
-    first = codesign(problem, method=method, design=design, rng=rng)
-    found = [where.deployed(first, rng)]
+    if isinstance(sensors.output, Plant) and isinstance(real.plant, Plant) and real.plant.ny:
+        sensors = replace(sensors, output=real.plant)
+
+    def driven(one: Any, runs: int, seed: int) -> Trajectory:
+        """Log of a design and its controller on the real plant, the same runs by the same seed."""
+        own = np.random.default_rng(seed)
+        w = real.disturbance.sample(runs, real.steps, own)
+        scenario = Scenario(real.plant, real.x0, w, output=sensors, seed=int(own.integers(2**31)))
+        return scenario.run(one.controller, design=one.design, limit=problem.limit)
+
+    def logged(one: Any, *rest: Any) -> SensorGeneration:
+        """Generation of a result, or of what is deployed again."""
+        return SensorGeneration(one.design, one.controller, driven(one, real.runs, int(rng.integers(2**31))), *rest)
+
+    found = [logged(codesign(problem, method=method, design=design, rng=rng))]
     for _ in range(1, as_count("generations", generations)):
         before = found[-1]
         fit = fit_outputs(problem, [one.log for one in found], plant=plant, fit_noise=fit_noise)
         if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
-            found.append(where.deployed(before, rng, fit))
+            found.append(logged(before, fit))
             continue
-        again = codesign(updated_problem(problem, fit), method=method, design=before.design, rng=rng)
+        again = codesign(fit.updated(problem), method=method, design=before.design, rng=rng)
         predicted = _predicted(problem, fit, again, before, draws, rng)
-        better = predicted.ci95[0] > 0
-        gain = where.gain(again, before) if better else None
-        found.append(where.deployed(again if better else before, rng, fit, predicted, gain))
+        if not predicted.ci95[0] > 0:
+            found.append(logged(before, fit, predicted))
+            continue
+        runs = [driven(one, max(REAL_RUNS * problem.steps // real.steps, 2), seed) for one in (again, before)]
+        kept = ~(runs[0].diverged | runs[1].diverged)
+        gain = paired_difference(*(run.returns(problem.objective)[kept] for run in runs))
+        found.append(logged(again, fit, predicted, gain))
     return tuple(found)
 
 
@@ -139,8 +145,7 @@ def _predicted(
 ) -> PairedDifference:  # fmt: skip
     """Return of one above the other's on the plant of a fit.
 
-    Its interval has the runs in it and what is not known of the parameters: the spread over plants drawn from the fit.
-    It has no end where one loses more runs than the other.
+    Its interval has the spread over plants drawn from the fit in it, and no end where one loses more runs.
     """
     seed = int(rng.integers(2**31))
 
@@ -152,50 +157,11 @@ def _predicted(
         )
         return (after.values - before.values)[~(after.lost | before.lost) & (after.lost_share <= before.lost_share)]
 
-    drawn = [gains(updated, REAL_RUNS // draws) for updated in fit.drawn(problem, draws, rng)]
-    whole = gains(updated_problem(problem, fit), None)
+    drawn = [gains(updated, max(REAL_RUNS // draws, 2)) for updated in fit.drawn(problem, draws, rng)]
+    whole = gains(fit.updated(problem), None)
     if not len(whole) or not all(map(len, drawn)):
         return PairedDifference(float("nan"), (-np.inf, np.inf))
     found = paired_difference(whole, np.zeros(len(whole)))
     spread = float(np.std([part.mean() for part in drawn], ddof=1))
     half = np.hypot((found.ci95[1] - found.ci95[0]) / 2, t.ppf(0.975, draws - 1) * spread)
     return PairedDifference(found.mean, (found.mean - half, found.mean + half))
-
-
-@dataclass(frozen=True, eq=False)
-class _RealLoop:
-    """Real plant behind the sensors of a problem, and the disturbance of common runs."""
-
-    problem: CoDesignProblem
-    real: RealPlant
-    disturbance: Array
-    seed: int
-
-    @property
-    def sensors(self) -> Measurement:
-        """Sensors of the problem, on the outputs of the real plant if they are a plant's."""
-        own: Measurement = self.problem.measurement
-        plant = self.real.plant
-        seen = isinstance(own.output, Plant) and isinstance(plant, Plant) and plant.ny > 0
-        return replace(own, output=plant) if seen else own
-
-    def deployed(
-        self, of: Any, rng: np.random.Generator, fit: OutputFit | None = None,
-        predicted: PairedDifference | None = None, gain: PairedDifference | None = None,
-    ) -> SensorGeneration:  # fmt: skip
-        """Generation with its log, of a result or of what was deployed before."""
-        real = self.real
-        w = real.disturbance.sample(real.runs, real.steps, rng)
-        log = deploy(
-            real.plant, of.controller, of.design, w, x0=real.x0, limit=self.problem.limit, output=self.sensors, rng=rng
-        )
-        accepted = fit is None or gain is not None
-        return SensorGeneration(of.design, of.controller, fit, predicted, gain, accepted, log)
-
-    def gain(self, one: Any, other: Any) -> PairedDifference:
-        """Return of one above the other's on common runs that neither loses."""
-        scenario = Scenario(self.real.plant, self.real.x0, self.disturbance, output=self.sensors, seed=self.seed)
-        runs = [scenario.run(of.controller, design=of.design, limit=self.problem.limit) for of in (one, other)]
-        kept = ~(runs[0].diverged | runs[1].diverged)
-        after, before = (run.returns(self.problem.objective)[kept] for run in runs)
-        return paired_difference(after, before)

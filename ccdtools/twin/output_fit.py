@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +17,7 @@ from ccdtools.estimation.innovations import Innovations
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
-from ccdtools.twin.unknown_model import UnknownModel, changed_model, stated_model
+from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
 from ccdtools_ground.outcome import Outcome
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.estimation.information import Information
@@ -87,7 +86,7 @@ class OutputFit(Immutable):
         Combinations that the log does not tell: changes by name, each in its own size.
     innovation_variance : float
         Mean square of the innovations beside what is expected of them: about 1 where model and noise are right.
-    unknown : UnknownModel
+    unknown : UnknownPlant
     """
 
     names: tuple[str, ...]
@@ -96,7 +95,7 @@ class OutputFit(Immutable):
     status: FitStatus
     open: tuple[dict[str, float], ...]
     innovation_variance: float
-    unknown: UnknownModel
+    unknown: UnknownPlant
 
     def __repr__(self) -> str:
         rows = zip(self.names, self.values, self.deviations)
@@ -108,14 +107,19 @@ class OutputFit(Immutable):
         """Standard deviations (m,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def updated(self, problem: CoDesignProblem) -> CoDesignProblem:
+        """Problem on the plant that was found; see `updated_problem`."""
+        if self.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+            raise InputError("twin", f"a fit that is {self.status.name}", "one that is SOLVED", self.advice)
+        return self.unknown.known(problem, self.values[: len(self.unknown.free)])
+
     def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> list[CoDesignProblem]:
-        """Problems on parameters drawn from what is known of them, within their bounds."""
-        count, deviations = len(self.unknown.free), self.deviations
-        units = np.where(deviations > 0, deviations, 1.0)
+        """Problems on plants drawn from what is known of them."""
+        units = np.where(self.deviations > 0, self.deviations, 1.0)
         scaled = self.covariance / units / units[:, None]
         away = as_generator("rng", rng).multivariate_normal(0 * units, scaled, as_count("draws", draws))
-        drawn = self.values + units * away
-        inside = np.clip(drawn[:, :count], self.unknown.lower, self.unknown.upper)
+        drawn = (self.values + units * away)[:, : len(self.unknown.free)]
+        inside = drawn if self.unknown.constants else np.clip(drawn, *self.unknown.bounds)
         return [self.unknown.known(problem, values) for values in inside]
 
     @property
@@ -180,75 +184,56 @@ def fit_outputs(
         raise InputError("logs", shown(logs), "at least one log")
     given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
     scaled = as_flag("fit_noise", fit_noise)
-    unknown = changed_model(problem, given[-1].design) if plant is None else stated_model(problem, plant)
+    unknown = changed_plant(problem, given[-1].design) if plant is None else stated_plant(problem, plant)
     names = unknown.free + NOISE * scaled
     measured = sum(int(np.isfinite(log.outputs).sum()) for log in given)
     if measured < len(names):
         got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
-    parts = [_innovations(problem, unknown, log, scaled) for log in given]
-    likelihood = _Likelihood(unknown, parts, scaled, measured)
-    z = likelihood.largest()
-    told, held = likelihood.at(z), likelihood.held(z)
-    values = likelihood.values(z)
-    known = Information(np.arange(len(z)), names, values, likelihood.units, np.eye(len(z))[:, ~held], told.slopes)
+    found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
+    z = found.largest()
+    values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
+    known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
     open_ = known.named(1.0)
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
-    status = status if likelihood.flat(z) else FitStatus.UNSOLVED
-    return OutputFit(names, values, known.covariance(1.0), status, open_, told.variance, unknown)
-
-
-@dataclass(frozen=True, eq=False)
-class _Told:
-    """What logs tell at one value of the parameters, in their units."""
-
-    cost: float  # minus the logarithm of the likelihood, but for a constant
-    slope: Array  # (m,)
-    slopes: Array  # (m, m): their squares add up to Fisher's information
-    variance: float
+    status = status if found.flat(z) else FitStatus.UNSOLVED
+    return OutputFit(names, values, known.covariance(1.0), status, open_, squares / measured, unknown)
 
 
 class _Likelihood:
-    """Likelihood of logs, as a function of parameters in their units, 0 at the guess."""
+    """Likelihood of logs, as a function of parameters in their units from their guess on."""
 
-    def __init__(
-        self, unknown: UnknownModel, parts: Sequence[Innovations], scaled: bool, measured: int
-    ) -> None:  # fmt: skip
-        none = np.zeros(2 * scaled)
+    def __init__(self, unknown: UnknownPlant, parts: list[Innovations], scaled: bool) -> None:
+        (lower, upper), none = unknown.bounds, np.zeros(2 * scaled)
         self.parts = parts
-        self.measured = measured
-        self.guess = np.concatenate([unknown.guess, none])
-        self.units = np.concatenate([unknown.units, none + 1])
-        lower = np.concatenate([unknown.lower, none - np.inf])
-        upper = np.concatenate([unknown.upper, none + np.inf])
-        self.bounds = Bounds(*((side - self.guess) / self.units for side in (lower, upper)), keep_feasible=True)
-        self._last: tuple[bytes, _Told] | None = None
+        self.guess = np.concatenate([(lower + upper) / 2, none])
+        self.units = np.concatenate([(upper - lower) / 2, none + 1])
+        end = np.concatenate([np.full(len(lower), np.inf if unknown.constants else 1.0), none + np.inf])
+        self.bounds = Bounds(-end, end, keep_feasible=True)
+        self._last: tuple[bytes, tuple[float, Array, Array, float]] | None = None
 
     def values(self, z: Array) -> Array:
         """Parameters (m,) as they are."""
         return np.asarray(self.guess + self.units * z)
 
-    def at(self, z: Array) -> _Told:
-        """What the logs tell at a point (m,), kept until another is asked for."""
+    def at(self, z: Array) -> tuple[float, Array, Array, float]:
+        """Minus the logarithm, its slope, a root of Fisher's information, and the innovations' squares."""
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = key, self._told(z)
+            r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
+            dr, ds, square = dr * self.units, ds * self.units, r**2 / s
+            cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
+            slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
+            rows = np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
+            self._last = key, (cost, slope, np.asarray(np.linalg.qr(rows, mode="r")), float(square.sum()))
         return self._last[1]
-
-    def _told(self, z: Array) -> _Told:
-        r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
-        dr, ds, square = dr * self.units, ds * self.units, r**2 / s
-        cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
-        slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
-        slopes = np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
-        return _Told(cost, slope, np.asarray(np.linalg.qr(slopes, mode="r")), float(square.sum() / self.measured))
 
     def largest(self) -> Array:
         """Point (m,) of the largest likelihood, by a trust region with Fisher's information as curvature."""
-        cost, slope = (lambda z: self.at(z).cost), (lambda z: self.at(z).slope)
+        cost, slope = (lambda z: self.at(z)[0]), (lambda z: self.at(z)[1])
         z = minimize(
-            cost, np.zeros(len(self.guess)), jac=slope, hess=lambda z: self.at(z).slopes.T @ self.at(z).slopes,
-            method="trust-constr", bounds=self.bounds, callback=lambda z, _: self.flat(z),
+            cost, 0 * self.guess, jac=slope, hess=lambda z: self.at(z)[2].T @ self.at(z)[2], method="trust-constr",
+            bounds=self.bounds, callback=lambda z, _: self.flat(z),
         ).x  # fmt: skip
         if not self.flat(z):  # its barrier may end short of a bound, which a projection reaches
             z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
@@ -260,20 +245,19 @@ class _Likelihood:
 
     def flat(self, z: Array) -> bool:
         """Whether the best step that no bound holds is a negligible part of a standard deviation."""
-        told, free = self.at(z), ~self.held(z)
-        slope, rows = told.slope[free], told.slopes[:, free]
-        step = np.linalg.lstsq(rows.T @ rows, slope)[0]
-        return bool(np.isfinite(told.cost) and slope @ step <= NEGLIGIBLE)
+        cost, slope, rows, _ = self.at(z)
+        free = ~self.held(z)
+        step = np.linalg.lstsq(rows[:, free].T @ rows[:, free], slope[free])[0]
+        return bool(np.isfinite(cost) and slope[free] @ step <= NEGLIGIBLE)
 
 
-def _innovations(problem: CoDesignProblem, unknown: UnknownModel, log: OutputLog, scaled: bool) -> Innovations:
+def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
     """Innovations of a log, as the filter of the problem expects them."""
     known = kalman_filter(problem, log.design)
-    w = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1]
-    mean = w.mean(axis=(0, 1))
-    rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
+    mean = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1))
     disturbance = (mean, problem.moments[2] - np.outer(mean, mean))
-    functions = unknown.functions(problem.design.names, log.design)
+    rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
+    functions = unknown.functions(problem, log.design)
     return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
 
 

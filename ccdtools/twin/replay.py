@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +14,12 @@ from ccdtools.checks import as_count, as_generator, as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
-from ccdtools.twin.output_fit import FitStatus, OutputFit
 from ccdtools.twin.residuals import Residuals, groups
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
+
+if TYPE_CHECKING:
+    from ccdtools.twin.output_fit import OutputFit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -160,8 +163,8 @@ def updated_problem(
         If the twin has learned nothing yet, the problem has sensors but the twin is no `OutputFit`, that leaves
         something open or was not solved, or no logged run is as long as `window` and `warm_up`.
     """
-    if isinstance(twin, OutputFit):
-        return _of_outputs(problem, twin)
+    if hasattr(twin, "updated"):  # an OutputFit, whose import takes long
+        return twin.updated(as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem"))
     as_seen_problem(problem)
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
     if twin.discrepancy is None:
@@ -172,11 +175,3 @@ def updated_problem(
     discrepancy = replace(twin.discrepancy, noise="replayed")
     scenarios = Replay(logs, starts=starts)
     return replace(problem, discrepancy=discrepancy, scenarios=scenarios, steps=steps, warm_up=warm_up)
-
-
-def _of_outputs(problem: CoDesignProblem, fit: OutputFit) -> CoDesignProblem:
-    """Problem on the model that outputs tell."""
-    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
-    if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
-        raise InputError("twin", f"a fit that is {fit.status.name}", "one that is SOLVED", fit.advice)
-    return fit.unknown.known(problem, fit.values[: len(fit.unknown.free)])

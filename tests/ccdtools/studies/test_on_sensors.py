@@ -72,7 +72,7 @@ def test_a_second_generation_on_outputs_earns_what_it_says():
     assert second.gain.ci95[0] - error < gain.mean() < second.gain.ci95[1] + error
     assert gain.mean() > 5 * error
     assert second.log.outputs.shape == (40, 50, 1)
-    assert "on the real plant +" in str(second)
+    assert "measured +" in str(second)
 
 
 def test_the_same_seed_is_the_same_run_and_fits_take_all_logs():
