@@ -1,4 +1,4 @@
-"""Innovations of logged outputs, and their slopes by parameters."""
+"""Innovations of logged outputs, with slopes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ccdtools.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Innovations of an `ExtendedKalmanFilter` along a log, as functions of parameters θ (m,).
+    """Innovations of an extended Kalman filter, by parameters θ (m,).
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Innovations:
 
     @cached_property
     def _sample(self) -> ca.Function:
-        """Belief, θ and data of a sample → next belief, innovations, their variances."""
+        """Belief, θ, data → next belief, innovations, variances."""
         x, u, w, p = (ca.MX.sym(name, self.step.size1_in(i)) for i, name in enumerate("xuwp"))
         after, y = self.step(x, u, w, p), self.output(x, u, p)
         moved = ca.Function("moved", [x, u, w, p], [after, ca.jacobian(after, x), ca.jacobian(after, w)])
@@ -84,7 +84,7 @@ class Innovations:
         return function
 
     def at(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Innovations (N,), variances (N,), and slopes of both by θ, (N, m)."""
+        """Innovations and variances (N,), with slopes (N, m)."""
         x, P = self.start
         first = np.concatenate([x, P.ravel(), np.zeros(len(x) * (1 + len(x)) * len(theta))])
         n, steps = self.inputs.shape[:2]

@@ -1,4 +1,4 @@
-"""Generations of a problem with sensors: deployed, fitted to outputs, redesigned."""
+"""Generations of a problem with sensors."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def generations_on_sensors(
     design: ArrayLike | None = None, plant: Plant | None = None, fit_noise: bool = False, draws: int = 20,
     rng: np.random.Generator,
 ) -> tuple[SensorGeneration, ...]:  # fmt: skip
-    """Generations of a problem with sensors, on a real plant.
+    """Generations of a problem with sensors on a real plant.
 
     Each is deployed and its outputs logged. The plant that all logs tell (`fit_outputs`) is designed for again, and the
     redesign deployed if a gain is predicted whose interval lies above 0.
@@ -111,14 +111,14 @@ def generations_on_sensors(
         sensors = replace(sensors, output=real.plant)
 
     def driven(one: Any, runs: int, seed: int) -> Trajectory:
-        """Log of a design and its controller on the real plant, the same runs by the same seed."""
+        """Log on the real plant, the same runs by the same seed."""
         own = np.random.default_rng(seed)
         w = real.disturbance.sample(runs, real.steps, own)
         scenario = Scenario(real.plant, real.x0, w, output=sensors, seed=int(own.integers(2**31)))
         return scenario.run(one.controller, design=one.design, limit=problem.limit)
 
     def logged(one: Any, *rest: Any) -> SensorGeneration:
-        """Generation of a result, or of what is deployed again."""
+        """Generation of what is deployed."""
         return SensorGeneration(one.design, one.controller, driven(one, real.runs, int(rng.integers(2**31))), *rest)
 
     found = [logged(codesign(problem, method=method, design=design, rng=rng))]
@@ -143,14 +143,14 @@ def generations_on_sensors(
 def _predicted(
     problem: CoDesignProblem, fit: OutputFit, one: Any, other: Any, draws: int, rng: np.random.Generator
 ) -> PairedDifference:  # fmt: skip
-    """Return of one above the other's on the plant of a fit.
+    """Gain of one over another on a fit's plant.
 
     Its interval has the spread over plants drawn from the fit in it, and no end where one loses more runs.
     """
     seed = int(rng.integers(2**31))
 
     def gains(updated: CoDesignProblem, runs: int | None) -> Array:
-        """Gains of runs, the same on all plants; none where one loses more."""
+        """Gains on common runs; none where one loses more."""
         after, before = (
             closed_loop_returns(updated, of.controller, of.design, np.random.default_rng(seed), runs=runs)
             for of in (one, other)

@@ -1,4 +1,4 @@
-"""Plant that logged outputs and inputs tell, by the likelihood of innovations."""
+"""Plant that logged outputs tell, by their innovations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NOISE = ("variance of w", "variance of the sensors")  # logarithms of the factor
 
 
 class FitStatus(Outcome):
-    """Outcome of a fit to outputs; the value is the advice."""
+    """Outcome of a fit; the value is the advice."""
 
     SOLVED = "Solved: nothing near is likelier, and the log tells every combination of the parameters."
     OPEN = (
@@ -41,7 +41,7 @@ class FitStatus(Outcome):
 
 @dataclass(frozen=True, eq=False)
 class OutputLog(Immutable):
-    """Logged outputs and inputs of several runs at one design.
+    """Logged outputs and inputs of several runs.
 
     A `Trajectory` of a loop with sensors is one, too.
 
@@ -124,11 +124,11 @@ class OutputFit(Immutable):
 
     @property
     def advice(self) -> str:
-        """Advice on the outcome, with the combinations that stay open."""
+        """Advice, with the combinations that stay open."""
         return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open)])
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Confidence intervals (m, 2) of the single parameters, by the normal distribution."""
+        """Confidence intervals (m, 2), by the normal distribution."""
         factor = norm.ppf((1 + as_share("level", level)) / 2)
         return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
 
@@ -136,7 +136,7 @@ class OutputFit(Immutable):
 def fit_outputs(
     problem: CoDesignProblem, logs: Any, *, plant: Plant | None = None, fit_noise: bool = False
 ) -> OutputFit:  # fmt: skip
-    """Likeliest parameters of a plant whose outputs and inputs were logged.
+    """Likeliest parameters of a plant, by logged outputs.
 
     Prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so inputs that
     follow the errors of the filter in the loop mislead nothing. Without a `plant` a change of the nominal model is
@@ -201,7 +201,7 @@ def fit_outputs(
 
 
 class _Likelihood:
-    """Likelihood of logs, as a function of parameters in their units from their guess on."""
+    """Likelihood of parameters, in units from their guess."""
 
     def __init__(self, unknown: UnknownPlant, parts: list[Innovations], scaled: bool) -> None:
         (lower, upper), none = unknown.bounds, np.zeros(2 * scaled)
@@ -217,7 +217,7 @@ class _Likelihood:
         return np.asarray(self.guess + self.units * z)
 
     def at(self, z: Array) -> tuple[float, Array, Array, float]:
-        """Minus the logarithm, its slope, a root of Fisher's information, and the innovations' squares."""
+        """Cost, slope, root of Fisher's information, squared innovations."""
         key = np.asarray(z, dtype=float).tobytes()
         if self._last is None or self._last[0] != key:
             r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
@@ -229,7 +229,7 @@ class _Likelihood:
         return self._last[1]
 
     def largest(self) -> Array:
-        """Point (m,) of the largest likelihood, by a trust region with Fisher's information as curvature."""
+        """Likeliest point (m,), with Fisher's information as curvature."""
         cost, slope = (lambda z: self.at(z)[0]), (lambda z: self.at(z)[1])
         z = minimize(
             cost, 0 * self.guess, jac=slope, hess=lambda z: self.at(z)[2].T @ self.at(z)[2], method="trust-constr",
@@ -244,7 +244,7 @@ class _Likelihood:
         return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
 
     def flat(self, z: Array) -> bool:
-        """Whether the best step that no bound holds is a negligible part of a standard deviation."""
+        """Whether the best step is negligible in standard deviations."""
         cost, slope, rows, _ = self.at(z)
         free = ~self.held(z)
         step = np.linalg.lstsq(rows[:, free].T @ rows[:, free], slope[free])[0]
@@ -252,7 +252,7 @@ class _Likelihood:
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
-    """Innovations of a log, as the filter of the problem expects them."""
+    """Innovations of a log, by the problem's filter."""
     known = kalman_filter(problem, log.design)
     mean = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1))
     disturbance = (mean, problem.moments[2] - np.outer(mean, mean))

@@ -26,7 +26,7 @@ from ccdtools.twin.transport import Transport
 
 @dataclass(frozen=True, eq=False)
 class UnknownPlant:
-    """Plant whose outputs are measured, with unknown entries in its design.
+    """Plant with outputs and unknown entries in its design.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class UnknownPlant:
         return self.plant.design.lower[places], self.plant.design.upper[places]
 
     def functions(self, problem: CoDesignProblem, p: Array) -> tuple[ca.Function, ca.Function]:
-        """(x, u, w, θ) → x⁺ and (x, u, θ) → y at a design (np,)."""
+        """Functions x⁺(x, u, w, θ) and y(x, u, θ) at a design."""
         x, u, w = (ca.MX.sym(*sized) for sized in zip("xuw", (self.plant.nx, self.plant.nu, self.plant.nw)))
         theta, names = ca.MX.sym("theta", len(self.free)), (*problem.design.names, *self.free)
         whole = ca.vertcat(ca.DM(p), theta)[[names.index(name) for name in self.plant.design.names]]
@@ -85,7 +85,7 @@ def _sampled(problem: CoDesignProblem, plant: Plant) -> Model:
 
 
 def stated_plant(problem: CoDesignProblem, plant: Plant) -> UnknownPlant:
-    """Plant of a user, whose design has more entries than the problem's."""
+    """Plant of a user, with unknown entries."""
     as_instance("plant", plant, Plant, "a Plant with unknown entries in its design, or None")
     names, own, model = plant.design.names, problem.design.names, problem.model
     free = tuple(name for name in names if name not in own)
@@ -102,9 +102,10 @@ def stated_plant(problem: CoDesignProblem, plant: Plant) -> UnknownPlant:
 
 
 def changed_plant(problem: CoDesignProblem, p: Array) -> UnknownPlant:
-    """Nominal model with w + Θx x + Θu u + θ in the place of w, unknown Θ and θ.
+    """Nominal model with an unknown affine part of w.
 
-    Their units are the largest effect that it has through w at the edge of X and U.
+    It has w + Θx x + Θu u + θ in the place of w. Units are the largest effect that the model has through w, at the edge
+    of X and U.
     """
     model, box, scale = problem.model, problem.design, problem.state_scale
     A, B, _ = model.matrices(p)
