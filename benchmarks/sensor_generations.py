@@ -221,6 +221,26 @@ def fits(seeds: int) -> None:
             mean = np.mean([one.values[i] for one in found])
             print(f"| {case.name} | {name} | {case.truth[i]:.3g} | {mean:.3g} | {held} of {seeds} | {signs} | "
                   f"{', '.join(statuses)} | {took:.1f} |", flush=True)  # fmt: skip
+    named = pairs_named(seeds)
+    print(f"two gains in a row, of which the log tells the product: named, and nothing else, {named} of {seeds}")
+
+
+def pairs_named(seeds: int) -> int:
+    """Logs of which a pair of gains that cannot be told apart is named."""
+    case = oscillator(0.1, 0.5)
+    wide = unknown(
+        spring(), ("one", "other"), [0.2, 0.2], [3.0, 3.0],
+        lambda own, q: ca.substitute(own.dynamics, own.u, q[0] * q[1] * own.u),
+    )  # fmt: skip
+    p, named = np.array(case.design), 0
+    law = Observed(saturated_lqr(case.problem, p), kalman_filter(case.problem, p))
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        x0, w = case.problem.scenarios.sample(60, 100, rng)
+        log = deploy(case.real, law, p, w, x0=x0, output=case.problem.measurement, rng=rng)
+        fit = fit_outputs(case.problem, log, plant=wide)
+        named += fit.status.name == "OPEN" and [set(one) for one in fit.open] == [{"one", "other"}]
+    return named
 
 
 def sampled(case: Case, p: Any, value: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

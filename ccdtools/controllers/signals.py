@@ -98,7 +98,7 @@ class Driver:
         y = None
         if "output" in self.needs:
             y = x if self.output is None else self.output(k, x, self.last)
-            self.heard.append(y)
+            self.heard += [] if self.output is None else [y]
         if self.batched:
             return self.copies[0](x, **self._signals(k, y, slice(None)))
         return np.stack([

@@ -76,7 +76,7 @@ def test_a_second_generation_on_outputs_earns_what_it_says():
 
 
 def test_the_same_seed_is_the_same_run_and_fits_take_all_logs():
-    one, other = (run(stated(), 0.5, generations=3) for _ in range(2))
+    one, other = (run(stated(), 0.5, generations=count, draws=4) for count in (3, 2))
     for mine, its in zip(one, other):
         np.testing.assert_array_equal(mine.log.outputs, its.log.outputs)
         np.testing.assert_array_equal(mine.design, its.design)
@@ -97,7 +97,7 @@ def test_where_a_log_leaves_something_open_what_is_deployed_stays():
 
 
 def test_a_plant_that_is_as_modelled_is_not_made_worse():
-    first, second = run(stated(), 1.0)
+    first, second = run(stated(), 1.0, draws=4)
     if second.accepted:
         assert second.gain.ci95[1] > 0
     else:
