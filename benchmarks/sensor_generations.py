@@ -196,7 +196,7 @@ def tanks() -> Case:
 OSCILLATORS = ((0.01, 0.5), (0.01, 1.5, 0.2), (0.1, 0.5), (0.1, 1.5, 0.2))
 
 
-def fits(seeds: int) -> None:
+def fits(seeds: int, noise: str) -> None:
     """Print a row per plant."""
     print("| plant | unknown | truth | mean of fits | intervals that hold it | signs | statuses | s |")
     print("|---|---|---|---|---|---|---|---|")
@@ -209,10 +209,10 @@ def fits(seeds: int) -> None:
             rng = np.random.default_rng(seed)
             x0, w = problem.scenarios.sample(runs, 100, rng)
             log = deploy(case.real, law, p, w, x0=x0, output=problem.measurement, rng=rng)
-            found.append(fit_outputs(problem, log, plant=case.wide))
+            found.append(fit_outputs(problem, log, plant=case.wide, noise=noise))
         took = (time.process_time() - began) / seeds
         statuses = sorted({one.status.name for one in found})
-        for i, name in enumerate(found[0].names):
+        for i, name in enumerate(found[0].names[: len(case.truth)]):
             held = sum(one.intervals()[i, 0] <= case.truth[i] <= one.intervals()[i, 1] for one in found)
             moved = case.truth[i] - (case.nominal[i] if case.nominal else 1.0 if case.wide is not None else 0.0)
             away = case.truth[i] - moved
@@ -221,11 +221,11 @@ def fits(seeds: int) -> None:
             mean = np.mean([one.values[i] for one in found])
             print(f"| {case.name} | {name} | {case.truth[i]:.3g} | {mean:.3g} | {held} of {seeds} | {signs} | "
                   f"{', '.join(statuses)} | {took:.1f} |", flush=True)  # fmt: skip
-    named = pairs_named(seeds)
+    named = pairs_named(seeds, noise)
     print(f"two gains in a row, of which the log tells the product: named, and nothing else, {named} of {seeds}")
 
 
-def pairs_named(seeds: int) -> int:
+def pairs_named(seeds: int, noise: str) -> int:
     """Logs of which a pair of gains that cannot be told apart is named."""
     case = oscillator(0.1, 0.5)
     wide = unknown(
@@ -238,7 +238,7 @@ def pairs_named(seeds: int) -> int:
         rng = np.random.default_rng(seed)
         x0, w = case.problem.scenarios.sample(60, 100, rng)
         log = deploy(case.real, law, p, w, x0=x0, output=case.problem.measurement, rng=rng)
-        fit = fit_outputs(case.problem, log, plant=wide)
+        fit = fit_outputs(case.problem, log, plant=wide, noise=noise)
         named += fit.status.name == "OPEN" and [set(one) for one in fit.open] == [{"one", "other"}]
     return named
 
@@ -276,7 +276,7 @@ def by_hand(case: Case, p: Any, believed: Any, rng: np.random.Generator, runs: i
     return total - float(problem.objective.cost_of_design(np.asarray(p), problem.steps))
 
 
-def generations(seeds: int) -> None:
+def generations(seeds: int, noise: str) -> None:
     """Print a row per plant and seed, and their means."""
     print("| plant | seed | design | redesign | predicted | measured | by hand | truth's worth | share |")
     print("|---|---|---|---|---|---|---|---|---|")
@@ -287,7 +287,7 @@ def generations(seeds: int) -> None:
         shares = []
         for seed in range(seeds):
             first, second = generations_on_sensors(
-                problem, real, method=Nested("lqg"), plant=case.wide, rng=np.random.default_rng(seed)
+                problem, real, method=Nested("lqg"), plant=case.wide, noise=noise, rng=np.random.default_rng(seed)
             )
             best = second
             if case.matrices is not None:
@@ -327,12 +327,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("table", choices=("fits", "generations"))
     parser.add_argument("--seeds", type=int)
+    parser.add_argument("--noise", choices=("fitted", "known"), default="fitted")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     if asked.table == "fits":
-        fits(asked.seeds or 20)
+        fits(asked.seeds or 20, asked.noise)
     else:
-        generations(asked.seeds or 10)
+        generations(asked.seeds or 10, asked.noise)
 
 
 if __name__ == "__main__":

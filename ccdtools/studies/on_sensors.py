@@ -67,7 +67,7 @@ class SensorGeneration:
 
 def generations_on_sensors(
     problem: CoDesignProblem, real: RealPlant, *, method: Any = "nested", generations: int = 2,
-    design: ArrayLike | None = None, plant: Plant | None = None, fit_noise: bool = False, draws: int = 20,
+    design: ArrayLike | None = None, plant: Plant | None = None, noise: str = "fitted", draws: int = 20,
     rng: np.random.Generator,
 ) -> tuple[SensorGeneration, ...]:  # fmt: skip
     """Generations of a problem with sensors on a real plant.
@@ -85,7 +85,7 @@ def generations_on_sensors(
         Of every `codesign`, such as ``Nested("lqg")``.
     design : (np,) array_like, optional
         Where the first search starts.
-    plant, fit_noise
+    plant, noise
         Of `fit_outputs`.
     draws : int
         Plants drawn from what is known of the parameters, for the interval of a prediction.
@@ -124,7 +124,7 @@ def generations_on_sensors(
     found = [logged(codesign(problem, method=method, design=design, rng=rng))]
     for _ in range(1, as_count("generations", generations)):
         before = found[-1]
-        fit = fit_outputs(problem, [one.log for one in found], plant=plant, fit_noise=fit_noise)
+        fit = fit_outputs(problem, [one.log for one in found], plant=plant, noise=noise)
         if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
             found.append(logged(before, fit))
             continue

@@ -10,7 +10,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.stats import norm
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
-from ccdtools.checks import as_count, as_flag, as_floats, as_generator, as_instance, as_share, finite, shown
+from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_instance, as_share, finite, shown
 from ccdtools.co_design.measured import kalman_filter
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.estimation.innovations import Innovations
@@ -85,7 +85,7 @@ class OutputFit(Immutable):
     open : tuple of dict
         Combinations that the log does not tell: changes by name, each in its own size.
     innovation_variance : float
-        Mean square of the innovations beside what is expected of them: about 1 where model and noise are right.
+        Mean square of the innovations beside what is expected of them.
     unknown : UnknownPlant
     """
 
@@ -134,7 +134,7 @@ class OutputFit(Immutable):
 
 
 def fit_outputs(
-    problem: CoDesignProblem, logs: Any, *, plant: Plant | None = None, fit_noise: bool = False
+    problem: CoDesignProblem, logs: Any, *, plant: Plant | None = None, noise: str = "fitted"
 ) -> OutputFit:  # fmt: skip
     """Likeliest parameters of a plant, by logged outputs.
 
@@ -150,8 +150,9 @@ def fit_outputs(
         Runs that diverged are left out.
     plant : Plant, optional
         With the problem's design and unknown entries besides, such as a mass or a gain, within their bounds.
-    fit_noise : bool
-        Whether factors of the variances of w and of the sensors' noise are fitted, too.
+    noise : {"fitted", "known"}
+        Whether factors of the variances of w and of the sensors are fitted besides, or both are as the problem states.
+        Where they are not, "known" noise misleads the other parameters, often without a trace in the innovations.
 
     Returns
     -------
@@ -183,7 +184,7 @@ def fit_outputs(
     if not several:
         raise InputError("logs", shown(logs), "at least one log")
     given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
-    scaled = as_flag("fit_noise", fit_noise)
+    scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted"
     unknown = changed_plant(problem, given[-1].design) if plant is None else stated_plant(problem, plant)
     names = unknown.free + NOISE * scaled
     measured = sum(int(np.isfinite(log.outputs).sum()) for log in given)
@@ -194,9 +195,9 @@ def fit_outputs(
     z = found.largest()
     values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
     known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
-    open_ = known.named(1.0)
+    open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(NOISE))
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
-    status = status if found.flat(z) else FitStatus.UNSOLVED
+    status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
     return OutputFit(names, values, known.covariance(1.0), status, open_, squares / measured, unknown)
 
 
@@ -233,9 +234,9 @@ class _Likelihood:
         cost, slope = (lambda z: self.at(z)[0]), (lambda z: self.at(z)[1])
         z = minimize(
             cost, 0 * self.guess, jac=slope, hess=lambda z: self.at(z)[2].T @ self.at(z)[2], method="trust-constr",
-            bounds=self.bounds, callback=lambda z, _: self.flat(z),
+            bounds=self.bounds, callback=lambda z, _: self.rise(z) <= NEGLIGIBLE,
         ).x  # fmt: skip
-        if not self.flat(z):  # its barrier may end short of a bound, which a projection reaches
+        if not self.rise(z) <= NEGLIGIBLE:  # its barrier may end short of a bound, which a projection reaches
             z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
         return np.asarray(z)
 
@@ -243,12 +244,12 @@ class _Likelihood:
         """Which of the parameters (m,) a bound holds."""
         return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
 
-    def flat(self, z: Array) -> bool:
-        """Whether the best step is negligible in standard deviations."""
+    def rise(self, z: Array) -> float:
+        """Square of the best step that no bound holds, in standard deviations; NaN where a filter diverges."""
         cost, slope, rows, _ = self.at(z)
         free = ~self.held(z)
         step = np.linalg.lstsq(rows[:, free].T @ rows[:, free], slope[free])[0]
-        return bool(np.isfinite(cost) and slope[free] @ step <= NEGLIGIBLE)
+        return float(slope[free] @ step) if np.isfinite(cost) else float("nan")
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
