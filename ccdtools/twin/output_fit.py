@@ -22,7 +22,7 @@ from ccdtools_ground.outcome import Outcome
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.estimation.information import Information
 from mpc.optimal_control.estimation.parameter_estimate import in_words
-from mpc.tolerances import NEGLIGIBLE
+from mpc.tolerances import NEGLIGIBLE, TOLD
 
 NOISE = ("variance of w", "variance of the sensors")  # logarithms of the factors by which they differ
 
@@ -245,11 +245,15 @@ class _Likelihood:
         return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
 
     def rise(self, z: Array) -> float:
-        """Square of the best step that no bound holds, in standard deviations; NaN where a filter diverges."""
+        """Square of the best step, in standard deviations; NaN where a filter diverges.
+
+        Neither what a bound holds nor what the log leaves open counts: along that the likelihood rises by nothing.
+        """
         cost, slope, rows, _ = self.at(z)
         free = ~self.held(z)
-        step = np.linalg.lstsq(rows[:, free].T @ rows[:, free], slope[free])[0]
-        return float(slope[free] @ step) if np.isfinite(cost) else float("nan")
+        _, told, modes = np.linalg.svd(rows[:, free])
+        step = (modes[: len(told)] @ slope[free])[told > TOLD] / told[told > TOLD]
+        return float(step @ step) if np.isfinite(cost) else float("nan")
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
