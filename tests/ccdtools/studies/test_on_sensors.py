@@ -108,7 +108,7 @@ def test_a_plant_that_is_as_modelled_is_not_made_worse():
 def test_mpc_and_a_policy_of_outputs_are_redesigned_too():
     config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)
     for method in (Nested("mpc", starts=1, evaluations=6), Learned(history=6, config=config)):
-        _, second = run(stated(), 0.5, method)
+        _, second = run(stated(), 0.5, method, noise="known")
         assert second.fit.status.name == "SOLVED"
         assert second.accepted, str(second)
         assert second.gain.ci95[0] > 0
