@@ -146,7 +146,8 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
             x = np.where(running[:, None], np.where(np.isfinite(x_next), x_next, np.sign(x) * edge), x)
             running, whole = diverged_at < 0, False
         states[:, k + 1] = x
-    return Trajectory(states, inputs, w, diverged_at, p, plant.dt)
+    outputs = np.stack(driver.heard, axis=1) if driver.heard else None
+    return Trajectory(states, inputs, w, diverged_at, p, plant.dt, outputs)
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]) -> Array:

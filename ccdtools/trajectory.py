@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccdtools.arrays import Array, Immutable, Indices
+from ccdtools.arrays import Array, ArrayField, Immutable, Indices
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.exceptions import InputError
 from ccdtools.table import data_frame
@@ -30,6 +30,8 @@ class Trajectory(Immutable):
     design : (np,) array
     dt : float
         Sampling time [s].
+    outputs : (n, T, ny) array, optional
+        What sensors told, where the controller listened.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Trajectory(Immutable):
     diverged_at: Indices
     design: Array
     dt: float
+    outputs: ArrayField = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -84,6 +84,7 @@ class Driver:
         self.output = output
         self.horizon = getattr(self.copies[0], "horizon", None)
         self.last = np.zeros((runs, nu))
+        self.heard: list[Array] = []  # of the sensors, sample by sample
         length = disturbances.shape[1]
         if "preview" in self.needs and recorded and (self.horizon or 0) > length:
             got = f"{self.horizon} samples, which the controller previews"
@@ -97,6 +98,7 @@ class Driver:
         y = None
         if "output" in self.needs:
             y = x if self.output is None else self.output(k, x, self.last)
+            self.heard += [] if self.output is None else [y]
         if self.batched:
             return self.copies[0](x, **self._signals(k, y, slice(None)))
         return np.stack([

@@ -1,0 +1,167 @@
+"""Generations of a problem with sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import t
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_count, as_generator, as_instance
+from ccdtools.co_design.closed_loop import closed_loop_returns
+from ccdtools.co_design.codesign import codesign
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.exceptions import InputError
+from ccdtools.plants.plant import Plant
+from ccdtools.scenario import Scenario
+from ccdtools.statistics import PairedDifference, paired_difference
+from ccdtools.studies.budgets import REAL_RUNS
+from ccdtools.studies.real_plant import RealPlant
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.output_fit import FitStatus, OutputFit, fit_outputs
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorGeneration:
+    """Generation on sensors, and what it gained.
+
+    Attributes
+    ----------
+    design : (np,) array
+    controller : callable
+        Of outputs, as deployed.
+    log : Trajectory
+        Of the deployment, with its outputs.
+    fit : OutputFit or None
+        What all former logs told; None of the first generation.
+    predicted, gain : PairedDifference or None
+        Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
+        the interval; and on fresh common runs of the real plant, None where no redesign was deployed.
+    """
+
+    design: Array
+    controller: Any
+    log: Trajectory
+    fit: OutputFit | None = None
+    predicted: PairedDifference | None = None
+    gain: PairedDifference | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether its design was deployed for the first time."""
+        return self.fit is None or self.gain is not None
+
+    def __str__(self) -> str:
+        """Decision and gain in a sentence."""
+        if self.fit is None:
+            return f"first design {np.round(self.design, 4)}"
+        if self.predicted is None:
+            return f"no redesign: {self.fit.advice}"
+        said = [f"{one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for one in (self.predicted, self.gain) if one]
+        measured = f"{np.round(self.design, 4)}, measured {said[-1]}" if self.gain else "refused"
+        return f"redesign {measured}, predicted {said[0]}"
+
+
+def generations_on_sensors(
+    problem: CoDesignProblem, real: RealPlant, *, method: Any = "nested", generations: int = 2,
+    design: ArrayLike | None = None, plant: Plant | None = None, noise: str = "fitted", draws: int = 20,
+    rng: np.random.Generator,
+) -> tuple[SensorGeneration, ...]:  # fmt: skip
+    """Generations of a problem with sensors on a real plant.
+
+    Each is deployed and its outputs logged. The plant that all logs tell (`fit_outputs`) is designed for again, and the
+    redesign deployed if a gain is predicted whose interval lies above 0.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        With a `measurement`.
+    real : RealPlant
+        Its own outputs are measured where the problem's are those of a Plant.
+    method : str or Method
+        Of every `codesign`, such as ``Nested("lqg")``.
+    design : (np,) array_like, optional
+        Where the first search starts.
+    plant, noise
+        Of `fit_outputs`.
+    draws : int
+        Plants drawn from what is known of the parameters, for the interval of a prediction.
+
+    Raises
+    ------
+    InputError
+        As `fit_outputs`, `codesign` and `deploy`; also without a measurement.
+
+    Examples
+    --------
+    >>> for one in generations_on_sensors(problem, real, method=Nested("lqg"), rng=rng):  # doctest: +SKIP
+    ...     print(one)
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_instance("real", real, RealPlant, "a RealPlant")
+    as_count("draws", draws, least=2)
+    seed = int(as_generator("rng", rng).integers(2**31))
+    sensors = problem.measurement
+    if sensors is None:
+        raise InputError("problem", "one without sensors", "CoDesignProblem(measurement=…); a Study sees the states")
+    if isinstance(sensors.output, Plant) and isinstance(real.plant, Plant) and real.plant.ny:
+        sensors = replace(sensors, output=real.plant)
+
+    def driven(one: Any, runs: int, seed: int) -> Trajectory:
+        """Log on the real plant, the same runs by the same seed."""
+        own = np.random.default_rng(seed)
+        w = real.disturbance.sample(runs, real.steps, own)
+        scenario = Scenario(real.plant, real.x0, w, output=sensors, seed=int(own.integers(2**31)))
+        return scenario.run(one.controller, design=one.design, limit=problem.limit)
+
+    def logged(one: Any, *rest: Any) -> SensorGeneration:
+        """Generation of what is deployed."""
+        return SensorGeneration(one.design, one.controller, driven(one, real.runs, int(rng.integers(2**31))), *rest)
+
+    found = [logged(codesign(problem, method=method, design=design, rng=rng))]
+    for _ in range(1, as_count("generations", generations)):
+        before = found[-1]
+        fit = fit_outputs(problem, [one.log for one in found], plant=plant, noise=noise)
+        if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+            found.append(logged(before, fit))
+            continue
+        again = codesign(fit.updated(problem), method=method, design=before.design, rng=rng)
+        predicted = _predicted(problem, fit, again, before, draws, rng)
+        if not predicted.ci95[0] > 0:
+            found.append(logged(before, fit, predicted))
+            continue
+        runs = [driven(one, max(REAL_RUNS * problem.steps // real.steps, 2), seed) for one in (again, before)]
+        kept = ~(runs[0].diverged | runs[1].diverged)
+        gain = paired_difference(*(run.returns(problem.objective)[kept] for run in runs))
+        found.append(logged(again, fit, predicted, gain))
+    return tuple(found)
+
+
+def _predicted(
+    problem: CoDesignProblem, fit: OutputFit, one: Any, other: Any, draws: int, rng: np.random.Generator
+) -> PairedDifference:  # fmt: skip
+    """Gain of one over another on a fit's plant.
+
+    Its interval has the spread over plants drawn from the fit in it, and no end where one loses more runs.
+    """
+    seed = int(rng.integers(2**31))
+
+    def gains(updated: CoDesignProblem, runs: int | None) -> Array:
+        """Gains on common runs; none where one loses more."""
+        after, before = (
+            closed_loop_returns(updated, of.controller, of.design, np.random.default_rng(seed), runs=runs)
+            for of in (one, other)
+        )
+        return (after.values - before.values)[~(after.lost | before.lost) & (after.lost_share <= before.lost_share)]
+
+    drawn = [gains(updated, max(REAL_RUNS // draws, 2)) for updated in fit.drawn(problem, draws, rng)]
+    whole = gains(fit.updated(problem), None)
+    if not len(whole) or not all(map(len, drawn)):
+        return PairedDifference(float("nan"), (-np.inf, np.inf))
+    found = paired_difference(whole, np.zeros(len(whole)))
+    spread = float(np.std([part.mean() for part in drawn], ddof=1))
+    half = np.hypot((found.ci95[1] - found.ci95[0]) / 2, t.ppf(0.975, draws - 1) * spread)
+    return PairedDifference(found.mean, (found.mean - half, found.mean + half))

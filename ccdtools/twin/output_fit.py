@@ -1,0 +1,285 @@
+"""Plant that logged outputs tell, by their innovations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+from scipy.stats import norm
+
+from ccdtools.arrays import Array, ArrayField, Immutable, Mask
+from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_instance, as_share, finite, shown
+from ccdtools.co_design.measured import kalman_filter
+from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.estimation.innovations import Innovations
+from ccdtools.exceptions import InputError
+from ccdtools.plants.models import as_model
+from ccdtools.plants.plant import Plant
+from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
+from ccdtools_ground.outcome import Outcome
+from mpc.optimal_control.estimation.experiment import whitened
+from mpc.optimal_control.estimation.information import Information
+from mpc.optimal_control.estimation.parameter_estimate import in_words
+from mpc.tolerances import NEGLIGIBLE, TOLD
+
+NOISE = ("variance of w", "variance of the sensors")  # logarithms of the factors by which they differ
+
+
+class FitStatus(Outcome):
+    """Outcome of a fit; the value is the advice."""
+
+    SOLVED = "Solved: nothing near is likelier, and the log tells every combination of the parameters."
+    OPEN = (
+        "The log leaves combinations of parameters open, see `open`. State a plant with fewer of them, measure another "
+        "output, or excite what distinguishes them."
+    )
+    AT_BOUND = "A parameter is held by a bound of the stated plant: widen it, or doubt the plant."
+    UNSOLVED = "The likelihood could not be maximised: narrow the bounds of the stated plant, or log longer."
+
+
+@dataclass(frozen=True, eq=False)
+class OutputLog(Immutable):
+    """Logged outputs and inputs of several runs.
+
+    A `Trajectory` of a loop with sensors is one, too.
+
+    Parameters
+    ----------
+    outputs : (n, T, ny) array_like
+        NaN where a sensor told nothing; of one run also (T, ny).
+    inputs : (n, T, nu) array_like
+        As applied from each sample to the next.
+    design : (np,) array_like
+    """
+
+    outputs: ArrayField
+    inputs: ArrayField
+    design: ArrayField
+
+    def __post_init__(self) -> None:
+        for name in ("outputs", "inputs"):
+            rows = as_floats(name, getattr(self, name))
+            self._set(**{name: rows[None] if rows.ndim == 2 else rows})
+        if self.outputs.ndim != 3 or np.isinf(self.outputs).any():
+            raise InputError("outputs", f"shape {self.outputs.shape}", "(n, T, ny), NaN in gaps and else finite")
+        n, steps = self.outputs.shape[:2]
+        if self.inputs.ndim != 3 or self.inputs.shape[:2] != (n, steps):
+            raise InputError("inputs", f"shape {self.inputs.shape}", f"({n}, {steps}, nu), as many as outputs")
+        finite("inputs", self.inputs)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutputFit(Immutable):
+    """Parameters that a log of outputs tells.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : (m,) array
+        The likeliest; of a change of the nominal model 0 is none.
+    covariance : (m, m) array
+        Inverse of Fisher's information; infinite variances where the log tells nothing.
+    status : FitStatus
+    open : tuple of dict
+        Combinations that the log does not tell: changes by name, each in its own size.
+    innovation_variance : float
+        Mean square of the innovations beside what is expected of them.
+    unknown : UnknownPlant
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    status: FitStatus
+    open: tuple[dict[str, float], ...]
+    innovation_variance: float
+    unknown: UnknownPlant
+
+    def __repr__(self) -> str:
+        rows = zip(self.names, self.values, self.deviations)
+        said = ", ".join(f"{name}={value:.6g}±{deviation:.2g}" for name, value, deviation in rows)
+        return f"OutputFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g})"
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (m,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def updated(self, problem: CoDesignProblem) -> CoDesignProblem:
+        """Problem on the plant that was found; see `updated_problem`."""
+        if self.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
+            raise InputError("twin", f"a fit that is {self.status.name}", "one that is SOLVED", self.advice)
+        return self.unknown.known(problem, self.values[: len(self.unknown.free)])
+
+    def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> list[CoDesignProblem]:
+        """Problems on plants drawn from what is known of them."""
+        units = np.where(self.deviations > 0, self.deviations, 1.0)
+        scaled = self.covariance / units / units[:, None]
+        away = as_generator("rng", rng).multivariate_normal(0 * units, scaled, as_count("draws", draws))
+        drawn = (self.values + units * away)[:, : len(self.unknown.free)]
+        inside = drawn if self.unknown.constants else np.clip(drawn, *self.unknown.bounds)
+        return [self.unknown.known(problem, values) for values in inside]
+
+    @property
+    def advice(self) -> str:
+        """Advice, with the combinations that stay open."""
+        return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open)])
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Confidence intervals (m, 2), by the normal distribution."""
+        factor = norm.ppf((1 + as_share("level", level)) / 2)
+        return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
+
+
+def fit_outputs(
+    problem: CoDesignProblem, logs: Any, *, plant: Plant | None = None, noise: str = "fitted"
+) -> OutputFit:  # fmt: skip
+    """Likeliest parameters of a plant, by logged outputs.
+
+    Prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so inputs that
+    follow the errors of the filter in the loop mislead nothing. Without a `plant` a change of the nominal model is
+    fitted that enters where w does: w + Θx x + Θu u + θ in its place, at every design.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        Gives model, sensors, and mean and covariance of starts and disturbance, which counts as white.
+    logs : Trajectory or OutputLog, or a sequence of them
+        Runs that diverged are left out.
+    plant : Plant, optional
+        With the problem's design and unknown entries besides, such as a mass or a gain, within their bounds.
+    noise : {"fitted", "known"}
+        Whether factors of the variances of w and of the sensors are fitted besides, or both are as the problem states.
+        Where they are not, "known" noise misleads the other parameters, often without a trace in the innovations.
+
+    Returns
+    -------
+    OutputFit
+        Never SOLVED where the log leaves a combination open, or a bound holds one.
+
+    Raises
+    ------
+    InputError
+        If the problem has no sensors, or a function as outputs; a log is of other sizes or designs, or has fewer
+        measured values than there are unknowns.
+
+    References
+    ----------
+    Ljung, *System Identification*, 2nd ed., 1999, sections 7.2 and 9.2; Åström, "Maximum likelihood and prediction
+    error methods", Automatica 16, 1980.
+
+    Examples
+    --------
+    >>> log = deploy(real, law, design, w, x0=x0, output=problem.measurement, rng=rng)  # doctest: +SKIP
+    >>> fit = fit_outputs(problem, log)  # doctest: +SKIP
+    """
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
+    as_model("problem.model", problem.model)
+    if not isinstance(getattr(problem.measurement, "output", None), Plant | np.ndarray):
+        expected = "Measurement(output, noise=…) of a matrix or a Plant, which can be differentiated"
+        raise InputError("problem.measurement", shown(problem.measurement), expected)
+    several = list(logs) if isinstance(logs, list | tuple) else [logs]
+    if not several:
+        raise InputError("logs", shown(logs), "at least one log")
+    given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
+    scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted"
+    unknown = changed_plant(problem, given[-1].design) if plant is None else stated_plant(problem, plant)
+    names = unknown.free + NOISE * scaled
+    measured = sum(int(np.isfinite(log.outputs).sum()) for log in given)
+    if measured < len(names):
+        got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
+        raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
+    found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
+    z = found.largest()
+    values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
+    known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
+    open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(NOISE))
+    status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
+    status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
+    return OutputFit(names, values, known.covariance(1.0), status, open_, squares / measured, unknown)
+
+
+class _Likelihood:
+    """Likelihood of parameters, in units from their guess."""
+
+    def __init__(self, unknown: UnknownPlant, parts: list[Innovations], scaled: bool) -> None:
+        (lower, upper), none = unknown.bounds, np.zeros(2 * scaled)
+        self.parts = parts
+        self.guess = np.concatenate([(lower + upper) / 2, none])
+        self.units = np.concatenate([(upper - lower) / 2, none + 1])
+        end = np.concatenate([np.full(len(lower), np.inf if unknown.constants else 1.0), none + np.inf])
+        self.bounds = Bounds(-end, end, keep_feasible=True)
+        self._last: tuple[bytes, tuple[float, Array, Array, float]] | None = None
+
+    def values(self, z: Array) -> Array:
+        """Parameters (m,) as they are."""
+        return np.asarray(self.guess + self.units * z)
+
+    def at(self, z: Array) -> tuple[float, Array, Array, float]:
+        """Cost, slope, root of Fisher's information, squared innovations."""
+        key = np.asarray(z, dtype=float).tobytes()
+        if self._last is None or self._last[0] != key:
+            r, s, dr, ds = (np.concatenate(rows) for rows in zip(*(part.at(self.values(z)) for part in self.parts)))
+            dr, ds, square = dr * self.units, ds * self.units, r**2 / s
+            cost = float(np.nan_to_num(np.sum(np.log(s) + square) / 2, nan=np.inf))  # where a filter diverges
+            slope = dr.T @ (r / s) + ds.T @ ((1 - square) / s) / 2
+            rows = np.vstack([dr / np.sqrt(s)[:, None], ds / (np.sqrt(2) * s)[:, None]])
+            self._last = key, (cost, slope, np.asarray(np.linalg.qr(rows, mode="r")), float(square.sum()))
+        return self._last[1]
+
+    def largest(self) -> Array:
+        """Likeliest point (m,), with Fisher's information as curvature."""
+        cost, slope = (lambda z: self.at(z)[0]), (lambda z: self.at(z)[1])
+        z = minimize(
+            cost, 0 * self.guess, jac=slope, hess=lambda z: self.at(z)[2].T @ self.at(z)[2], method="trust-constr",
+            bounds=self.bounds, callback=lambda z, _: self.rise(z) <= NEGLIGIBLE,
+        ).x  # fmt: skip
+        if not self.rise(z) <= NEGLIGIBLE:  # its barrier may end short of a bound, which a projection reaches
+            z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
+        return np.asarray(z)
+
+    def held(self, z: Array) -> Mask:
+        """Which of the parameters (m,) a bound holds."""
+        return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
+
+    def rise(self, z: Array) -> float:
+        """Square of the best step, in standard deviations; NaN where a filter diverges.
+
+        Neither what a bound holds nor what the log leaves open counts: along that the likelihood rises by nothing.
+        """
+        cost, slope, rows, _ = self.at(z)
+        free = ~self.held(z)
+        _, told, modes = np.linalg.svd(rows[:, free])
+        step = (modes[: len(told)] @ slope[free])[told > TOLD] / told[told > TOLD]
+        return float(step @ step) if np.isfinite(cost) else float("nan")
+
+
+def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
+    """Innovations of a log, by the problem's filter."""
+    known = kalman_filter(problem, log.design)
+    mean = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1))
+    disturbance = (mean, problem.moments[2] - np.outer(mean, mean))
+    rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
+    functions = unknown.functions(problem, log.design)
+    return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)
+
+
+def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
+    """Log of the problem's sizes, without runs that diverged."""
+    outputs = getattr(log, "outputs", None)
+    if outputs is None:
+        expected = "a Trajectory with outputs, as of deploy(…, output=problem.measurement), or an OutputLog"
+        raise InputError(argument, shown(log), expected)
+    kept = ~np.asarray(getattr(log, "diverged", np.zeros(len(outputs), dtype=bool)))
+    if not kept.any():
+        raise InputError(argument, f"{len(kept)} runs that all diverged", "at least one that did not")
+    p = problem.design.check_one(log.design, argument=f"{argument}.design")
+    found = OutputLog(outputs[kept], log.inputs[kept], p)
+    stated = problem.measurement.output
+    sizes = (found.outputs.shape[2], found.inputs.shape[2])
+    asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)
+    if sizes != asked:
+        raise InputError(argument, f"{sizes[0]} outputs and {sizes[1]} inputs", f"{asked[0]} and {asked[1]}")
+    return found

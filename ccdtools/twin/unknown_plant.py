@@ -1,0 +1,132 @@
+"""Plants with unknown entries beside the design."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from ccdtools.arrays import Array
+from ccdtools.checks import as_instance, shown
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
+from ccdtools.co_design.random_starts import RandomStarts
+from ccdtools.disturbances.combinations import Sum
+from ccdtools.disturbances.disturbance import Gaussian
+from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.discretisation import discretise
+from ccdtools.plants.models import Model
+from ccdtools.plants.plant import Plant
+from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.symbols import elements
+from ccdtools.twin.transport import Transport
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownPlant:
+    """Plant with outputs and unknown entries in its design.
+
+    Attributes
+    ----------
+    plant : Plant
+    free : tuple of str
+        Names of the unknown entries (m,): within their bounds, or about the middle of them if they change a model.
+    constants : int
+        So many of the last are constant parts of w of a changed model; 0 of a stated plant.
+    """
+
+    plant: Plant
+    free: tuple[str, ...]
+    constants: int = 0
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (m,)."""
+        places = [self.plant.design.names.index(name) for name in self.free]
+        return self.plant.design.lower[places], self.plant.design.upper[places]
+
+    def functions(self, problem: CoDesignProblem, p: Array) -> tuple[ca.Function, ca.Function]:
+        """Functions x⁺(x, u, w, θ) and y(x, u, θ) at a design."""
+        x, u, w = (ca.MX.sym(*sized) for sized in zip("xuw", (self.plant.nx, self.plant.nu, self.plant.nw)))
+        theta, names = ca.MX.sym("theta", len(self.free)), (*problem.design.names, *self.free)
+        whole = ca.vertcat(ca.DM(p), theta)[[names.index(name) for name in self.plant.design.names]]
+        after = _sampled(problem, self.plant).step(x, u, w, whole)
+        outputs = ca.Function("output", [x, u, theta], [self.plant.output(x, u, whole)])
+        return ca.Function("step", [x, u, w, theta], [after]), outputs
+
+    def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
+        """Problem with the unknown entries at values (m,)."""
+        cut = len(values) - self.constants
+        symbols = dict(zip(self.plant.design.names, elements(self.plant.p)))
+        p, rest = (ca.vertcat(*(symbols[name] for name in names)) for names in (problem.design.names, self.free))
+        held = ca.DM([*values[:cut], *(0 * values[cut:])])
+        put: Callable[[ca.SX], ca.SX] = lambda expression: ca.substitute(expression, rest, held)  # noqa: E731
+        own = self.plant
+        plant = replace(own, p=p, dynamics=put(own.dynamics), outputs=put(own.outputs), design=problem.design)
+        sensors, scenarios, constant = problem.measurement, problem.scenarios, values[cut:]
+        if isinstance(sensors.output, Plant):
+            sensors = replace(sensors, output=plant)
+        if constant.any():
+            if not isinstance(scenarios, FixedStart | RandomStarts):
+                cure = "What the log tells of a constant part of w is added to its disturbance."
+                raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
+            scenarios = replace(scenarios, disturbance=Sum((scenarios.disturbance, Gaussian(0 * constant, constant))))
+        return replace(problem, model=_sampled(problem, plant), measurement=sensors, scenarios=scenarios)
+
+
+def _sampled(problem: CoDesignProblem, plant: Plant) -> Model:
+    """Model of a plant, as the problem's was made."""
+    own = problem.model
+    if isinstance(own, SampledModel) and not plant.linear:
+        return replace(own, plant=plant, error=None)
+    return discretise(plant, own.dt, sampling_guard="ignore")
+
+
+def stated_plant(problem: CoDesignProblem, plant: Plant) -> UnknownPlant:
+    """Plant of a user, with unknown entries."""
+    as_instance("plant", plant, Plant, "a Plant with unknown entries in its design, or None")
+    names, own, model = plant.design.names, problem.design.names, problem.model
+    free = tuple(name for name in names if name not in own)
+    if not free or len(free) + len(own) != len(names):
+        got = f"a design of {', '.join(names)}"
+        raise InputError("plant", got, f"one of {', '.join(own)}, and what is unknown besides")
+    sizes = [(one.nx, one.nu, one.nw) for one in (plant, model)]
+    if sizes[0] != sizes[1]:
+        raise InputError("plant", f"(nx, nu, nw) = {sizes[0]}", f"{sizes[1]}, as of the problem's model")
+    C = problem.measurement.output
+    if not isinstance(C, Plant):
+        plant = replace(plant, outputs=ca.DM(C) @ plant.x, output_names=(), output_limits=None)
+    return UnknownPlant(plant, free)
+
+
+def changed_plant(problem: CoDesignProblem, p: Array) -> UnknownPlant:
+    """Nominal model with an unknown affine part of w.
+
+    It has w + Θx x + Θu u + θ in the place of w. Units are the largest effect that the model has through w, at the edge
+    of X and U.
+    """
+    model, box, scale = problem.model, problem.design, problem.state_scale
+    A, B, _ = model.matrices(p)
+    span = np.concatenate([scale, np.abs(problem.input_bounds).max(axis=0), [1.0]])
+    through = Transport.at(model, p, scale).inverse @ np.hstack([A - np.eye(model.nx), B])
+    units = (np.abs(through * span[:-1]).max(axis=1, initial=0.0)[:, None] / span).T.ravel()
+    if not (len(units) and (units > 0).all()):
+        got = "a model into which a disturbance enters nowhere, or nothing else does"
+        raise InputError("problem.model", got, "one that changes where w enters", "Pass plant=, with what is unknown.")
+    by = (*problem.state_names, *problem.input_names, "constant")
+    free = tuple(f"w{i + 1} by {name}" for name in by for i in range(model.nw))
+    theta = ca.SX.sym("theta", len(free))
+    x, u, w = (ca.SX.sym(*sized) for sized in zip("xuw", (model.nx, model.nu, model.nw)))
+    sampled = isinstance(model, SampledModel)
+    design = ca.SX.sym("p", box.dim)
+    rates = model.plant.right_hand_side if sampled else model.step
+    dynamics = rates(x, u, w + ca.reshape(theta, model.nw, -1) @ ca.vertcat(x, u, 1), design)
+    C = problem.measurement.output
+    outputs = C.output(x, u, design) if isinstance(C, Plant) else ca.DM(C) @ x
+    space = DesignSpace((*box.names, *free), np.r_[box.lower, -units], np.r_[box.upper, units])
+    continuous = sampled and model.plant.continuous
+    plant = Plant(x, u, w, ca.vertcat(design, theta), dynamics, space, model.dt, continuous, outputs=outputs,
+                  state_names=problem.state_names, input_names=problem.input_names)  # fmt: skip
+    return UnknownPlant(plant, free, constants=model.nw)

@@ -1,0 +1,121 @@
+"""Generations whose logs hold outputs and inputs alone."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    CoDesignConfig,
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Learned,
+    Measurement,
+    Nested,
+    Plant,
+    QuadraticObjective,
+    RealPlant,
+    Scenario,
+    discretise,
+)
+from ccdtools.studies import generations_on_sensors
+
+BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])
+
+
+def spring(gain=1.0):
+    """Mass on a spring, with an actuator that may be weaker than its data sheet says."""
+    x, u, w, k = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k")
+    return Plant(x, u, w, k, [x[1], -k * x[0] - 0.3 * x[1] + gain * u + w], BOX, dt=0.33)
+
+
+def stated(**changes):
+    """Problem whose position is measured."""
+    given = {
+        "X": (-4, 4), "U": (-3, 3), "steps": 50, "limit_tolerance": "off",
+        "objective": QuadraticObjective(np.eye(2), [[0.1]], design_cost=lambda p: 2 * p[0]),
+        "scenarios": FixedStart([1.0, 0.0], Gaussian([0.3])), "measurement": Measurement([[1.0, 0.0]], noise=[0.1]),
+    }  # fmt: skip
+    return CoDesignProblem(discretise(spring()), **(given | changes))
+
+
+def real(gain):
+    return RealPlant(spring(gain), Gaussian([0.3]), [1.0, 0.0], 40, 50)
+
+
+def run(problem, gain, method=None, seed=0, **options):
+    method = Nested("lqg", starts=1) if method is None else method
+    return generations_on_sensors(problem, real(gain), method=method, rng=np.random.default_rng(seed), **options)
+
+
+def returned(one, runs=1500):
+    """Returns of a generation on the real plant, on runs of this test's own."""
+    w = Gaussian([0.3]).sample(runs, 50, np.random.default_rng(77))
+    scenario = Scenario(spring(0.5), [1.0, 0.0], w, output=stated().measurement, seed=5)
+    return scenario.run(one.controller, design=one.design).returns(stated().objective)
+
+
+def test_a_second_generation_on_outputs_earns_what_it_says():
+    first, second = run(stated(), 0.5)
+    assert first.fit is None
+    assert first.accepted
+    assert first.gain is None
+    assert second.accepted
+    assert second.fit.status.name == "SOLVED"
+    assert second.predicted.ci95[0] > 0
+    gain = returned(second) - returned(first)
+    error = 3 * gain.std() / len(gain) ** 0.5
+    assert second.gain.ci95[0] - error < gain.mean() < second.gain.ci95[1] + error
+    assert gain.mean() > 5 * error
+    assert second.log.outputs.shape == (40, 50, 1)
+    assert "measured +" in str(second)
+
+
+def test_the_same_seed_is_the_same_run_and_fits_take_all_logs():
+    one, other = (run(stated(), 0.5, generations=count, draws=4) for count in (3, 2))
+    for mine, its in zip(one, other):
+        np.testing.assert_array_equal(mine.log.outputs, its.log.outputs)
+        np.testing.assert_array_equal(mine.design, its.design)
+    assert one[2].fit.deviations[2] < 0.9 * one[1].fit.deviations[2]
+
+
+def test_where_a_log_leaves_something_open_what_is_deployed_stays():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3)
+    space = DesignSpace(["k", "one", "other"], [0.5, 0.3, 0.3], [4, 2, 2])
+    rates = [x[1], -p[0] * x[0] - 0.3 * x[1] + p[1] * p[2] * u + w]
+    first, second = run(stated(), 0.5, plant=Plant(x, u, w, p, rates, space, dt=0.33))
+    assert second.fit.status.name == "OPEN"
+    assert not second.accepted
+    assert second.gain is None
+    assert second.controller is first.controller
+    assert "no redesign" in str(second)
+    assert "one" in str(second)
+
+
+def test_a_plant_that_is_as_modelled_is_not_made_worse():
+    first, second = run(stated(), 1.0, draws=4)
+    if second.accepted:
+        assert second.gain.ci95[1] > 0
+    else:
+        np.testing.assert_array_equal(first.design, second.design)
+
+
+@pytest.mark.check
+def test_mpc_and_a_policy_of_outputs_are_redesigned_too():
+    config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)
+    for method in (Nested("mpc", starts=1, evaluations=6), Learned(history=6, config=config)):
+        _, second = run(stated(), 0.5, method, noise="known")
+        assert second.fit.status.name == "SOLVED"
+        assert second.accepted, str(second)
+        assert second.gain.ci95[0] > 0
+
+
+def test_a_problem_without_sensors_and_another_kind_of_plant_are_named():
+    with pytest.raises(InputError, match="a Study sees the states"):
+        run(replace(stated(), measurement=None), 1.0)
+    with pytest.raises(InputError, match="a RealPlant"):
+        generations_on_sensors(stated(), spring(), rng=np.random.default_rng(0))

@@ -1,0 +1,345 @@
+"""Plants that logged outputs and inputs tell, without their states."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    LinearFeedback,
+    Measurement,
+    Plant,
+    QuadraticObjective,
+    RandomStarts,
+    deploy,
+    discretise,
+    saturated_lqr,
+)
+from ccdtools.co_design import kalman_filter
+from ccdtools.controllers import Observed
+from ccdtools.twin import OutputLog, fit_outputs, updated_problem
+
+BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])
+P = np.array([2.0])
+START, RUNS, STEPS, DT = [1.0, 0.0], 40, 80, 0.33
+
+
+def spring(gain=1.0, push=0.0, unit=1.0, names=(), accelerometer=False):
+    """Mass on a spring, positions in a unit; with unknown entries besides: parts of the gain and of the mass."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1 + len(names))
+    known = dict(zip(("k", *names), ca.vertsplit(p)))
+    force = known.get("gain", gain) * known.get("second", 1.0) * u - (known["k"] * x[0] + 0.3 * x[1]) / unit
+    a = force / known.get("mass", 1.0)
+    box = DesignSpace(["k", *names], [0.5] + [0.2] * len(names), [4.0] + [3.0] * len(names))
+    outputs = [x[0], unit * a] if accelerometer else [x[0]]
+    return Plant(x, u, w, p, [x[1], unit * (a + w + push)], box, dt=DT, outputs=outputs)
+
+
+def stated(noise=0.05, unit=1.0, **changes):
+    """Problem whose position is measured."""
+    given = {
+        "X": (-4 * unit, 4 * unit), "U": (-3, 3), "steps": STEPS, "limit_tolerance": "off",
+        "objective": QuadraticObjective(np.eye(2) / unit**2, [[0.1]], design_cost=lambda p: 2 * p[0]),
+        "scenarios": FixedStart(unit * np.array(START), Gaussian([0.3])),
+        "measurement": Measurement([[1.0, 0.0]], noise=[noise * unit]),
+    }  # fmt: skip
+    return CoDesignProblem(discretise(spring(unit=unit)), **(given | changes))
+
+
+def logged(problem, real, seed=0, law=None, x0=None, w=None):
+    """Log of LQG on a real plant."""
+    rng = np.random.default_rng(seed)
+    law = Observed(saturated_lqr(problem, P), kalman_filter(problem, P)) if law is None else law
+    w = Gaussian([0.3]).sample(RUNS, STEPS, rng) if w is None else w
+    x0 = problem.scenarios.x0 if x0 is None else x0
+    return deploy(real, law, P, w, x0=x0, output=problem.measurement, rng=rng)
+
+
+def without_states(log):
+    """What a real log holds."""
+    return OutputLog(log.outputs, log.inputs, log.design)
+
+
+# ── what is found ──
+
+
+@pytest.mark.parametrize(
+    ("noise", "gain", "push"), [(0.01, 0.5, 0.0), (0.01, 1.5, 0.2), (0.1, 0.5, 0.0), (0.1, 1.5, 0.2)]
+)
+def test_a_weak_or_strong_actuator_is_found_with_its_sign_where_smoothed_states_had_the_other(noise, gain, push):
+    problem, real = stated(noise), spring(gain, push)
+    fit = fit_outputs(problem, without_states(logged(problem, real)))
+    assert fit.names == (
+        "w1 by x1",
+        "w1 by x2",
+        "w1 by u1",
+        "w1 by constant",
+        "variance of w",
+        "variance of the sensors",
+    )
+    assert fit.status.name == "SOLVED"
+    away = (fit.values - [0, 0, gain - 1, push, 0, 0]) / fit.deviations
+    assert np.abs(away).max() < 3.5
+    assert (gain - 1) * fit.values[2] > 0
+    known = fit_outputs(problem, logged(problem, real), noise="known")
+    assert known.names == fit.names[:4]
+    assert np.abs((known.values[:4] - [0, 0, gain - 1, push]) / known.deviations).max() < 3.5
+    assert ((gain - 1) * known.intervals()[2] > 0).all()
+    assert fit.innovation_variance == pytest.approx(1, abs=0.1)
+    found, true = (m.matrices(P)[1] for m in (updated_problem(problem, known).model, discretise(real)))
+    np.testing.assert_allclose(found, true, rtol=0.25)
+
+
+def by_hand(log, gain, stiffer):
+    """Minus the logarithm of the likelihood of a log, by a Kalman filter of its own."""
+    nominal = spring()
+    A, B, E = discretise(nominal).matrices(P)
+    A, B = A + E @ [[stiffer, 0.0]], B + E * gain
+    C, V = np.array([[1.0, 0.0]]), 0.05**2
+    cost = 0.0
+    guess, S, before = np.tile(START, (RUNS, 1)), np.zeros((2, 2)), np.zeros((RUNS, 1))
+    for k in range(STEPS):
+        if k:
+            guess, S = guess @ A.T + before @ B.T, A @ S @ A.T + 0.09 * E @ E.T
+        seen = (C @ S @ C.T + V)[0, 0]
+        missed = log.outputs[:, k, 0] - guess[:, 0]
+        cost += np.sum(missed**2 / seen + np.log(seen)) / 2
+        M = S @ C.T / seen
+        guess, S = guess + missed[:, None] * M.T, S - M @ C @ S
+        before = log.inputs[:, k]
+    return cost
+
+
+@pytest.mark.check
+def test_it_is_the_likeliest_by_a_filter_and_an_optimiser_of_ones_own():
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3)
+    problem = stated()
+    A, B, E = (ca.DM(part) for part in problem.model.matrices(P))
+    after = A @ x + B @ u + E * (p[1] * u + p[2] * x[0] + w) + 0 * p[0]
+    plant = Plant(
+        x, u, w, p, after, DesignSpace(["k", "by u", "by x"], [0.5, -2, -2], [4, 2, 2]), dt=DT, continuous=False
+    )
+    log = logged(problem, spring(0.6))
+    fit = fit_outputs(problem, log, plant=plant, noise="known")
+    best = minimize(
+        lambda v: by_hand(log, *v), [-0.3, 0.1], method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6}
+    )
+    np.testing.assert_allclose(fit.values, best.x, atol=0.02 * fit.deviations.min())
+    step = 0.2 * fit.deviations
+    curved = [by_hand(log, *(best.x + s * step * e)) - best.fun for e in np.eye(2) for s in (-1, 1)]
+    information = np.reshape(curved, (2, 2)).sum(axis=1) / step**2
+    np.testing.assert_allclose(np.diag(np.linalg.inv(fit.covariance)), information, rtol=0.25)
+
+
+def test_units_change_nothing():
+    fits = [fit_outputs(one, logged(one, spring(0.5, unit=unit)))
+            for unit in (1.0, 1e3) for one in [stated(unit=unit)]]  # fmt: skip
+    factors = np.array([1e-3, 1e-3, 1, 1, 1, 1])
+    assert (np.abs(fits[1].values - factors * fits[0].values) < 0.01 * fits[1].deviations).all()
+    np.testing.assert_allclose(fits[1].deviations, factors * fits[0].deviations, rtol=0.01)
+
+
+def test_what_a_sensor_missed_tells_nothing():
+    problem = stated()
+    log = logged(problem, spring(0.5))
+    outputs = np.array(log.outputs)
+    outputs[:, STEPS // 2 :] = np.nan
+    gaps = fit_outputs(problem, OutputLog(outputs, log.inputs, P))
+    half = fit_outputs(problem, OutputLog(outputs[:, : STEPS // 2], log.inputs[:, : STEPS // 2], P))
+    assert (np.abs(gaps.values - half.values) < 0.01 * half.deviations).all()
+    assert gaps.innovation_variance == pytest.approx(half.innovation_variance, rel=1e-4)
+    outputs = np.array(log.outputs)
+    outputs[::2, 10:30] = np.nan
+    some = fit_outputs(problem, OutputLog(outputs, log.inputs, P))
+    assert some.status.name == "SOLVED"
+    assert half.deviations[2] > 1.2 * some.deviations[2]
+
+
+def test_logs_of_several_designs_are_one_plant():
+    problem = stated()
+    log = logged(problem, spring(0.5))
+    single = fit_outputs(problem, log)
+    other = np.array([3.0])
+    law = Observed(saturated_lqr(problem, other), kalman_filter(problem, other))
+    rng = np.random.default_rng(5)
+    w = Gaussian([0.3]).sample(RUNS, STEPS, rng)
+    second = deploy(spring(0.5), law, other, w, x0=START, output=problem.measurement, rng=rng)
+    both = fit_outputs(problem, [log, second])
+    assert both.deviations[2] < 0.9 * single.deviations[2]
+    assert abs(both.values[2] + 0.5) < 3.5 * both.deviations[2]
+
+
+def test_mass_and_gain_of_a_stated_plant_with_an_accelerometer():
+    plant = spring(names=("mass", "gain"), accelerometer=True)
+    problem = stated(measurement=Measurement(spring(accelerometer=True), noise=[0.05, 0.05]))
+    real = replace(plant, p=plant.p[:1], dynamics=ca.substitute(plant.dynamics, plant.p[1:], ca.DM([1.4, 0.7])),
+                   outputs=ca.substitute(plant.outputs, plant.p[1:], ca.DM([1.4, 0.7])), design=BOX)  # fmt: skip
+    law = Observed(saturated_lqr(problem, P), kalman_filter(problem, P))
+    rng = np.random.default_rng(0)
+    w = Gaussian([0.3]).sample(RUNS, STEPS, rng)
+    log = deploy(real, law, P, w, x0=START, output=replace(problem.measurement, output=real), rng=rng)
+    fit = fit_outputs(problem, log, plant=plant)
+    assert fit.status.name == "SOLVED"
+    assert (np.abs(fit.values[:2] - [1.4, 0.7]) < 3.5 * fit.deviations[:2]).all()
+    updated = updated_problem(problem, fit)
+    np.testing.assert_allclose(updated.model.matrices(P)[1], discretise(real).matrices(P)[1], rtol=0.05)
+    x, u = np.array([[1.0, 0.0]]), np.array([[1.0]])
+    np.testing.assert_allclose(updated.measurement.at(2, 1, P).of(x, u)[0], real.observe(x, u, P)[0], rtol=0.05)
+
+
+def test_a_push_becomes_a_part_of_the_disturbance():
+    problem = stated()
+    fit = fit_outputs(problem, logged(problem, spring(push=0.2)))
+    w = updated_problem(problem, fit).scenarios.sample(200, STEPS, np.random.default_rng(0))[1]
+    assert w.mean() == pytest.approx(fit.values[3], abs=0.01)
+    assert fit.values[3] == pytest.approx(0.2, abs=4 * fit.deviations[3])
+
+
+def pendulum(gain=1.0):
+    """Pendulum that swings far."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k")
+    return Plant(x, u, w, p, [x[1], -p * ca.sin(x[0]) - 0.2 * x[1] + gain * u + w], BOX, dt=0.2, substeps=2)
+
+
+def test_a_nonlinear_plant_by_the_extended_filter():
+    problem = CoDesignProblem(
+        discretise(pendulum()), X=(-6, 6), U=(-3, 3), steps=STEPS, limit_tolerance="off",
+        objective=QuadraticObjective(np.eye(2), [[0.1]]), measurement=Measurement([[1.0, 0.0]], noise=[0.05]),
+        scenarios=RandomStarts(Gaussian([0.8, 0.8]), Gaussian([0.5])),
+    )  # fmt: skip
+    x0, w = problem.scenarios.sample(20, STEPS, np.random.default_rng(3))
+    log = logged(problem, pendulum(0.6), x0=x0, w=w)
+    assert np.abs(log.states[..., 0]).max() > 1
+    fit = fit_outputs(problem, log)
+    assert fit.status.name == "SOLVED"
+    assert (np.abs(fit.values[:4] - [0, 0, -0.4, 0]) < 3.5 * fit.deviations[:4]).all()
+    assert fit.intervals()[2, 1] < 0
+
+
+def test_noise_that_differs_from_what_is_stated_is_fitted():
+    problem = stated()
+    log = logged(stated(noise=0.1), spring(0.7))
+    fit = fit_outputs(problem, log)
+    assert fit.names[-2:] == ("variance of w", "variance of the sensors")
+    assert fit.innovation_variance == pytest.approx(1, abs=0.02)
+    assert fit.values[-1] == pytest.approx(np.log(4), abs=3.5 * fit.deviations[-1])
+    assert (np.abs(fit.values[:4] - [0, 0, -0.3, 0]) < 3.5 * fit.deviations[:4]).all()
+    assert updated_problem(problem, fit).model.matrices(P)[1].shape == (2, 1)
+    assert fit_outputs(problem, log, noise="known").innovation_variance > 1.3
+
+
+@pytest.mark.check
+def test_a_disturbance_smaller_than_stated_misleads_nothing_on_an_unstable_plant():
+    def inverted(gain=1.0):
+        x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("k")
+        return Plant(x, u, w, p, [x[1], p * x[0] - 0.1 * x[1] + gain * u + w], BOX, dt=0.1)
+
+    problem = CoDesignProblem(
+        discretise(inverted()), X=(-5, 5), U=(-50, 50), steps=STEPS, limit_tolerance="off",
+        objective=QuadraticObjective(np.eye(2), [[0.1]]), measurement=Measurement([[1.0, 0.0]], noise=[0.01]),
+        scenarios=FixedStart([0.3, 0.0], Gaussian([0.5])),
+    )  # fmt: skip
+    fit = fit_outputs(problem, logged(problem, inverted(0.7)))
+    assert fit.status.name == "SOLVED"
+    assert (np.abs(fit.values - [0, 0, -0.3, 0, 2 * np.log(0.6), 0]) < 3.5 * fit.deviations).all()
+
+
+# ── what a log does not tell ──
+
+
+def test_without_inputs_nothing_is_told_of_their_gain():
+    problem = stated()
+    fit = fit_outputs(
+        problem, logged(problem, spring(0.5), law=Observed(LinearFeedback([[0.0, 0.0]]), kalman_filter(problem, P)))
+    )
+    assert fit.status.name == "OPEN"
+    assert fit.open == ({"w1 by u1": 1.0},)
+    assert np.isinf(fit.deviations[2])
+    assert np.isfinite(np.delete(fit.deviations, 2)).all()
+    assert "w1 by u1" in fit.advice
+    with pytest.raises(InputError, match="OPEN"):
+        updated_problem(problem, fit)
+
+
+def test_two_gains_in_a_row_cannot_be_told_apart():
+    problem = stated()
+    fit = fit_outputs(problem, logged(problem, spring(0.5)), plant=spring(names=("gain", "second")))
+    assert fit.status.name == "OPEN"
+    assert [set(one) for one in fit.open] == [{"gain", "second"}]
+    assert np.prod(fit.values[:2]) == pytest.approx(0.5, abs=0.2)
+
+
+def test_a_bound_that_holds_a_parameter_is_said():
+    plant = spring(names=("gain",))
+    narrow = replace(plant, design=DesignSpace(["k", "gain"], [0.5, 0.8], [4.0, 1.2]))
+    problem = stated()
+    fit = fit_outputs(problem, logged(problem, spring(0.4)), plant=narrow)
+    assert fit.status.name == "AT_BOUND"
+    assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
+
+
+# ── what is refused ──
+
+
+@pytest.fixture(scope="module")
+def log():
+    problem = stated()
+    return logged(problem, spring())
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"inputs": lambda u: np.where(u == u[0, 3], np.nan, u)}, "inputs: got a value that is not finite"),
+        ({"outputs": lambda y: np.where(y == y[0, 3], np.inf, y)}, "outputs: .*NaN in gaps"),
+        ({"outputs": lambda y: y[:, :-1]}, "inputs: got shape .*as many as outputs"),
+        (
+            {"outputs": lambda y: np.concatenate([y, y], axis=2)},
+            r"logs\[0\]: got 2 outputs and 1 inputs, expected 1 and 1",
+        ),
+        ({"outputs": lambda y: y[:1, :3], "inputs": lambda u: u[:1, :3]}, "3 measured values for 6 unknowns"),
+        ({"outputs": lambda y: y * np.nan}, "0 measured values for 6 unknowns"),
+        ({"design": lambda p: p + 9}, r"logs\[0\].design"),
+    ],
+)
+def test_a_log_that_cannot_be_meant_is_named(log, change, words):
+    columns = {
+        name: change.get(name, np.array)(np.array(getattr(log, name))) for name in ("outputs", "inputs", "design")
+    }
+    with pytest.raises(InputError, match=words):
+        fit_outputs(stated(), OutputLog(**columns))
+
+
+def test_wrong_problems_plants_and_kinds_are_named(log):
+    problem = stated()
+    function = Measurement(lambda x: x[:, :1], noise=[0.1])
+    cases = [
+        (lambda: fit_outputs(replace(problem, measurement=None), log), "problem.measurement"),
+        (lambda: fit_outputs(replace(problem, measurement=function), log), "matrix or a Plant"),
+        (lambda: fit_outputs(problem, []), "at least one log"),
+        (lambda: fit_outputs(problem, log.states), r"logs\[0\]: .*OutputLog"),
+        (lambda: fit_outputs(problem, replace(log, outputs=None)), r"logs\[0\]: .*OutputLog"),
+        (lambda: fit_outputs(problem, replace(log, diverged_at=np.zeros(RUNS, dtype=int))), "all diverged"),
+        (lambda: fit_outputs(problem, log, plant=spring()), "what is unknown besides"),
+        (lambda: fit_outputs(problem, log, plant=3), "plant"),
+    ]  # fmt: skip
+    for call, words in cases:
+        with pytest.raises(InputError, match=words):
+            call()
+
+
+def test_a_loop_logs_what_its_sensors_told_and_one_of_the_state_nothing():
+    problem = stated()
+    rng = np.random.default_rng(0)
+    w = Gaussian([0.3]).sample(RUNS, STEPS, rng)
+    log = logged(problem, spring(), w=w)
+    assert log.outputs.shape == (RUNS, STEPS, 1)
+    assert (log.outputs - log.states[:, :-1, :1]).std() == pytest.approx(0.05, rel=0.1)
+    assert deploy(spring(), saturated_lqr(problem, P), P, w, x0=START).outputs is None
