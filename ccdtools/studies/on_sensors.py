@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from scipy.stats import t
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_count, as_generator, as_instance
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.problem import CoDesignProblem
@@ -22,6 +21,7 @@ from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.output_fit import FitStatus, OutputFit, fit_outputs
+from ccdtools_ground.door import as_count, as_generator, as_instance
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,7 +39,7 @@ class SensorGeneration:
         What all former logs told; None of the first generation.
     predicted, gain : PairedDifference or None
         Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
-        the interval; and on fresh common runs of the real plant, None where no redesign was deployed.
+        the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
     """
 
     design: Array
@@ -51,8 +51,8 @@ class SensorGeneration:
 
     @property
     def accepted(self) -> bool:
-        """Whether its design was deployed for the first time."""
-        return self.fit is None or self.gain is not None
+        """Whether its design is in service for the first time."""
+        return self.fit is None or (self.gain is not None and self.gain.ci95[1] >= 0)
 
     def __str__(self) -> str:
         """Decision and gain in a sentence."""
@@ -61,8 +61,8 @@ class SensorGeneration:
         if self.predicted is None:
             return f"no redesign: {self.fit.advice}"
         said = [f"{one.mean:+.4g} [{one.ci95[0]:.4g}, {one.ci95[1]:.4g}]" for one in (self.predicted, self.gain) if one]
-        measured = f"{np.round(self.design, 4)}, measured {said[-1]}" if self.gain else "refused"
-        return f"redesign {measured}, predicted {said[0]}"
+        place = np.round(self.design, 4) if self.accepted else "taken back" if self.gain else "refused"
+        return f"redesign {place}, predicted {said[0]}" + (f", measured {said[-1]}" if self.gain else "")
 
 
 def generations_on_sensors(
@@ -73,7 +73,8 @@ def generations_on_sensors(
     """Generations of a problem with sensors on a real plant.
 
     Each is deployed and its outputs logged. The plant that all logs tell (`fit_outputs`) is designed for again, and the
-    redesign deployed if a gain is predicted whose interval lies above 0.
+    redesign tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it
+    is worse there beyond chance.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def generations_on_sensors(
         runs = [driven(one, max(REAL_RUNS * problem.steps // real.steps, 2), seed) for one in (again, before)]
         kept = ~(runs[0].diverged | runs[1].diverged)
         gain = paired_difference(*(run.returns(problem.objective)[kept] for run in runs))
-        found.append(logged(again, fit, predicted, gain))
+        found.append(logged(before if gain.ci95[1] < 0 else again, fit, predicted, gain))
     return tuple(found)
 
 

@@ -10,7 +10,6 @@ from scipy.optimize import Bounds, minimize
 from scipy.stats import norm
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
-from ccdtools.checks import as_choice, as_count, as_floats, as_generator, as_instance, as_share, finite, shown
 from ccdtools.co_design.measured import kalman_filter
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.estimation.innovations import Innovations
@@ -18,6 +17,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
+from ccdtools_ground.door import as_choice, as_count, as_finite, as_floats, as_generator, as_instance, as_share, shown
 from ccdtools_ground.outcome import Outcome
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.estimation.information import Information
@@ -67,7 +67,7 @@ class OutputLog(Immutable):
         n, steps = self.outputs.shape[:2]
         if self.inputs.ndim != 3 or self.inputs.shape[:2] != (n, steps):
             raise InputError("inputs", f"shape {self.inputs.shape}", f"({n}, {steps}, nu), as many as outputs")
-        finite("inputs", self.inputs)
+        as_finite("inputs", self.inputs)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array
-from ccdtools.checks import as_instance, shown
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
 from ccdtools.disturbances.combinations import Sum
@@ -22,6 +21,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.symbols import elements
 from ccdtools.twin.transport import Transport
+from ccdtools_ground.door import as_instance, shown
 
 
 @dataclass(frozen=True, eq=False)
