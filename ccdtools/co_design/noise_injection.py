@@ -1,4 +1,4 @@
-"""What laws do in their own loops, with noise on their inputs, and policies that imitate it."""
+"""Loops of laws, with noise on their inputs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from mpc import MPCError
 
 
 class Loops(NamedTuple):
-    """Closed loops, samples first: states (T, n, nx), inputs that the law asks for (T, n, nu) and rewards (T, n)."""
+    """Closed loops, samples first.
+
+    States (T, n, nx), inputs that the law asks for (T, n, nu) and rewards (T, n).
+    """
 
     states: Array
     inputs: Array
@@ -24,7 +27,7 @@ class Loops(NamedTuple):
     kept: Mask  # (n,) whether the run ends within the divergence limit
 
     def samples(self, gamma: float = 0.99) -> tuple[Array, Array, Array]:
-        """States (k, nx), inputs (k, nu) and what comes after (k,), of the runs that are kept."""
+        """States (k, nx), inputs (k, nu) and values (k,) of kept runs."""
         values = self.rewards.copy()
         for k in range(len(values) - 2, -1, -1):
             values[k] += gamma * values[k + 1]
@@ -61,7 +64,10 @@ def noisy_loops(
 
 
 def brought_to_rest(problem: CoDesignProblem, design: Array, rng: np.random.Generator) -> bool:
-    """True if LQR keeps all runs, and what their starts cost has fallen by the end of an episode."""
+    """Whether LQR keeps all runs and brings them nearer to rest.
+
+    What their starts cost falls by a fifth or more from the first quarter of an episode to the last.
+    """
     try:
         lqr = saturated_lqr(problem, design)
     except (MPCError, InputError):

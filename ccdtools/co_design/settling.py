@@ -28,7 +28,6 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
-from ccdtools.co_design.noise_injection import brought_to_rest
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
@@ -133,6 +132,8 @@ class Settling:
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
+                from ccdtools.co_design.noise_injection import brought_to_rest  # loaded where a policy is judged
+
                 near = brought_to_rest(self.problem, result.design, copy.deepcopy(self.scenarios))
                 planned = (linear_mpc if near else long_mpc)(self.problem, result.design)
                 found.append(

@@ -177,7 +177,10 @@ def _fitted(
 def planned_start(
     problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True
 ) -> list[ActorCritic]:
-    """Agent that imitates MPC of the model at a design and three others, or at that one alone; none without any."""
+    """Agent that imitates MPC of the model; none without any.
+
+    Its loops are at a design and three others, or, without `all_over`, at that one alone.
+    """
     others = problem.design.latin_hypercube(3, rng) if all_over else np.tile(design, (3, 1))
     data = []
     for p in (design, *map(problem.design.project, others)):

@@ -1,0 +1,82 @@
+"""A pendulum that hangs down, on which LQR is no expert: what a first policy imitates, and how it is judged."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from ccdtools import (
+    CoDesignConfig,
+    CoDesignProblem,
+    CustomObjective,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    LearnedPolicy,
+    Plant,
+    closed_loop_returns,
+    codesign,
+    discretise,
+    saturated_lqr,
+)
+from ccdtools.co_design.methods.learned import planned_start
+from ccdtools.co_design.noise_injection import brought_to_rest, noisy_loops
+
+LENGTH = np.array([1.0])
+
+
+def hanging(angle=3.0, steps=120, torque=2.0):
+    """Pendulum of Gymnasium's numbers, whose angle counts from upright."""
+    x, u, w, length = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("l")
+    rate = ca.vertcat(x[1], 15 / length * ca.sin(x[0]) + 3 / length**2 * u + w)
+    plant = Plant(x, u, w, length, rate, DesignSpace(["l"], [0.8], [1.25], ["m"]), dt=0.05)
+
+    def cost(x, u, p):
+        return ca.atan2(ca.sin(x[0]), ca.cos(x[0])) ** 2 + 0.1 * x[1] ** 2 + 0.001 * u[0] ** 2
+
+    X, U = ([-12, -8], [12, 8]), (-torque, torque)
+    return CoDesignProblem(
+        discretise(plant, X=X, U=U, accuracy=1e-3), X=X, U=U, steps=steps, limit_tolerance="off",
+        objective=CustomObjective(cost, Q=np.diag([1, 0.1]), R=[[0.001]]),
+        scenarios=FixedStart([angle, 0.0], Gaussian([0.05])),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("angle", "torque", "expert"), [(3.0, 2.0, False), (0.1, 2.0, True), (3.0, 40.0, True), (0.0, 2.0, True)]
+)
+def test_lqr_is_an_expert_where_it_brings_the_plant_to_rest(angle, torque, expert):
+    assert brought_to_rest(hanging(angle, torque=torque), LENGTH, np.random.default_rng(0)) == expert
+
+
+def test_loops_show_what_a_law_does_after_other_inputs():
+    problem = hanging(0.2, steps=30)
+    lqr = saturated_lqr(problem, LENGTH)
+    x0, w = problem.scenarios.sample(8, problem.steps, np.random.default_rng(0))
+    plain, noisy = (noisy_loops(problem, lqr, LENGTH, x0, w, rng) for rng in (None, np.random.default_rng(1)))
+    for loops in (plain, noisy):
+        np.testing.assert_array_equal(loops.inputs[5], lqr(loops.states[5]))
+        assert loops.kept.all()
+    np.testing.assert_array_equal(plain.states[0], noisy.states[0])
+    assert noisy.states[10:].std() > 2 * plain.states[10:].std()
+    values = plain.samples(gamma=1.0)[2].reshape(30, 8)
+    np.testing.assert_allclose(values[0], plain.rewards.sum(axis=0))
+    np.testing.assert_array_equal(values[-1], plain.rewards[-1])
+
+
+@pytest.mark.check
+def test_a_policy_swings_up_as_mpc_of_the_model_does():
+    problem = hanging()
+    agent = planned_start(problem, LENGTH, np.random.default_rng(0), all_over=False)[0]
+    found = closed_loop_returns(problem, LearnedPolicy(agent, LENGTH), LENGTH, np.random.default_rng(5), runs=50)
+    lqr = closed_loop_returns(problem, saturated_lqr(problem, LENGTH), LENGTH, np.random.default_rng(5), runs=50)
+    assert found.summary.mean > lqr.summary.mean / 2  # negative, and LQR hangs
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("method", ["pathwise", "ppo"])
+def test_a_co_design_with_defaults_gets_up_and_is_held_against_mpc_that_does(method):
+    config = CoDesignConfig(iterations=20)
+    found = codesign(hanging(), method=method, design=LENGTH, rng=np.random.default_rng(0), config=config)
+    assert found.closed_loop.summary.mean > -300.0  # LQR: about -800
+    mpc = [one.gain.mean for one in found.baselines if one.name.startswith("MPC")]
+    assert not mpc or max(mpc) > -1.0  # that of the tangent is several times as dear
