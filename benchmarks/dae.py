@@ -262,7 +262,9 @@ def optimum() -> None:
     """
     x, z, T, p = ca.SX.sym("x", 6), ca.SX.sym("z", 4), ca.SX.sym("T"), np.array([0.0142, 1.75])
     dae = {"x": x, "z": z, "p": T, "ode": warm_rates(x, T, z), "alg": ions(x, z, p[0])}
-    state, held = np.array([1.5776, 8.32, 0, 0, 0, p[0]]), np.array([-24.7, 0, 0, 0])
+    options = {"abstol": 1e-10, "reltol": 1e-8, "calc_ic": False}
+    state, acid = np.array([1.5776, 8.32, 0, 0, 0, p[0]]), np.sqrt(1.5776 * ACID[1])
+    held = np.array([np.log(acid), 1e2 * acid, 0, 0])
     phases, way = [], np.linspace(0, 1, 41)
     done = np.where(np.arange(6) == 3, 1.0, -np.inf), np.full(6, np.inf)
     low, high = [0, 5, 0, 0, 0, 0], [2, 10, 2, 2, 2, 0.1]
@@ -278,9 +280,8 @@ def optimum() -> None:
 
         states, known = [state], [held]
         for a, b in zip(way**2, way[1:] ** 2):
-            end = ca.integrator("step", "idas", dae, 0.0, float((b - a) * hours), {"abstol": 1e-12, "reltol": 1e-9})(
-                x0=state, z0=held, p=warm
-            )
+            step = ca.integrator("step", "idas", dae, 0.0, float((b - a) * hours), options)
+            end = step(x0=state, z0=held, p=warm)
             state, held = (np.array(end[name]).ravel() for name in ("xf", "zf"))
             states.append(state)
             known.append(held)
