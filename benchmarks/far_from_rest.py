@@ -214,6 +214,7 @@ def within(limit: float) -> None:
     """Print how loops end, and how long samples take, with a time limit [s]."""
     for one in cases():
         controller = Told(replace(ours(one, None), time_limit=limit))
+        controller.reset()
         times, x = [], one.starts[0]
         for _ in range(one.samples):
             began = time.perf_counter()

@@ -57,6 +57,11 @@ class _Path:
         return np.inf if self.last is None else max(self.last.defects, self.last.stationarity)
 
     @property
+    def pulled(self) -> Array | None:
+        """Costates after its program; a real-time iteration has no use for them."""
+        return None if self.last is None or self.name == REAL_TIME else self.last.costates
+
+    @property
     def solved(self) -> bool:
         """Whether the optimality conditions hold."""
         return self.error <= OPTIMAL
@@ -191,8 +196,7 @@ class QuadraticPlanner:
             softened = at.last.relaxed and status in (Status.SOLVED, Status.FOLLOWED)
             if softened and relative_violations(self.law, path.states).max() > FEASIBLE:
                 status = Status.SOFTENED
-        return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name,
-                    None if at.last is None else at.last.costates)  # fmt: skip
+        return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name, at.pulled)
 
     def _kept(self, path: _Path, at: _Path, cost: float, given: Given) -> bool:
         """Whether the model itself goes along a path, or costs as much where it does not."""
@@ -342,7 +346,7 @@ def _moved(path: _Path) -> _Path:
     step = path.last
     if step is None:
         return path
-    return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, costates=step.costates)
+    return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, costates=path.pulled)
 
 
 def _soon(last: Step, before: Step) -> bool:
