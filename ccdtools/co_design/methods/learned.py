@@ -38,7 +38,7 @@ from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
 from ccdtools_ground.door import as_choice, as_count, as_instance, has_method
 from learning.networks import ActorCritic
-from learning.warm_start import fit_actor_critic
+from learning.warm_start import CloningConfig, fit_actor_critic
 from mpc import MPCError
 
 LED_ASTRAY = (CoDesignStatus.GRADIENT_UNTRUSTED, CoDesignStatus.NOT_STATIONARY)
@@ -164,13 +164,12 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _fitted(
-    problem: CoDesignProblem, seen: Array, actions: Array, values: Array, rng: np.random.Generator, *,
-    progress: bool = False,
-) -> ActorCritic:  # fmt: skip
+    problem: CoDesignProblem, seen: Array, actions: Array, values: Array, rng: np.random.Generator, **options: Any
+) -> ActorCritic:
     """Agent of a problem that imitates what was done."""
     bounds = problem.observation_bounds
     return fit_actor_critic(
-        seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng, progress=progress
+        seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng, **options
     )
 
 
@@ -187,12 +186,13 @@ def planned_start(
         with suppress(MPCError, InputError):
             x0, w = problem.scenarios.sample(4, problem.steps, rng)
             made: Any = long_mpc(problem, p)
-            states, inputs, values = noisy_loops(problem, made, p, x0, w, rng).samples()
+            states, inputs, values = noisy_loops(problem, made, p, x0, w).samples()
             data.append((np.hstack([states, np.tile(p, (len(states), 1))]), inputs, values))
     if not any(len(part[0]) for part in data):
         return []
     seen, inputs, values = (np.concatenate(part) for part in zip(*data))
-    return [_fitted(problem, seen, inputs, values, rng)]
+    sharp = CloningConfig(steps=4 * CloningConfig.steps)  # near its bounds MPC switches
+    return [_fitted(problem, seen, inputs, values, rng, config=sharp)]
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
