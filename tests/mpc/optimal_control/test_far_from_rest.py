@@ -186,3 +186,16 @@ def test_a_horizon_too_long_for_a_condensed_program_is_built():
 def test_an_input_that_costs_nothing_is_refused():
     with pytest.raises(NotConvexError, match="input is free of cost"):
         NonlinearMPC(lambda x, u: 0.5 * x + 0 * u, 1, 1, Q=[1], R=[0], P=[1], horizon=3, U=(-1, 1))
+
+
+def test_a_real_time_iteration_beyond_hard_limits_goes_to_the_optimum():
+    """A plan that is shifted to a state after a kick may leave limits that the optimum keeps."""
+    limits = {"X": ([-9, -9, -7, -7], [9, 9, 7, 7])}
+    real_time, whole = law(iterations=1, **limits), law(**limits)
+    before = whole.solve(HANGING)
+    rng = np.random.default_rng(0)
+    for k in (5, 10, 15, 20):
+        x = before.states[k] + np.append(np.zeros(2), rng.choice([-1.5, 1.5], 2))
+        x[2:] = np.clip(x[2:], -6.5, 6.5)
+        plan = real_time.solve(x, start=before)
+        assert plan.status is not Status.SOFTENED or whole.solve(x).status is Status.SOFTENED

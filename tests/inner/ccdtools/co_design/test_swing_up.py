@@ -64,19 +64,16 @@ def test_loops_show_what_a_law_does_after_other_inputs():
 
 
 @pytest.mark.check
-def test_a_policy_swings_up_as_mpc_of_the_model_does():
-    problem = hanging()
-    agent = planned_start(problem, LENGTH, np.random.default_rng(0), all_over=False)[0]
-    found = closed_loop_returns(problem, LearnedPolicy(agent, LENGTH), LENGTH, np.random.default_rng(5), runs=50)
-    lqr = closed_loop_returns(problem, saturated_lqr(problem, LENGTH), LENGTH, np.random.default_rng(5), runs=50)
-    assert found.summary.mean > lqr.summary.mean / 2  # negative, and LQR hangs
-
-
-@pytest.mark.check
-@pytest.mark.parametrize("method", ["pathwise", "ppo"])
-def test_a_co_design_with_defaults_gets_up_and_is_held_against_mpc_that_does(method):
-    config = CoDesignConfig(iterations=20)
-    found = codesign(hanging(), method=method, design=LENGTH, rng=np.random.default_rng(0), config=config)
-    assert found.closed_loop.summary.mean > -300.0  # LQR: about -800
+def test_a_co_design_gets_up_and_is_held_against_mpc_that_does():
+    problem, p = hanging(), np.array([0.85])
+    config = CoDesignConfig(iterations=10, design_rate=0.0)
+    found = codesign(problem, design=p, rng=np.random.default_rng(0), config=config)
+    lqr, agent = saturated_lqr(problem, p), planned_start(problem, p, np.random.default_rng(0), all_over=False)[0]
+    hangs, begun = (
+        closed_loop_returns(problem, law, p, np.random.default_rng(5), runs=50).summary.mean
+        for law in (lqr, LearnedPolicy(agent, p))
+    )
+    assert begun > hangs / 2  # negative
+    assert found.closed_loop.summary.mean > hangs / 2
     mpc = [one.gain.mean for one in found.baselines if one.name.startswith("MPC")]
-    assert not mpc or max(mpc) > -1.0  # that of the tangent is several times as dear
+    assert not mpc or max(mpc) > -0.5  # that of the tangent hangs, too
