@@ -193,9 +193,6 @@ def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:
     return DesignLaw(words, lambda problem, p: made(problem, p, horizon=horizon))
 
 
-def long_mpc(problem: CoDesignProblem, design: ArrayLike) -> Controller:
+def long_mpc(problem: CoDesignProblem, design: ArrayLike) -> NonlinearMPC:
     """MPC of the model itself, to the optimum of every sample, over an episode or `LONGEST_PLAN` steps of it."""
-    horizon = min(problem.steps, LONGEST_PLAN)
-    if isinstance(problem.model, LinearModel):
-        return linear_mpc(problem, design, horizon=horizon)
-    return nonlinear_mpc(problem, design, horizon=horizon, iterations=None)
+    return nonlinear_mpc(problem, design, horizon=min(problem.steps, LONGEST_PLAN), iterations=None)

@@ -21,7 +21,7 @@ from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.output_fit import FitStatus, OutputFit, fit_outputs
-from ccdtools_ground.door import as_count, as_generator, as_instance
+from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,6 +40,8 @@ class SensorGeneration:
     predicted, gain : PairedDifference or None
         Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
         the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
+    accepted : bool
+        Whether its design is in service for the first time.
     """
 
     design: Array
@@ -48,11 +50,7 @@ class SensorGeneration:
     fit: OutputFit | None = None
     predicted: PairedDifference | None = None
     gain: PairedDifference | None = None
-
-    @property
-    def accepted(self) -> bool:
-        """Whether its design is in service for the first time."""
-        return self.fit is None or (self.gain is not None and self.gain.ci95[1] >= 0)
+    accepted: bool = True
 
     def __str__(self) -> str:
         """Decision and gain in a sentence."""
@@ -74,7 +72,7 @@ def generations_on_sensors(
 
     Each is deployed and its outputs logged. The plant that all logs tell (`fit_outputs`) is designed for again, and the
     redesign tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it
-    is worse there beyond chance.
+    is worse there beyond chance, or loses more runs.
 
     Parameters
     ----------
@@ -104,7 +102,9 @@ def generations_on_sensors(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_instance("real", real, RealPlant, "a RealPlant")
     as_count("draws", draws, least=2)
-    seed = int(as_generator("rng", rng).integers(2**31))
+    as_count("generations", generations)
+    as_choice("noise", noise, ("fitted", "known"))
+    as_generator("rng", rng)
     sensors = problem.measurement
     if sensors is None:
         raise InputError("problem", "one without sensors", "CoDesignProblem(measurement=…); a Study sees the states")
@@ -118,12 +118,13 @@ def generations_on_sensors(
         scenario = Scenario(real.plant, real.x0, w, output=sensors, seed=int(own.integers(2**31)))
         return scenario.run(one.controller, design=one.design, limit=problem.limit)
 
-    def logged(one: Any, *rest: Any) -> SensorGeneration:
+    def logged(one: Any, *rest: Any, accepted: bool = False) -> SensorGeneration:
         """Generation of what is deployed."""
-        return SensorGeneration(one.design, one.controller, driven(one, real.runs, int(rng.integers(2**31))), *rest)
+        log = driven(one, real.runs, int(rng.integers(2**31)))
+        return replace(SensorGeneration(one.design, one.controller, log, *rest), accepted=accepted)
 
-    found = [logged(codesign(problem, method=method, design=design, rng=rng))]
-    for _ in range(1, as_count("generations", generations)):
+    found = [logged(codesign(problem, method=method, design=design, rng=rng), accepted=True)]
+    for _ in range(1, generations):
         before = found[-1]
         fit = fit_outputs(problem, [one.log for one in found], plant=plant, noise=noise)
         if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
@@ -134,10 +135,12 @@ def generations_on_sensors(
         if not predicted.ci95[0] > 0:
             found.append(logged(before, fit, predicted))
             continue
+        seed = int(rng.integers(2**31))
         runs = [driven(one, max(REAL_RUNS * problem.steps // real.steps, 2), seed) for one in (again, before)]
         kept = ~(runs[0].diverged | runs[1].diverged)
         gain = paired_difference(*(run.returns(problem.objective)[kept] for run in runs))
-        found.append(logged(before if gain.ci95[1] < 0 else again, fit, predicted, gain))
+        better = gain.ci95[1] >= 0 and runs[0].diverged.sum() <= runs[1].diverged.sum()
+        found.append(logged(again if better else before, fit, predicted, gain, accepted=better))
     return tuple(found)
 
 

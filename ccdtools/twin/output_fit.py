@@ -109,16 +109,21 @@ class OutputFit(Immutable):
 
     def updated(self, problem: CoDesignProblem) -> CoDesignProblem:
         """Problem on the plant that was found; see `updated_problem`."""
+        self._check_known()
+        return self.unknown.known(problem, self.values[: len(self.unknown.free)])
+
+    def _check_known(self) -> None:
         if self.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
             raise InputError("twin", f"a fit that is {self.status.name}", "one that is SOLVED", self.advice)
-        return self.unknown.known(problem, self.values[: len(self.unknown.free)])
 
     def drawn(self, problem: CoDesignProblem, draws: int, rng: np.random.Generator) -> list[CoDesignProblem]:
         """Problems on plants drawn from what is known of them."""
-        units = np.where(self.deviations > 0, self.deviations, 1.0)
-        scaled = self.covariance / units / units[:, None]
+        self._check_known()
+        m = len(self.unknown.free)
+        units = np.where(self.deviations > 0, self.deviations, 1.0)[:m]
+        scaled = self.covariance[:m, :m] / units / units[:, None]
         away = as_generator("rng", rng).multivariate_normal(0 * units, scaled, as_count("draws", draws))
-        drawn = (self.values + units * away)[:, : len(self.unknown.free)]
+        drawn = self.values[:m] + units * away
         inside = drawn if self.unknown.constants else np.clip(drawn, *self.unknown.bounds)
         return [self.unknown.known(problem, values) for values in inside]
 
@@ -157,7 +162,7 @@ def fit_outputs(
     Returns
     -------
     OutputFit
-        Never SOLVED where the log leaves a combination open, or a bound holds one.
+        Never SOLVED where the log leaves a combination open, but for factors of noise alone, or a bound holds one.
 
     Raises
     ------
@@ -250,10 +255,12 @@ class _Likelihood:
         Neither what a bound holds nor what the log leaves open counts: along that the likelihood rises by nothing.
         """
         cost, slope, rows, _ = self.at(z)
+        if not (np.isfinite(cost) and np.isfinite(rows).all()):
+            return float("nan")
         free = ~self.held(z)
         _, told, modes = np.linalg.svd(rows[:, free])
         step = (modes[: len(told)] @ slope[free])[told > TOLD] / told[told > TOLD]
-        return float(step @ step) if np.isfinite(cost) else float("nan")
+        return float(step @ step)
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:

@@ -231,7 +231,7 @@ def test_a_bad_cross_weight_is_named_in_any_units(S, error, message, size):
 
 def test_a_cross_weight_of_no_numbers_is_refused():
     A, B = double_integrator()
-    with pytest.raises(InputError, match=r"S: got '.*, expected an array of real numbers"):
+    with pytest.raises(InputError, match=r"S: got '.*, expected numbers of shape"):
         lqr(A, B, Q=np.eye(2), R=[[1.0]], S="x")
 
 

@@ -25,7 +25,7 @@ from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.noise_injection import brought_to_rest, noisy_loops
+from ccdtools.co_design.noise_injection import lqr_is_expert, noisy_loops
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
@@ -128,7 +128,7 @@ class Learned:
         if (task.pathwise or task.ppo) and not problem.hidden:
             if self.agent is not None and _spoilt(judge, agent, design, rng):
                 agents.append(first())
-            if not brought_to_rest(problem, design, copy.deepcopy(rng)):
+            if not lqr_is_expert(problem, design, copy.deepcopy(rng)):
                 at("first policy that imitates MPC of the model")
                 agents += planned_start(problem, design, rng, all_over=task.designing)
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
