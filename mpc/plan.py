@@ -85,6 +85,8 @@ class Plan:
     def __post_init__(self) -> None:
         self.inputs.flags.writeable = False
         self.states.flags.writeable = False
+        if self.costates is not None:
+            self.costates.flags.writeable = False
 
     @property
     def feasible(self) -> bool:

@@ -12,7 +12,7 @@ from scipy.stats import t
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
 from ccdtools.scenario import Scenario
@@ -21,7 +21,8 @@ from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.output_fit import FitStatus, OutputFit, fit_outputs
-from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance
+from ccdtools.twin.unknown_plant import stated_plant
+from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -108,6 +109,12 @@ def generations_on_sensors(
     sensors = problem.measurement
     if sensors is None:
         raise InputError("problem", "one without sensors", "CoDesignProblem(measurement=…); a Study sees the states")
+    if plant is not None:
+        stated_plant(problem, plant)
+    start = problem.scenarios
+    if isinstance(start, FixedStart) and not np.array_equal(real.x0, start.x0):
+        cure = "State where it may start: RandomStarts(Gaussian(…), disturbance)."
+        raise InputError("real.x0", shown(real.x0), f"{shown(start.x0)}, the start that the filter knows", cure)
     if isinstance(sensors.output, Plant) and isinstance(real.plant, Plant) and real.plant.ny:
         sensors = replace(sensors, output=real.plant)
 

@@ -16,6 +16,7 @@ from ccdtools.estimation.innovations import Innovations
 from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
+from ccdtools.trajectory import Trajectory
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
 from ccdtools_ground.door import as_choice, as_count, as_finite, as_floats, as_generator, as_instance, as_share, shown
 from ccdtools_ground.outcome import Outcome
@@ -150,7 +151,8 @@ def fit_outputs(
     Parameters
     ----------
     problem : CoDesignProblem
-        Gives model, sensors, and mean and covariance of starts and disturbance, which counts as white.
+        Gives model, sensors, and mean and covariance of starts and disturbance, which counts as white. A start that is
+        stated as known and was another one misleads the fit.
     logs : Trajectory or OutputLog, or a sequence of them
         Runs that diverged are left out.
     plant : Plant, optional
@@ -197,8 +199,10 @@ def fit_outputs(
         got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
     found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
-    z = found.largest()
-    values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
+    with np.errstate(all="ignore"):  # a filter may diverge
+        z = found.largest()
+        values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
+    slopes = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
     known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
     open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(NOISE))
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
@@ -275,7 +279,7 @@ def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog
 
 def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
     """Log of the problem's sizes, without runs that diverged."""
-    outputs = getattr(log, "outputs", None)
+    outputs = log.outputs if isinstance(log, OutputLog | Trajectory) else None
     if outputs is None:
         expected = "a Trajectory with outputs, as of deploy(…, output=problem.measurement), or an OutputLog"
         raise InputError(argument, shown(log), expected)

@@ -58,6 +58,9 @@ class UnknownPlant:
 
     def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
         """Problem with the unknown entries at values (m,)."""
+        if problem.measurement is None or set(self.plant.design.names) != {*problem.design.names, *self.free}:
+            expected = "a problem with sensors and the design of the one that was fitted"
+            raise InputError("problem", f"a design of {', '.join(problem.design.names) or 'nothing'}", expected)
         cut = len(values) - self.constants
         symbols = dict(zip(self.plant.design.names, elements(self.plant.p)))
         p, rest = (ca.vertcat(*(symbols[name] for name in names)) for names in (problem.design.names, self.free))
@@ -96,6 +99,8 @@ def stated_plant(problem: CoDesignProblem, plant: Plant) -> UnknownPlant:
     if sizes[0] != sizes[1]:
         raise InputError("plant", f"(nx, nu, nw) = {sizes[0]}", f"{sizes[1]}, as of the problem's model")
     C = problem.measurement.output
+    if isinstance(C, Plant) and plant.ny != C.ny:
+        raise InputError("plant", f"{plant.ny} outputs", f"{C.ny}, as many as the problem measures")
     if not isinstance(C, Plant):
         plant = replace(plant, outputs=ca.DM(C) @ plant.x, output_names=(), output_limits=None)
     return UnknownPlant(plant, free)

@@ -213,7 +213,7 @@ class QuadraticPlanner:
         """
         best = replace(at, last=None)
         before: Step | None = None
-        for one in self._programs(sample, best):
+        for one in islice(self._programs(sample, best), self.most):
             if best.last is None or one.error < best.error:
                 best = one
             if one.error <= KKT or one.last is None or (before is not None and not _soon(one.last, before)):
@@ -352,7 +352,7 @@ def _moved(path: _Path) -> _Path:
 def _soon(last: Step, before: Step) -> bool:
     """Whether moves that fall at this rate will be gone soon.
 
-    Those of Newton's method fall ever faster once they are halved (Deuflhard, Newton Methods, 2004).
+    Those of Newton's method fall ever faster as they go on (Deuflhard, Newton Methods, 2004).
     """
     rate = last.size / max(before.size, TINY)
     if last.newton:

@@ -60,7 +60,7 @@ def returned(one, runs=1500):
 
 
 def test_a_second_generation_on_outputs_earns_what_it_says():
-    first, second = run(stated(), 0.5)
+    first, second = run(stated(), 0.5, seed=2)
     assert first.fit is None
     assert first.accepted
     assert first.gain is None
@@ -119,3 +119,6 @@ def test_a_problem_without_sensors_and_another_kind_of_plant_are_named():
         run(replace(stated(), measurement=None), 1.0)
     with pytest.raises(InputError, match="a RealPlant"):
         generations_on_sensors(stated(), spring(), rng=np.random.default_rng(0))
+    elsewhere = RealPlant(spring(0.5), Gaussian([0.3]), [1.2, 0.0], 40, 50)
+    with pytest.raises(InputError, match="the start that the filter knows"):
+        generations_on_sensors(stated(), elsewhere, rng=np.random.default_rng(0))

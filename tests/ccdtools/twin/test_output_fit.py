@@ -335,6 +335,39 @@ def test_wrong_problems_plants_and_kinds_are_named(log):
             call()
 
 
+def cubic(*names):
+    """Mass on a spring that may soften and run away."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1 + len(names))
+    c = p[1] if names else 0.0
+    box = DesignSpace(["k", *names], [0.5] + [-1.0] * len(names), [4.0] + [20.0] * len(names))
+    rates = [x[1], -p[0] * x[0] + c * x[0] ** 3 - 0.3 * x[1] + u + w]
+    return Plant(x, u, w, p, rates, box, dt=DT, substeps=2)
+
+
+def test_a_filter_that_diverges_is_a_status_and_what_is_not_known_cannot_be_drawn():
+    problem = stated(noise=0.3, X=(-6, 6), scenarios=RandomStarts(Gaussian([1.5, 1.5]), Gaussian([0.5])))
+    x0 = problem.scenarios.sample(RUNS, STEPS, np.random.default_rng(3))[0]
+    found = fit_outputs(problem, logged(problem, cubic(), x0=x0), plant=cubic("c"))
+    assert found.status.name == "UNSOLVED"
+    for call, words in [
+        (lambda: found.drawn(problem, 3, np.random.default_rng(0)), "UNSOLVED"),
+        (lambda: updated_problem(problem, found), "UNSOLVED"),
+    ]:
+        with pytest.raises(InputError, match=words):
+            call()
+
+
+def test_a_disturbance_that_is_none_leaves_its_noise_open_and_the_plant_known():
+    problem = stated(scenarios=RandomStarts(Gaussian([0.5, 0.5]), Gaussian([0.0])))
+    x0 = problem.scenarios.sample(RUNS, STEPS, np.random.default_rng(3))[0]
+    log = logged(problem, spring(0.5), x0=x0, w=np.zeros((RUNS, STEPS, 1)))
+    found = fit_outputs(problem, log, plant=spring(names=("gain",)))
+    assert found.values[0] == pytest.approx(0.5, abs=0.05)
+    assert len(found.drawn(problem, 3, np.random.default_rng(0))) == 3
+    with pytest.raises(InputError, match="a problem with sensors"):
+        found.updated(replace(problem, measurement=None))
+
+
 def test_a_loop_logs_what_its_sensors_told_and_one_of_the_state_nothing():
     problem = stated()
     rng = np.random.default_rng(0)
