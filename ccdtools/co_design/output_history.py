@@ -12,8 +12,8 @@ import numpy as np
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.loops import noisy_loops
 from ccdtools.co_design.measured import observed
-from ccdtools.co_design.noise_injection import noisy_loops
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import LEAST_ACTION, PREVIEW_ROOM

@@ -132,7 +132,7 @@ class Settling:
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
-                from ccdtools.co_design.noise_injection import lqr_is_expert  # loaded where a policy is judged
+                from ccdtools.co_design.loops import lqr_is_expert  # loaded where a policy is judged
 
                 near = lqr_is_expert(self.problem, result.design, copy.deepcopy(self.scenarios))
                 planned = (linear_mpc if near else long_mpc)(self.problem, result.design)

@@ -25,7 +25,7 @@ from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.noise_injection import lqr_is_expert, noisy_loops
+from ccdtools.co_design.loops import lqr_is_expert, noisy_loops
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure

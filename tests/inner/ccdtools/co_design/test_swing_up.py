@@ -19,7 +19,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )
-from ccdtools.co_design.noise_injection import lqr_is_expert, noisy_loops
+from ccdtools.co_design.loops import lqr_is_expert, noisy_loops
 from ccdtools.co_design.result import CoDesignStatus
 from ccdtools.co_design.settling import Settling
 
