@@ -32,8 +32,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )
-from ccdtools.co_design.design_controllers import long_mpc
-from ccdtools.co_design.methods.learned import planned_start
+from ccdtools.co_design.imitation import EXPERTS, best_expert, planned_start
 from ccdtools.plants.library import pendulum_on_cart
 
 RUNS, ONLINE = 200, 8  # runs of laws, and of MPC
@@ -85,10 +84,10 @@ CASES: dict[str, tuple[Callable[[], CoDesignProblem], list[list[float]]]] = {
 def rows(problem: CoDesignProblem, designs: list[list[float]]) -> Iterator[str]:
     """Returns at each design."""
     began = time.process_time()
-    agent = planned_start(problem, np.array(designs[0]), np.random.default_rng(0))[0]
+    agent = planned_start(problem, np.array(designs[0]), np.random.default_rng(0))
     seconds = time.process_time() - began
     for p in designs:
-        mpc: Any = long_mpc(problem, p)
+        mpc: Any = EXPERTS[best_expert(problem, np.array(p), np.random.default_rng(1))](problem, p)
         policy = LearnedPolicy(agent, p)
         found = {}
         for name, law, runs in (("LQR", saturated_lqr(problem, p), RUNS), ("MPC", mpc, ONLINE), ("", policy, RUNS)):

@@ -78,6 +78,11 @@ class Task:
         return "ppo" in self.method
 
     @property
+    def moves_policy(self) -> bool:
+        """Whether anything moves the policy."""
+        return self.pathwise or self.ppo
+
+    @property
     def smooth(self) -> bool:
         """True if policy or design moves, by gradients through the model alone."""
         alone = self.method == "pathwise" and self.config.design_gradient == "pathwise"

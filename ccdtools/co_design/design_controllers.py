@@ -13,19 +13,20 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import LONGEST_PLAN
+from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import Controller, LinearFeedback, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.models import Model
-from ccdtools_ground.door import as_instance
+from ccdtools_ground.door import as_choice, as_count, as_instance
 from mpc import LinearMPC, NotStabilisableError, lqr, lqr_sensitivity
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from invariant_sets import Polytope
-    from mpc.optimal_control import NonlinearMPC
+    from mpc.optimal_control import NonlinearMPC, Phase
 
 HORIZON = 20  # The MPC looks ahead so many steps.
 CONTROL = ("lqr", "mpc")
@@ -85,8 +86,9 @@ def linear_mpc(
 
 
 def nonlinear_mpc(
-    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, iterations: int | None = 1
-) -> NonlinearMPC:
+    problem: CoDesignProblem, design: ArrayLike, *, horizon: int = HORIZON, iterations: int | None = 1,
+    cost: str = "weights",
+) -> NonlinearMPC:  # fmt: skip
     """MPC of the nominal model itself at one design.
 
     Parameters
@@ -97,21 +99,46 @@ def nonlinear_mpc(
         [steps]
     iterations : int, optional
         Quadratic programs a sample: 1 follows the optimum from sample to sample; None goes to the optimum in each.
+    cost : {"weights", "objective"}
+        What it minimises: the weights that LQR and MPC take, or of a `CustomObjective` the cost itself, to the optimum
+        in each sample. Behind the horizon both count what LQR costs.
 
     Returns
     -------
     mpc.optimal_control.NonlinearMPC
-        With the limits of the problem at the design, its weights (of a custom objective those that LQR and MPC take),
-        and the disturbance at rest.
+        With the limits of the problem at the design, and the disturbance at rest.
     """
     from mpc.optimal_control import NonlinearMPC
 
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     X, U = problem.kept_by_mpc(p), problem.input_limits(p)
+    if as_choice("cost", cost, ("weights", "objective")) == "objective" and own_cost(problem):
+        return NonlinearMPC(_phase(problem, p, as_count("horizon", horizon), X), p=p)
     return NonlinearMPC(
         undisturbed_step(problem.model), problem.model.nx, problem.model.nu, p=p, **problem.weights(p).keywords(),
         horizon=horizon, X=X, U=U, iterations=iterations,
+    )  # fmt: skip
+
+
+def own_cost(problem: CoDesignProblem) -> bool:
+    """Whether the objective has a cost beside the weights of LQR."""
+    return isinstance(problem.objective, CustomObjective)
+
+
+def _phase(problem: CoDesignProblem, p: Array, horizon: int, X: Polytope) -> Phase:
+    """So many steps of the model and of the cost itself, within X and U."""
+    from mpc.optimal_control import Phase
+
+    nx, nu, objective = problem.model.nx, problem.model.nu, problem.objective
+    assert isinstance(objective, CustomObjective)
+    A, B, _ = problem.model.matrices(p)
+    _, P = lqr(A, B, **problem.weights(p).keywords())
+    step, stage_cost = undisturbed_step(problem.model), objective.stage_cost.function(nx, nu, len(p))
+    return Phase(
+        lambda x, u, p: step(x, u, p), nx, nu, discrete=True, duration=horizon, u_bounds=problem.input_bounds_at(p),
+        stage_cost=lambda x, u, p: stage_cost(x, u, p), terminal_cost=lambda x: x.T @ P @ x,
+        path=lambda x: X.A @ x - X.b,
     )  # fmt: skip
 
 
@@ -193,6 +220,6 @@ def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:
     return DesignLaw(words, lambda problem, p: made(problem, p, horizon=horizon))
 
 
-def long_mpc(problem: CoDesignProblem, design: ArrayLike) -> NonlinearMPC:
+def long_mpc(problem: CoDesignProblem, design: ArrayLike, cost: str = "weights") -> NonlinearMPC:
     """MPC of the model itself, to the optimum of every sample, over an episode or `LONGEST_PLAN` steps of it."""
-    return nonlinear_mpc(problem, design, horizon=min(problem.steps, LONGEST_PLAN), iterations=None)
+    return nonlinear_mpc(problem, design, horizon=min(problem.steps, LONGEST_PLAN), iterations=None, cost=cost)

@@ -1,4 +1,4 @@
-"""Loops of laws, with noise on their inputs."""
+"""Loops of laws, with other inputs than theirs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from ccdtools.co_design.tolerances import WORTH_A_START
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from mpc import MPCError
+
+Law = Callable[[Array], Array]
 
 
 class Loops(NamedTuple):
@@ -36,29 +38,24 @@ class Loops(NamedTuple):
         return states, inputs, values[:, self.kept].ravel()
 
 
-def noisy_loops(
-    problem: CoDesignProblem, law: Callable[[Array], Array], p: Array, x0: Array, w: Array,
-    rng: np.random.Generator | None = None,
+def loops_of(
+    problem: CoDesignProblem, law: Law, p: Array, x0: Array, w: Array,
+    applied: Callable[[Array, Array], Array] | None = None,
 ) -> Loops:  # fmt: skip
     """Loops of a law (n, nx) → (n, nu) at a design (np,).
 
-    With `rng`, noise as large as what the law does is added to what is applied: so the loops show what it does after
-    others' inputs.
-
-    References
-    ----------
-    Laskey, Lee, Fox, Dragan, Goldberg, "DART: noise injection for robust imitation learning", CoRL 2017.
+    What is applied is what the law asks for, or `applied` of it and the states: so the loops show what the law does
+    after others' inputs.
     """
     step, x = problem.model.stepper(p, batch=len(x0)), x0
     states, inputs, rewards = [], [], []
     for k in range(problem.steps):
-        u = law(np.nan_to_num(x))
-        size = 0.0 if rng is None else np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
-        applied = np.clip(u + size, *problem.input_bounds_at(p))
-        after = np.asarray(step(x, applied, w[:, k]))
+        u = np.asarray(law(np.nan_to_num(x)))
+        moved = np.clip(u if applied is None else applied(x, u), *problem.input_bounds_at(p))
+        after = np.asarray(step(x, moved, w[:, k]))
         states.append(x)
         inputs.append(u)
-        rewards.append(np.asarray(problem.objective.rewards(after, applied, x, p)))
+        rewards.append(np.asarray(problem.objective.rewards(after, moved, x, p)))
         x = after
     kept = (np.abs(x) <= problem.limit).all(axis=1)  # not where one is NaN
     return Loops(np.array(states), np.array(inputs), np.array(rewards), np.atleast_1d(kept))
@@ -77,7 +74,7 @@ def lqr_is_expert(problem: CoDesignProblem, design: Array, rng: np.random.Genera
     except (MPCError, InputError):
         return False
     x0, w = problem.scenarios.sample(16, problem.steps, rng)
-    moved, rest = (noisy_loops(problem, lqr, design, x, w) for x in (x0, np.zeros_like(x0)))
+    moved, rest = (loops_of(problem, lqr, design, x, w) for x in (x0, np.zeros_like(x0)))
     excess = (rest.rewards - moved.rewards).mean(axis=1)
     part = -(-len(excess) // 4)
     begun, ended = max(float(excess[:part].sum()), 0.0), float(excess[-part:].sum())

@@ -12,7 +12,7 @@ import numpy as np
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.design_controllers import saturated_lqr
-from ccdtools.co_design.loops import noisy_loops
+from ccdtools.co_design.loops import loops_of
 from ccdtools.co_design.measured import observed
 from ccdtools.co_design.preview import previewed_objective, previewed_output_limits
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
@@ -138,7 +138,14 @@ def warm_start_of_outputs(
 def _loops(
     problem: CoDesignProblem, known: CoDesignProblem, p: Array, rng: np.random.Generator, gamma: float
 ) -> tuple[Array, Array, Array]:
-    """What LQG of a design sees (k, ·), does (k, nu) and is worth from there on (k,), with noise on its inputs."""
+    """What LQG of a design sees (k, ·), does (k, nu) and is worth from there on (k,), with noise on its inputs.
+
+    The noise is as large as what it does.
+
+    References
+    ----------
+    Laskey, Lee, Fox, Dragan, Goldberg, "DART: noise injection for robust imitation learning", CoRL 2017.
+    """
     nx, nu = known.model.nx, known.model.nu
     lqg = observed(known, saturated_lqr(known, p), p)
     z, w = problem.scenarios.sample(16, problem.steps, rng)
@@ -148,7 +155,11 @@ def _loops(
         """Inputs (n, nu) of the filter and its law."""
         return np.asarray(lqg(y=z[:, nx : nx + ny], u_prev=z[:, last : last + nu]))
 
-    histories, actions, values = noisy_loops(problem, law, p, z, w, rng).samples(gamma)
+    def noisy(_: Array, u: Array) -> Array:
+        """Inputs with noise."""
+        return u + np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
+
+    histories, actions, values = loops_of(problem, law, p, z, w, noisy).samples(gamma)
     return np.hstack([histories[:, nx:], np.tile(p, (len(histories), 1))]), actions, values
 
 

@@ -22,7 +22,7 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
-from ccdtools.co_design.design_controllers import linear_mpc, long_mpc, saturated_lqr
+from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
@@ -132,10 +132,7 @@ class Settling:
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
-                from ccdtools.co_design.loops import lqr_is_expert  # loaded where a policy is judged
-
-                near = lqr_is_expert(self.problem, result.design, copy.deepcopy(self.scenarios))
-                planned = (linear_mpc if near else long_mpc)(self.problem, result.design)
+                planned = self._mpc(result.design)
                 found.append(
                     self._baseline(f"MPC of the same design{self._behind}", planned, result.design, loop, None, runs)
                 )
@@ -145,6 +142,16 @@ class Settling:
             others = [one for one in self._references if one.name != result.method]
             found += [self._nested(other, start, loop) for other in others for start in starts]
         return [one for one in found if one is not None]
+
+    def _mpc(self, design: Array) -> Any:
+        """MPC of the tangent, or of the model where LQR is no expert."""
+        from ccdtools.co_design.imitation import EXPERTS, best_expert  # loaded where a policy is judged
+        from ccdtools.co_design.loops import lqr_is_expert
+
+        if lqr_is_expert(self.problem, design, copy.deepcopy(self.scenarios)):
+            return linear_mpc(self.problem, design)
+        name = best_expert(self.problem, design, copy.deepcopy(self.scenarios))
+        return EXPERTS[name](self.problem, design)
 
     def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
         """LQR of the tangent at rest, if any, and of a better secant."""

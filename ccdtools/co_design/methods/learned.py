@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from types import NoneType
@@ -18,14 +17,15 @@ from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.co_design.design_controllers import long_mpc, saturated_lqr
+from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.expert import expert_dataset
+from ccdtools.co_design.imitation import imitating, planned_start
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.loops import lqr_is_expert, noisy_loops
+from ccdtools.co_design.loops import lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
@@ -38,7 +38,6 @@ from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
 from ccdtools_ground.door import as_choice, as_count, as_instance, has_method
 from learning.networks import ActorCritic
-from learning.warm_start import CloningConfig, fit_actor_critic
 from mpc import MPCError
 
 LED_ASTRAY = (CoDesignStatus.GRADIENT_UNTRUSTED, CoDesignStatus.NOT_STATIONARY)
@@ -56,9 +55,9 @@ class Learned:
         there. `config.design_gradient` says what moves the design.
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
-        is made, and beside one that is far worse than saturated LQR at the first design, too: a policy that saturates
-        wherever it is has no gradient. Where LQR brings nothing to rest, as in a swing-up, another one imitates MPC of
-        the model. The best end is handed out.
+        is made, or, where LQR brings nothing to rest, as in a swing-up, MPC of the model; and beside one that is far
+        worse than saturated LQR at the first design, too: a policy that saturates wherever it is has no gradient. The
+        best end is handed out.
     config : CoDesignConfig
     judge : CoDesignProblem, optional
         What the iterates are scored on, if not the problem itself: for example replays of what was logged, where
@@ -114,23 +113,20 @@ class Learned:
         check_followed(problem.risk, self.by, config.design_gradient)
         _check_judge(problem, judge)
         _check_objective(problem)
-        first = partial(_first_agent, problem, known, rng, progress=progress)
+        task = Task(problem, judge, self.by, config, self.limits)
+        first = partial(_first_agent, task, known, design, rng, progress=progress)
         agent = first() if self.agent is None else self.agent
         check_agent(problem, agent)
         limits = self.limits
         if limits is None and judge.limit_tolerance != "off":
             limits = StateLimitPenalty(judge)
             warn_of_unavoidable_depth(judge, design)
-        task = Task(problem, judge, self.by, config, limits)
+        task = replace(task, limits=limits)
         at("landscape of saturated LQR")
         found = chosen_valleys(replace(task, problem=known), design, rng)
         agents = [agent]
-        if (task.pathwise or task.ppo) and not problem.hidden:
-            if self.agent is not None and _spoilt(judge, agent, design, rng):
-                agents.append(first())
-            if not lqr_is_expert(problem, design, copy.deepcopy(rng)):
-                at("first policy that imitates MPC of the model")
-                agents += planned_start(problem, design, rng, all_over=task.designing)
+        if task.moves_policy and self.agent is not None and not problem.hidden and _spoilt(judge, agent, design, rng):
+            agents.append(first())
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
         result = _result(task, ascents, agent, design, found)
         return replace(result, output_history=self.history) if problem.hidden else result
@@ -147,52 +143,24 @@ class Learned:
 
 
 def _first_agent(
-    problem: CoDesignProblem, known: CoDesignProblem, rng: np.random.Generator, *, progress: bool
+    task: Task, known: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool
 ) -> ActorCritic:
-    """Agent that imitates saturated LQR, or LQG."""
+    """Agent that imitates LQG, saturated LQR, or, where LQR is no expert, MPC of the model."""
+    problem = task.problem
     if problem.hidden:
         from ccdtools.co_design.output_history import warm_start_of_outputs
 
         return warm_start_of_outputs(problem, known, rng)
+    if task.moves_policy and not lqr_is_expert(problem, design, copy.deepcopy(rng)):
+        at("first policy that imitates MPC of the model")
+        return planned_start(problem, design, rng, all_over=task.designing)
     return warm_start(problem, rng, progress=progress)
 
 
 def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
     """Agent that imitates saturated LQR over X and all designs."""
     data = expert_dataset(problem, samples=1000, rng=rng, progress=progress)
-    return _fitted(problem, data.inputs, data.actions, data.values, rng, progress=progress)
-
-
-def _fitted(
-    problem: CoDesignProblem, seen: Array, actions: Array, values: Array, rng: np.random.Generator, **options: Any
-) -> ActorCritic:
-    """Agent of a problem that imitates what was done."""
-    bounds = problem.observation_bounds
-    return fit_actor_critic(
-        seen, actions, values, action_bounds=problem.action_bounds, input_bounds=bounds, rng=rng, **options
-    )
-
-
-def planned_start(
-    problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True
-) -> list[ActorCritic]:
-    """Agent that imitates MPC of the model; none without any.
-
-    Its loops are at a design and three others, or, without `all_over`, at that one alone.
-    """
-    others = problem.design.latin_hypercube(3, rng) if all_over else np.tile(design, (3, 1))
-    data = []
-    for p in (design, *map(problem.design.project, others)):
-        with suppress(MPCError, InputError):
-            x0, w = problem.scenarios.sample(4, problem.steps, rng)
-            made: Any = long_mpc(problem, p)
-            states, inputs, values = noisy_loops(problem, made, p, x0, w).samples()
-            data.append((np.hstack([states, np.tile(p, (len(states), 1))]), inputs, values))
-    if not any(len(part[0]) for part in data):
-        return []
-    seen, inputs, values = (np.concatenate(part) for part in zip(*data))
-    sharp = CloningConfig(steps=4 * CloningConfig.steps)  # near its bounds MPC switches
-    return [_fitted(problem, seen, inputs, values, rng, config=sharp)]
+    return imitating(problem, data.inputs, data.actions, data.values, rng, progress=progress)
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:

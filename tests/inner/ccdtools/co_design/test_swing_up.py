@@ -19,7 +19,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )
-from ccdtools.co_design.loops import lqr_is_expert, noisy_loops
+from ccdtools.co_design.loops import lqr_is_expert, loops_of
 from ccdtools.co_design.result import CoDesignStatus
 from ccdtools.co_design.settling import Settling
 
@@ -54,7 +54,11 @@ def test_loops_show_what_a_law_does_after_other_inputs():
     problem = hanging(0.2, steps=30)
     lqr = saturated_lqr(problem, LENGTH)
     x0, w = problem.scenarios.sample(8, problem.steps, np.random.default_rng(0))
-    plain, noisy = (noisy_loops(problem, lqr, LENGTH, x0, w, rng) for rng in (None, np.random.default_rng(1)))
+    rng = np.random.default_rng(1)
+    plain, noisy = (
+        loops_of(problem, lqr, LENGTH, x0, w, applied)
+        for applied in (None, lambda x, u: u + np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape))
+    )
     for loops in (plain, noisy):
         np.testing.assert_array_equal(loops.inputs[5], lqr(loops.states[5]))
         assert loops.kept.all()
