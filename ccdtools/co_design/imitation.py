@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -20,7 +20,7 @@ from learning.networks import ActorCritic
 from learning.warm_start import CloningConfig, fit_actor_critic
 from mpc import MPCError
 
-EXPERTS = {
+EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
     "LQR": saturated_lqr,
     "MPC by the weights of LQR": long_mpc,
     "MPC of the objective": lambda problem, p: long_mpc(problem, p, cost="objective"),
@@ -33,8 +33,7 @@ def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generato
     worth = {}
     for name in EXPERTS if own_cost(problem) else [*EXPERTS][:2]:
         with suppress(MPCError, InputError):
-            law: Any = EXPERTS[name](problem, design)
-            loops = loops_of(problem, law, design, x0, w)
+            loops = loops_of(problem, EXPERTS[name](problem, design), design, x0, w)
             worth[name] = (loops.kept.sum(), np.nan_to_num(loops.rewards.sum(axis=0).mean(), nan=-np.inf))
     return max(worth, key=lambda name: worth[name], default="LQR")
 
@@ -52,7 +51,7 @@ def planned_start(
     Parameters
     ----------
     all_over : bool
-        Whether the loops are at three other designs, too.
+        Whether the loops are at three other designs in each round, too.
     shares : sequence of float
         Of the samples that the policy drives, a round each; none in the first.
     runs : int
@@ -63,14 +62,15 @@ def planned_start(
     Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning",
     AISTATS 2011 (DAgger, whose expert drives a part of the samples, too).
     """
-    others = map(problem.design.project, problem.design.latin_hypercube(3, rng)) if all_over else ()
-    designs = [design, *others]
-    each = -(-runs // len(designs))
+    others = 3 * all_over
+    each = -(-runs // (1 + others))
     expert = EXPERTS[best_expert(problem, design, rng, runs=each)]
     data: list[tuple[Array, Array, Array]] = []
     agents: list[ActorCritic] = []
     sharp = CloningConfig(steps=4 * CloningConfig.steps)  # near its bounds MPC switches
     for share in shares:
+        drawn = problem.design.latin_hypercube(others, rng) if others else ()
+        designs = [design, *map(problem.design.project, drawn)]
         for p in designs:
             with suppress(MPCError, InputError):
                 driver = LearnedPolicy(agents[-1], p) if agents else None

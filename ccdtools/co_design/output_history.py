@@ -157,7 +157,7 @@ def _loops(
 
     def noisy(_: Array, u: Array) -> Array:
         """Inputs with noise."""
-        return u + np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape)
+        return np.asarray(u + np.sqrt(np.mean(u**2, axis=0)) * rng.standard_normal(u.shape))
 
     histories, actions, values = loops_of(problem, law, p, z, w, noisy).samples(gamma)
     return np.hstack([histories[:, nx:], np.tile(p, (len(histories), 1))]), actions, values
