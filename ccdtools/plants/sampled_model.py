@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import can_be_compiled
 from ccdtools.plants.collocation import ImplicitStep
-from ccdtools.plants.compiled_step import CompiledStep
+from ccdtools.plants.compiled_step import CompiledStep, can_be_compiled
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
 from ccdtools.plants.linear_model import DiscreteModel

@@ -15,7 +15,7 @@ from ccdtools.co_design.landscape import valleys
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, HistoryRow, Valley
 from ccdtools.co_design.tolerances import AGREEING, COST_STEP, LEVEL_SLOPE, SAME_PLACE
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_constraints import held
+from ccdtools.plants.allowed_designs import held
 from ccdtools.plants.tolerances import ON_EDGE
 from ccdtools.progress import bar
 
