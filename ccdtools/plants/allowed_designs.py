@@ -211,27 +211,37 @@ class AllowedDesigns:
             away = float(np.linalg.norm(v - u))
             if best is None or away < np.linalg.norm(v - best) - EXACT:
                 best = u
-            if not thorough and np.linalg.norm(self.prices(u, v - u, free)[2]) <= NEAREST * away:
+            if not thorough and np.linalg.norm(self.prices(u, v - u, free)[-1]) <= NEAREST * away:
                 break
         return best
 
-    def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
-        """Prices of the edges of constraints and unit box that hold a point; see `held`.
+    def prices(
+        self, u: Array, push: Array, free: Any, further: Sequence[Array] = ()
+    ) -> tuple[Array, Array, Array, Array]:
+        """Prices of the edges that hold a point: of constraints, unit box, and `further` ones; see `held`.
+
+        Parameters
+        ----------
+        u, push : (np,) arrays
+        free : (np,) array of bool
+        further : sequence of (np,) arrays
+            Normals of other edges at the point.
 
         Returns
         -------
-        (ng,), (np,) and (np,) arrays
-            Prices of the constraints, those of the bounds (below zero at a lower one), and what is left of the push.
+        (m,), (ng,), (np,) and (np,) arrays
+            Prices of further edges, of the constraints, of the bounds (below zero at a lower one), and what is left
+            of the push.
         """
-        assert self.limits is not None
-        normals, distances = self.limits.edges(u, push)
+        constraints = (np.zeros((0, len(u))), np.zeros(0)) if self.limits is None else self.limits.edges(u, push)
         eye = np.eye(len(u))
-        normals = np.vstack([normals, -eye, eye])
-        at = np.r_[distances <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
+        parts = [np.reshape(further, (-1, len(u))), constraints[0], -eye, eye]
+        normals = np.vstack(parts)
+        at = np.r_[np.full(len(further), True), constraints[1] <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
         paid = np.zeros(len(at))
         paid[at] = held(normals[at][:, free], push[free])
-        constraints, low, high = np.split(paid, [len(distances), len(distances) + len(u)])
-        return constraints, high - low, np.where(free, push - paid @ normals, 0.0)
+        others, own, low, high = np.split(paid, np.cumsum([len(part) for part in parts])[:-1])
+        return others, own, high - low, np.where(free, push - paid @ normals, 0.0)
 
     def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
         """Gradient (np,) at `v` of a function of its nearest allowed point.
@@ -240,7 +250,7 @@ class AllowedDesigns:
         """
         assert self.limits is not None
         push = v - u
-        constraints, bounds, _ = self.prices(u, push, free)
+        _, constraints, bounds, _ = self.prices(u, push, free)
         eye = np.eye(len(v))
         holding = self.limits.edges(u, push)[0][constraints > 0]
         along = null_space(np.vstack([holding, eye[bounds != 0], eye[~free]]), rcond=1e-8)

@@ -163,6 +163,10 @@ class UnitConstraints:
         far = np.divide(-g, own, out=far, where=np.isfinite(own) & ~level)
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
+    def steepness(self, v: Array, free: Any) -> Array:
+        """Slopes (ng,) of the constraints along the free entries, per unit-box length."""
+        return np.asarray(np.linalg.norm(self._slopes(v[None])[0][0][:, free], axis=1))
+
     def curvature(self, v: Array, prices: Array, off: Array) -> Array:
         """Curvature (np, np) of the edges just off `v`, weighted with their prices (ng,)."""
         point = _beside(v, off)

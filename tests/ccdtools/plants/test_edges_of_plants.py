@@ -55,7 +55,7 @@ def test_a_violation_of_the_last_digits_is_rounding_and_is_left(beyond, moved):
 @pytest.mark.parametrize(("away", "price"), [(0.3e-7, 1.0), (3e-7, 0.0)])
 def test_a_constraint_holds_a_design_within_a_ten_millionth_of_its_edge(away, price):
     found = HALF.allowed.prices(np.array([0.5 - away, 0.5]), np.array([1.0, 0.0]), np.array([True, True]))
-    np.testing.assert_allclose(found[0], [price], atol=1e-9)
+    np.testing.assert_allclose(found[1], [price], atol=1e-9)
 
 
 @pytest.mark.parametrize(("away", "active"), [(0.3e-3, True), (3e-3, False)])
