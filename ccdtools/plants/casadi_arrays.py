@@ -204,7 +204,7 @@ class SymbolicFunction:
     def depends(self, *sizes: int) -> bool:
         """Whether it depends on any of its arguments."""
         function = self.function(*sizes)
-        columns = [_column(name, size) for name, size in zip(self.names, sizes)]
+        columns = [ca.SX.sym(name, size) for name, size in zip(self.names, sizes)]
         return bool(ca.depends_on(ca.simplify(function(*columns)), ca.vertcat(*columns)))
 
     @property
@@ -223,7 +223,7 @@ class SymbolicFunction:
     def _derived(self, name: str, sizes: Sizes, make: Callable[[ca.SX, ca.SX], list[ca.SX]]) -> ca.Function:
         """Derivatives at rest, as a function of the last argument."""
         if (name, sizes) not in self._at_rest:
-            columns = [_column(name, size) for name, size in zip(self.names, sizes)]
+            columns = [ca.SX.sym(name, size) for name, size in zip(self.names, sizes)]
             free = ca.vertcat(*columns[:-1])
             parts = make(self.function(*sizes)(*columns), free)
             at_rest = [ca.substitute(ca.densify(part), free, ca.SX.zeros(free.shape)) for part in parts]
@@ -232,7 +232,7 @@ class SymbolicFunction:
 
     def _made(self, sizes: Sizes) -> ca.Function:
         """The function for new sizes."""
-        columns = [_column(name, size) for name, size in zip(self.names, sizes)]
+        columns = [ca.SX.sym(name, size) for name, size in zip(self.names, sizes)]
         expected = f"a function of {', '.join(self.names)} that returns a CasADi expression"
         if self._given is None:
             known = " or ".join(map(str, self._functions))
@@ -248,7 +248,7 @@ class SymbolicFunction:
     def __str__(self) -> str:
         """The expression, for the sizes used first."""
         for function in self._functions.values():
-            columns = [_column(name, function.numel_in(i)) for i, name in enumerate(self.names)]
+            columns = [ca.SX.sym(name, function.numel_in(i)) for i, name in enumerate(self.names)]
             text = " ".join(str(function(*columns)).split())
             return brief(text, 200)  # characters
         return f"{self.argument}({', '.join(self.names)})"
@@ -282,8 +282,3 @@ def as_symbolic(argument: str, value: Any, names: tuple[str, ...]) -> SymbolicFu
     if isinstance(value, ca.Function) and (value.n_in() != len(names) or value.n_out() != 1):
         raise InputError(argument, f"{value.n_in()} arguments and {value.n_out()} results", f"{expected}, one result")
     return SymbolicFunction(argument, value, names)
-
-
-def _column(name: str, size: int) -> ca.SX:
-    """Symbols (size, 1)."""
-    return ca.SX.sym(name, size) if size else ca.SX(0, 1)

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ccdtools import figure_style as style
+from ccdtools.studies.report.finished_run import ReportFigure
 from ccdtools.studies.report.method_page import LOOK
 from ccdtools.studies.reproduce.budget import CASES, EPOCHS, Budget
-from ccdtools.studies.reproduce.figures import Drawn, drawn_figures
+from ccdtools.studies.reproduce.figures import drawn_figures
 from ccdtools.studies.reproduce.places import SIGMA_WINDOW
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.table import Table, csv_text
@@ -42,20 +43,20 @@ def written(rows: Sequence[Mapping[str, Any]], tasks: Sequence[Task], folder: Ru
     return folder.write_text("paper.html", page(rows, [(one, _kept(one, folder)) for one in figures], budget))
 
 
-def _kept(figure: Drawn, folder: RunFolder) -> bytes:
+def _kept(figure: ReportFigure, folder: RunFolder) -> bytes:
     image = style.png(figure.figure)
     folder.write_bytes(f"figures/{figure.name}.png", image)
     return image
 
 
-def page(rows: Sequence[Mapping[str, Any]], figures: Sequence[tuple[Drawn, bytes]], budget: Budget) -> str:
+def page(rows: Sequence[Mapping[str, Any]], figures: Sequence[tuple[ReportFigure, bytes]], budget: Budget) -> str:
     """HTML of the tables and figures."""
     tables = "".join(
         f"<h2>{escape(case.capitalize())}</h2><div>{table_of([r for r in rows if r['case'] == case]).html}</div>"
         for case in CASES
     )
     images = "".join(
-        f"<h3 id='{one.name}'>{one.name}</h3><p>{escape(one.caption)}</p>"
+        f"<h3 id='{one.name}'>{one.title}</h3><p>{escape(one.caption)}</p>"
         f"<img alt='{escape(one.caption)}' src='data:image/png;base64,{base64.b64encode(image).decode('ascii')}'>"
         for one, image in figures
     )
