@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
 from ccdtools.exceptions import InputError
+from ccdtools.pages import paragraphs
 from ccdtools.table import Table, csv_text, data_frame
 
 AXES = ("controller", "design", "scenario", "plant")
@@ -165,10 +165,10 @@ class Experiment:
         return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))
 
     def __repr__(self) -> str:
-        return "\n".join([*self.table.aligned(), *self.notes])
+        return "\n".join([str(self.table), *self.notes])
 
     def _repr_html_(self) -> str:
-        return self.table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return self.table.html + paragraphs(self.notes)
 
     def _cells(self, cell: Compared, metrics: list[str]) -> tuple[str, ...]:
         """Texts of a line, but for its names; the baseline is not compared."""

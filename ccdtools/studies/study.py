@@ -212,18 +212,12 @@ class Study(Immutable):
         as_choice("expert", self.expert, (*EXPERTS, *self.laws))
 
     def _check_limits(self) -> None:
-        """Raise unless X and U hold the origin, and X the start."""
-        for argument, limits in (("X", widest(self.X)), ("U", widest(self.U))):
-            if limits.is_empty:
-                raise InputError(argument, "an empty set", "limits with a point between them")
-            if not limits.contains(np.zeros(limits.dim)):
-                raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
-        if not widest(self.X).contains(self.x0):
-            raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+        """Raise unless the problem can be stated, and X holds the start."""
         if self.starts is not None:
             self._check_starts()
         try:
-            self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
+            self.problem()  # checks limits, their dimensions, and the sizes of Q and R
+            FixedStart(self.x0, self.disturbance).check_within(widest(self.X))
         except InputError as error:
             raise InputError(error.argument.removeprefix("scenarios."), error.got, error.expected, error.cure) from None
 

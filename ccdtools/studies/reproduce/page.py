@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ccdtools import figure_style as style
+from ccdtools.pages import page_of, paragraphs, picture_of
 from ccdtools.studies.report.finished_run import ReportFigure
-from ccdtools.studies.report.method_page import LOOK
 from ccdtools.studies.reproduce.budget import CASES, EPOCHS, Budget
 from ccdtools.studies.reproduce.figures import drawn_figures
 from ccdtools.studies.reproduce.places import SIGMA_WINDOW
@@ -56,15 +55,11 @@ def page(rows: Sequence[Mapping[str, Any]], figures: Sequence[tuple[ReportFigure
         for case in CASES
     )
     images = "".join(
-        f"<h3 id='{one.name}'>{one.title}</h3><p>{escape(one.caption)}</p>"
-        f"<img alt='{escape(one.caption)}' src='data:image/png;base64,{base64.b64encode(image).decode('ascii')}'>"
+        f"<h3 id='{one.name}'>{one.title}</h3><p>{escape(one.caption)}</p>{picture_of(image, one.caption)}"
         for one, image in figures
     )
-    notes = "".join(f"<p>{escape(note)}</p>" for note in notes_of(budget))
-    return (
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Beside the paper</title>"
-        f"<style>{LOOK}</style></head><body><h1>Both case studies beside the paper</h1>{notes}{tables}<h2>Figures</h2>"
-        f"{images}</body></html>"
+    return page_of(
+        "Both case studies beside the paper", f"{paragraphs(notes_of(budget))}{tables}<h2>Figures</h2>{images}"
     )
 
 
