@@ -1,4 +1,4 @@
-"""Best design by a cost of the design: from several starts, along exact slopes, within constraints.
+"""Best design by a cost, from several starts.
 
 References
 ----------

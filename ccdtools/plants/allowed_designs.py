@@ -1,4 +1,4 @@
-"""Allowed points of the unit box of designs, the nearest of them, and what holds a point at its edges.
+"""Allowed points of the unit box of designs, and the nearest of them.
 
 References
 ----------
@@ -188,7 +188,10 @@ class AllowedDesigns:
         return self._nearest(v, self.free, [*starts, *known], thorough=thorough)
 
     def _nearest(self, v: Array, free: Array, starts: Iterable[Array], *, thorough: bool) -> Array | None:
-        """Nearest allowed point to `v` from every start, or the first that is one unless `thorough`; None without."""
+        """Nearest allowed point to `v` (np,); None without one.
+
+        It is the nearest from every start, or, unless `thorough`, the first that is one of its surroundings.
+        """
         assert self.limits is not None
         limits = self.limits
         if limits.violation(v) <= EXACT:
@@ -218,7 +221,7 @@ class AllowedDesigns:
     def prices(
         self, u: Array, push: Array, free: Any, further: Sequence[Array] = ()
     ) -> tuple[Array, Array, Array, Array]:
-        """Prices of the edges that hold a point: of constraints, unit box, and `further` ones; see `held`.
+        """Prices of the edges that hold a point; see `held`.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""CasADi functions on batches of arrays or tensors, those that a user states among them."""
+"""CasADi functions on batches of arrays or tensors."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class _Taken(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        """Slopes by x, u, w and p, summed where shared; `advance` of a model has second derivatives."""
+        """Slopes by x, u, w and p, summed where shared."""
         multiplier, x, *held = _arrays(gradient, *ctx.saved_tensors)
         found = ctx.step.slopes(x, tuple(held), ctx.states, multiplier)
         out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, ctx.saved_tensors)]

@@ -210,7 +210,7 @@ def judged(gain: PairedDifference, one: float, other: float, *, lost: tuple[int,
 
 
 def said_of(verdict: Verdict, otherwise: str) -> str:
-    """Better, worse or more lost, or another word where none is shown, with the gain."""
+    """Word on a verdict, or another where nothing is shown, and the gain."""
     return f"{WORDS.get(verdict.status, otherwise)}: {verdict.percent}"
 
 
