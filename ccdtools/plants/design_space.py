@@ -117,6 +117,11 @@ class DesignSpace(Immutable):
         """Number of design parameters."""
         return len(self.names)
 
+    @property
+    def labels(self) -> list[str]:
+        """Names with units, for axes and headings."""
+        return [name if unit == "-" else f"{name} [{unit}]" for name, unit in zip(self.names, self.units)]
+
     def check(self, p: ArrayLike, *, argument: str = "design") -> Array:
         """`p` as an array (np,) or (n, np) within the bounds, checked."""
         array = self._sized(p, argument)
