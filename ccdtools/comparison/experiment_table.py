@@ -8,8 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
@@ -176,15 +174,10 @@ class Experiment:
         median, most = (number(1e6 * time, 3) for time in cell.step_time)
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
         base = cell.names[0] == self.baseline
-        against = ("", "") if base else (cell.evidence.percent, _share(cell.better.mean))
+        against = ("", "") if base else (cell.evidence.percent, share(cell.better.mean))
         lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))
         return (
             number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
-            _share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
+            share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
             "" if base else cell.word,
         )  # fmt: skip
-
-
-def _share(value: float) -> str:
-    """Share in per cent; "n/a" for NaN."""
-    return share(None if np.isnan(value) else value)
