@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, Mask
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.plants.symbols import as_expression, check_known
 from ccdtools.plants.tolerances import FEASIBLE
 from ccdtools.tolerances import ON_LIMIT

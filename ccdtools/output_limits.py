@@ -13,8 +13,8 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import SymbolicFunction, as_symbolic
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbolic_functions import SymbolicFunction, as_symbolic
 from ccdtools.tolerances import FLAT_ROW, ON_LIMIT
 from ccdtools_ground.door import as_floats, as_instance, as_names, shown
 from invariant_sets import Polytope

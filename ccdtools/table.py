@@ -34,6 +34,10 @@ class Table:
             for line in (self.head, *self.lines)
         ]
 
+    def __str__(self) -> str:
+        """Table in aligned columns."""
+        return "\n".join(self.aligned())
+
     @property
     def markdown(self) -> str:
         """Table in Markdown."""

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.descent import SpentError, compressed
+from ccdtools.co_design.design_search import SpentError, compressed
 from ccdtools.co_design.feasible import DesignRegion
 from ccdtools.co_design.tolerances import CLIMB_OPTIONS, COMPRESS_ABOVE, LOST_VALUE, PER_UNIT, STEEPEST, UNIT_OF_Z
 

@@ -11,8 +11,8 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField
 from ccdtools.co_design.objective import Objective, Weights, is_semidefinite
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import as_symbolic
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbolic_functions import as_symbolic
 from ccdtools_ground.door import as_array, as_floats, as_instance, as_weight
 
 

@@ -159,11 +159,9 @@ class Stepper:
 
         Of a facet of X by the next states (..., n, nx), or of a limit of an output by inputs and present states.
         """
-        depth: Tensor = self.problem.state_rows.depths(x_next, u, self.p).amax(-1)
-        limits = self.problem.output_limits
-        if limits is not None:
-            depth = torch.maximum(depth, limits.depths(x, u, self.p).amax(-1))
-        return depth.clamp(min=0.0)
+        given = (x_next, u, x, self.p)
+        beyond: Tensor = self.problem.violations.vector(*(part.shape[-1] for part in given))(*given)
+        return beyond.masked_fill(beyond.isnan(), math.inf).amax(-1).clamp(min=0.0)
 
 
 def _times(M: Tensor, x: Tensor) -> Tensor:

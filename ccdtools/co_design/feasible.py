@@ -18,7 +18,8 @@ from torch import Tensor
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_gradients import Differences, Slope
 from ccdtools.co_design.tolerances import ACTIVE, PULL, SIGNIFICANT, SLOPE_AHEAD
-from ccdtools.plants.design_constraints import UnitConstraints, held
+from ccdtools.plants.allowed_designs import held
+from ccdtools.plants.design_constraints import UnitConstraints
 from ccdtools.plants.design_space import DesignSpace
 
 
@@ -69,10 +70,9 @@ class DesignRegion:
         """
         gradient = np.where(self.free, gradient, 0.0)
         away = np.where(self.free, v - u, 0.0)
-        limits = self.space.allowed.limits
-        if limits is None or not away.any():
+        if self.space.allowed.limits is None or not away.any():
             return 0.0, gradient
-        along = limits.pulled_back(np.where(self.free, v, u), u, gradient, self.free)
+        along = self.space.allowed.pulled_back(np.where(self.free, v, u), u, gradient, self.free)
         distance = float(away @ away)
         rise = max(0.0, float(gradient @ away))
         return rise + 0.5 * PULL * distance, along + (rise / distance + PULL) * away

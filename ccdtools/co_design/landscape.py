@@ -24,7 +24,7 @@ from ccdtools.co_design.design_controllers import lqr_gains
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, scenario_tensors, simulated, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
-from ccdtools.co_design.tolerances import COMPASS_LAST_STEP, RIDGE
+from ccdtools.co_design.tolerances import COMPASS_LAST_STEP, RIDGE, SAME_PLACE
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools_ground.door import as_count, as_generator, as_instance
 
@@ -256,3 +256,13 @@ def _same_hill(landscape: Landscape, higher: Array, lower: Array, height: float)
     problem = landscape.problem
     size = problem.made_by_control(height, problem.design.from_unit(lower))
     return bool(between.min() >= height - RIDGE * size)
+
+
+def start_points(space: DesignSpace, design: Array, found: tuple[Valley, ...], most: int) -> list[Array]:
+    """Starting points: the given design and the best other optima."""
+    starts = [space.allowed.rounded(space.to_unit(design))]
+    for valley in found:
+        v = space.to_unit(valley.design)
+        if len(starts) < most and all(np.abs(v - one).max() > SAME_PLACE for one in starts):
+            starts.append(v)
+    return starts

@@ -126,7 +126,7 @@ def _curve(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any]
     ax.set_ylim(lowest - 0.05 * spread, best + 0.12 * spread)
     for edge in values[[0, -1]]:
         ax.axvline(edge, **BOUND)
-    ax.set(xlabel=_axis_label(space, i), ylabel="return of saturated LQR", title="The designs on the landscape of LQR")
+    ax.set(xlabel=space.labels[i], ylabel="return of saturated LQR", title="The designs on the landscape of LQR")
 
 
 def _map(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], shown: Sequence[int]) -> None:
@@ -143,7 +143,7 @@ def _map(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any], 
         # those that ended in one place are seen inside one another
         ax.plot(*row.result.design[list(shown)], marker, color=colour, ms=max(14 - 1.1 * rank, 5), mec="white", mew=0.8,
                 zorder=4 + rank, clip_on=False)  # fmt: skip
-    ax.set(xlabel=_axis_label(space, shown[0]), ylabel=_axis_label(space, shown[1]),
+    ax.set(xlabel=space.labels[shown[0]], ylabel=space.labels[shown[1]],
            title="The ways of the designs on the landscape of LQR")  # fmt: skip
 
 
@@ -161,7 +161,7 @@ def _ranges(ax: Axes, comparison: Any, rows: Sequence[Any], looks: dict[str, Any
         for end, side, place in ((space.lower[i], "left", 0.0), (space.upper[i], "right", 1.0)):
             ax.annotate(f"{end:g}", (place, y), (0, -24), textcoords="offset points", ha=side, va="center", fontsize=7,
                         color="#666666")  # fmt: skip
-    ax.set_yticks(range(len(shown)), [label(_axis_label(space, i)) for i in shown])
+    ax.set_yticks(range(len(shown)), [label(space.labels[i]) for i in shown])
     ax.set(xlim=(-0.02, 1.02), ylim=(len(shown) - 0.4, -0.6), xlabel="part of the range",
            title="Where the designs ended")  # fmt: skip
     ax.grid(False, axis="y")
@@ -174,12 +174,6 @@ def _way(row: Any) -> Array:
     best = np.maximum.accumulate(values)
     better = np.r_[True, best[1:] > best[:-1]]
     return np.vstack([history.design[better], row.result.design])
-
-
-def _axis_label(space: DesignSpace, i: int) -> str:
-    """Parameter with its unit."""
-    unit = space.units[i]
-    return space.names[i] if unit == "-" else f"{space.names[i]} [{unit}]"
 
 
 def plot_trade_off(found: Any) -> Figure:
@@ -215,7 +209,7 @@ def plot_trade_off(found: Any) -> Figure:
             ax.scatter(found.values, found.designs[:, i], c=colours, s=32, edgecolors="white", linewidths=0.6, zorder=3)
             for edge in (space.lower[i], space.upper[i]):
                 ax.axhline(edge, **BOUND)
-            ax.set_ylabel(label(_axis_label(space, i)))
+            ax.set_ylabel(label(space.labels[i]))
             ax.yaxis.set_major_locator(MaxNLocator(4))
             if (found.values > 0).all() and found.values.max() > 20 * found.values.min():
                 ax.set_xscale("log")

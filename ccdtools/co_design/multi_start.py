@@ -82,7 +82,7 @@ class MultiStart(Immutable):
              f"{result.seconds:.3g} s", result.status.name.lower().replace("_", " "))
             for start, result in zip(self.starts, self.results)
         ]  # fmt: skip
-        return "\n".join(Table(("first design", "design", "return", "time", "status"), lines).aligned())
+        return str(Table(("first design", "design", "return", "time", "status"), lines))
 
 
 def multi_start(

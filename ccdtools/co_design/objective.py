@@ -10,7 +10,7 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.co_design.tolerances import PSD
 from ccdtools.exceptions import InputError
-from ccdtools.plants.symbolic_functions import as_symbolic
+from ccdtools.plants.casadi_arrays import as_symbolic
 from ccdtools_ground.door import as_array, as_count, as_instance, as_weight
 
 

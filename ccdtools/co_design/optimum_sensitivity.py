@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.design_controllers import LQR
+from ccdtools.co_design.design_search import DesignCost, best_design
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
-from ccdtools.co_design.methods.design_search import DesignCost, best_design
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.nested import RUNS, Nested
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost

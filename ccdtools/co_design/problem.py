@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable
@@ -18,6 +19,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
 from ccdtools.plants.black_box import BlackBox
+from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import as_regulated_model, check_at_rest
 from ccdtools.plants.simulated_model import SimulatedModel
@@ -377,6 +379,21 @@ class CoDesignProblem(Immutable):
     def state_rows(self) -> OutputLimits:
         """Rows of X or X(p), in half-widths."""
         return limits_of(self.X, self.state_names)
+
+    @cached_property
+    def violations(self) -> SymbolicFunction:
+        """(x⁺, u, x, p) → violation of each limit (m,), in half-widths.
+
+        Of the rows of X by x⁺, the state after a step, and of the limits of outputs by x and u.
+        """
+
+        def beyond(x_next: ca.SX, u: ca.SX, x: ca.SX, p: ca.SX) -> ca.SX:
+            """Rows, each ≤ 0 where the limit is kept."""
+            sizes = (x.numel(), u.numel(), p.numel())
+            outputs = [] if self.output_limits is None else [self.output_limits.scaled.function(*sizes)(x, u, p)]
+            return ca.vertcat(self.state_rows.scaled.function(*sizes)(x_next, u, p), *outputs)
+
+        return SymbolicFunction("limits", beyond, ("x_next", "u", "x", "p"))
 
     @property
     def state_names(self) -> tuple[str, ...]:

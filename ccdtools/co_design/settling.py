@@ -24,9 +24,9 @@ from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
+from ccdtools.co_design.landscape import start_points
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
-from ccdtools.co_design.methods.design_search import start_points
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem

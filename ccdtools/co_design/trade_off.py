@@ -105,7 +105,7 @@ class TradeOff(Immutable):
             status = row["status"].lower().replace("_", " ") + beaten
             lines.append((f"{row[self.word]:g}", self.space.describe(design), f"{row['design_cost']:.5g}",
                           f"{row['control_return']:.5g}", status))  # fmt: skip
-        return "\n".join(Table((self.word, "design", "cost", "return", "status"), lines).aligned())
+        return str(Table((self.word, "design", "cost", "return", "status"), lines))
 
 
 def trade_off(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from ccdtools.design_limits import DesignLimits, Limits
 from ccdtools.exceptions import InputError
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
+from ccdtools.pages import paragraphs
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.statistics import PairedDifference, Summary, paired_returns, summarise_returns
@@ -178,10 +178,10 @@ class Comparison:
         return Table(head, rows, right=frozenset(range(1, len(head))) - {5})
 
     def __repr__(self) -> str:
-        return "\n".join([*self._table.aligned(), *self.notes])
+        return "\n".join([str(self._table), *self.notes])
 
     def _repr_html_(self) -> str:
-        return self._table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return self._table.html + paragraphs(self.notes)
 
 
 def compare(

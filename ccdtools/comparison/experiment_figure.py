@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.comparison.compared import Compared
 from ccdtools.figure_style import blank, controller_colours, png, styled
+from ccdtools.pages import page_of, picture_of
 from ccdtools_ground.door import has_method
-
-STYLE = "body{font:15px sans-serif;margin:2em}table{border-collapse:collapse}td,th{padding:.2em .7em;text-align:left}"
 
 
 def plot_experiment(experiment: Any, figure: Any = None) -> Any:
@@ -50,17 +48,12 @@ def plot_experiment(experiment: Any, figure: Any = None) -> Any:
 
 def page(experiment: Any) -> str:
     """Page in HTML with verdicts, table, notes and figure."""
-    picture = base64.b64encode(png(plot_experiment(experiment))).decode("ascii")
     verdicts = "".join(
         f"<p><b>{escape(', '.join(name for name in kind if name))}</b>: {escape(verdict)}</p>"
         for kind, verdict in experiment.verdicts.items()
     )
-    return (
-        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Comparison of controllers</title>"
-        f"<style>{STYLE}</style></head><body><h1>Comparison with {escape(experiment.baseline)}</h1>{verdicts}"
-        f"<img style='max-width:100%' alt='Gains, profiles and times' src='data:image/png;base64,{picture}'>"
-        f"{experiment._repr_html_()}</body></html>"
-    )
+    picture = picture_of(png(plot_experiment(experiment)), "Gains, profiles and times")
+    return page_of(f"Comparison with {experiment.baseline}", f"{verdicts}{picture}{experiment._repr_html_()}")
 
 
 def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baseline: str) -> None:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
 from ccdtools.exceptions import InputError
+from ccdtools.pages import paragraphs
 from ccdtools.table import Table, csv_text, data_frame
 
 AXES = ("controller", "design", "scenario", "plant")
@@ -165,10 +163,10 @@ class Experiment:
         return lines + list(dict.fromkeys(f"{cell.names[0]}: {cell.remark}" for cell in self if cell.remark))
 
     def __repr__(self) -> str:
-        return "\n".join([*self.table.aligned(), *self.notes])
+        return "\n".join([str(self.table), *self.notes])
 
     def _repr_html_(self) -> str:
-        return self.table.html + "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return self.table.html + paragraphs(self.notes)
 
     def _cells(self, cell: Compared, metrics: list[str]) -> tuple[str, ...]:
         """Texts of a line, but for its names; the baseline is not compared."""
@@ -176,15 +174,10 @@ class Experiment:
         median, most = (number(1e6 * time, 3) for time in cell.step_time)
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
         base = cell.names[0] == self.baseline
-        against = ("", "") if base else (cell.evidence.percent, _share(cell.better.mean))
+        against = ("", "") if base else (cell.evidence.percent, share(cell.better.mean))
         lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))
         return (
             number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
-            _share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
+            share(cell.fraction), f"{median}, {most}", training, *(number(cell.metrics.get(name)) for name in metrics),
             "" if base else cell.word,
         )  # fmt: skip
-
-
-def _share(value: float) -> str:
-    """Share in per cent; "n/a" for NaN."""
-    return share(None if np.isnan(value) else value)

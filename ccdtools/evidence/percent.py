@@ -26,8 +26,8 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def share(fraction: float | None) -> str:
-    """Fraction in per cent, such as "0.07 %"; "n/a" for None."""
-    if fraction is None:
+    """Fraction in per cent, such as "0.07 %"; "n/a" for None or NaN."""
+    if fraction is None or not math.isfinite(fraction):
         return "n/a"
     percent = 100 * fraction
     if percent == 0:

@@ -55,8 +55,8 @@ class Trial(Immutable):
 
     def __post_init__(self) -> None:
         gains = np.asarray(self.gains, dtype=float)
-        object.__setattr__(self, "gains", frozen(gains if not gains.size else as_array("gains", gains, ("pairs",))))
-        object.__setattr__(self, "margin", as_positive("margin", self.margin, unit="of the return of a block"))
+        self._set(gains=frozen(gains if not gains.size else as_array("gains", gains, ("pairs",))))
+        self._set(margin=as_positive("margin", self.margin, unit="of the return of a block"))
         as_share("level", self.level)
 
     @cached_property

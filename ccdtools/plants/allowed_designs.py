@@ -15,13 +15,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import minimize
+from scipy.linalg import null_space
+from scipy.optimize import minimize, nnls
 from scipy.stats import qmc
 
 from ccdtools.arrays import Array
 from ccdtools.plants.budgets import ALLOWED_STARTS, BOX_SAMPLES, MAX_CORNERS, TRIED_COMBINATIONS
-from ccdtools.plants.design_constraints import UnitConstraints
-from ccdtools.plants.tolerances import EXACT, NEAREST, ON_BOUND
+from ccdtools.plants.design_constraints import TINY, UnitConstraints
+from ccdtools.plants.tolerances import CURVED, EXACT, NEAREST, ON_BOUND, ON_EDGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +158,7 @@ class AllowedDesigns:
         best = self._of_whole_numbers(v, v)
         known = sorted(self.known, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
         if best is None and self.limits is not None:
-            between = _nearest(self.limits, v, self._moving, known, thorough=True)
+            between = self._nearest(v, self._moving, known, thorough=True)
             best = None if between is None else self._of_whole_numbers(between, v)
         return known[0] if best is None and known else best
 
@@ -184,41 +185,100 @@ class AllowedDesigns:
             return v
         same = self.known[(np.abs(self.known - v) <= ON_BOUND)[:, ~self.free].all(axis=1)]
         known = sorted(same, key=lambda one: _apart(one, v))[:ALLOWED_STARTS]
-        return _nearest(self.limits, v, self.free, [*starts, *known], thorough=thorough)
+        return self._nearest(v, self.free, [*starts, *known], thorough=thorough)
+
+    def _nearest(self, v: Array, free: Array, starts: Iterable[Array], *, thorough: bool) -> Array | None:
+        """Nearest allowed point to `v` (np,); None without one.
+
+        It is the nearest from every start, or, unless `thorough`, the first that is one of its surroundings.
+        """
+        assert self.limits is not None
+        limits = self.limits
+        if limits.violation(v) <= EXACT:
+            return v
+
+        def places() -> Iterator[Array]:
+            """Starting points of the searches."""
+            yield v
+            yield _allowed_point(limits, v, free)[0]
+            yield from starts
+
+        best: Array | None = None
+        for place in places():
+            begun = np.where(free, place, v)
+            for u in (_searched(limits, begun, free, v), begun):
+                if limits.violation(u) <= EXACT:
+                    break
+            else:
+                continue
+            away = float(np.linalg.norm(v - u))
+            if best is None or away < np.linalg.norm(v - best) - EXACT:
+                best = u
+            if not thorough and np.linalg.norm(self.prices(u, v - u, free)[-1]) <= NEAREST * away:
+                break
+        return best
+
+    def prices(
+        self, u: Array, push: Array, free: Any, further: Sequence[Array] = ()
+    ) -> tuple[Array, Array, Array, Array]:
+        """Prices of the edges that hold a point; see `held`.
+
+        Parameters
+        ----------
+        u, push : (np,) arrays
+        free : (np,) array of bool
+        further : sequence of (np,) arrays
+            Normals of other edges at the point.
+
+        Returns
+        -------
+        (m,), (ng,), (np,) and (np,) arrays
+            Prices of further edges, of the constraints, of the bounds (below zero at a lower one), and what is left
+            of the push.
+        """
+        constraints = (np.zeros((0, len(u))), np.zeros(0)) if self.limits is None else self.limits.edges(u, push)
+        eye = np.eye(len(u))
+        parts = [np.reshape(further, (-1, len(u))), constraints[0], -eye, eye]
+        normals = np.vstack(parts)
+        at = np.r_[np.full(len(further), True), constraints[1] <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
+        paid = np.zeros(len(at))
+        paid[at] = held(normals[at][:, free], push[free])
+        others, own, low, high = np.split(paid, np.cumsum([len(part) for part in parts])[:-1])
+        return others, own, high - low, np.where(free, push - paid @ normals, 0.0)
+
+    def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
+        """Gradient (np,) at `v` of a function of its nearest allowed point.
+
+        The nearest point moves along the constraints that hold it alone, and by less where they are curved away.
+        """
+        assert self.limits is not None
+        push = v - u
+        _, constraints, bounds, _ = self.prices(u, push, free)
+        eye = np.eye(len(v))
+        holding = self.limits.edges(u, push)[0][constraints > 0]
+        along = null_space(np.vstack([holding, eye[bounds != 0], eye[~free]]), rcond=1e-8)
+        if not along.size:
+            return np.zeros(len(v))
+        curvature = along.T @ (eye + self.limits.curvature(u, constraints, push)) @ along
+        if np.linalg.eigvalsh(curvature)[0] < CURVED:
+            curvature = np.eye(along.shape[1])
+        return np.asarray(along @ np.linalg.solve(curvature, along.T @ gradient), dtype=float)
+
+
+def held(normals: Array, push: Array) -> Array:
+    """Prices ≥ 0 (m,) of edges with normals (m, np) against a push (np,).
+
+    The rest, push − prices · normals, is the push's projection on the directions that cross no edge (Moreau).
+    """
+    if not len(normals):
+        return np.zeros(0)
+    lengths = np.maximum(np.linalg.norm(normals, axis=1), TINY)
+    return np.asarray(nnls((normals / lengths[:, None]).T, push)[0] / lengths, dtype=float)
 
 
 def whole_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
     """Least and largest whole numbers within bounds."""
     return np.ceil(lower - ON_BOUND), np.floor(upper + ON_BOUND)
-
-
-def _nearest(
-    limits: UnitConstraints, v: Array, free: Array, starts: Iterable[Array], *, thorough: bool
-) -> Array | None:
-    """Nearest allowed point to `v` from every start, or the first that is one unless `thorough`; None without one."""
-    if limits.violation(v) <= EXACT:
-        return v
-
-    def places() -> Iterator[Array]:
-        """Starting points of the searches."""
-        yield v
-        yield _allowed_point(limits, v, free)[0]
-        yield from starts
-
-    best: Array | None = None
-    for place in places():
-        begun = np.where(free, place, v)
-        for u in (_searched(limits, begun, free, v), begun):
-            if limits.violation(u) <= EXACT:
-                break
-        else:
-            continue
-        away = float(np.linalg.norm(v - u))
-        if best is None or away < np.linalg.norm(v - best) - EXACT:
-            best = u
-        if not thorough and np.linalg.norm(limits.prices(u, v - u, free)[2]) <= NEAREST * away:
-            break
-    return best
 
 
 def _allowed_point(limits: UnitConstraints, start: Array, free: Array) -> tuple[Array, float]:

@@ -58,12 +58,11 @@ class BlackBox(Immutable):
     batched: bool = False
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
         if not callable(self.advance):
             raise InputError("advance", shown(self.advance), "a function (x, u, w, p) -> x⁺")
         for name, least in (("nx", 1), ("nu", 1), ("nw", 0)):
-            set_(self, name, as_count(name, getattr(self, name), least=least))
-        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+            self._set(**{name: as_count(name, getattr(self, name), least=least)})
+        self._set(dt=as_positive("dt", self.dt, unit="s"))
         as_instance("design", self.design, DesignSpace, "a DesignSpace")
         as_flag("batched", self.batched)
 

@@ -2,52 +2,22 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Sequence
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_operations import KNOWN, Operations, into_room, numpy_operations, torch_operations
+from ccdtools.plants.symbols import as_expression, check_known
+from ccdtools_ground.door import brief, shown
+from ccdtools_ground.user_functions import stopped
 
 if TYPE_CHECKING:
     from ccdtools.arrays import Array
 
-Operations: TypeAlias = dict[int, Callable[..., Any]]
-
-_ARITHMETIC: Operations = {
-    ca.OP_ADD: operator.add, ca.OP_SUB: operator.sub, ca.OP_MUL: operator.mul, ca.OP_DIV: operator.truediv,
-    ca.OP_POW: operator.pow, ca.OP_CONSTPOW: operator.pow, ca.OP_NEG: operator.neg,
-    ca.OP_TWICE: lambda a: a + a, ca.OP_SQ: lambda a: a * a, ca.OP_INV: lambda a: 1.0 / a,
-    ca.OP_ASSIGN: lambda a: a, ca.OP_LIFT: lambda a, guess: a,
-}  # fmt: skip
-_LOGIC: Operations = {
-    ca.OP_LT: operator.lt, ca.OP_LE: operator.le, ca.OP_EQ: operator.eq, ca.OP_NE: operator.ne,
-    ca.OP_AND: lambda a, b: (a != 0) & (b != 0), ca.OP_OR: lambda a, b: (a != 0) | (b != 0),
-    ca.OP_NOT: lambda a: a == 0,
-}  # fmt: skip
-_UNARY = {
-    ca.OP_EXP: "exp", ca.OP_LOG: "log", ca.OP_SQRT: "sqrt", ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan",
-    ca.OP_ASIN: "arcsin", ca.OP_ACOS: "arccos", ca.OP_ATAN: "arctan", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh", ca.OP_ASINH: "arcsinh", ca.OP_ACOSH: "arccosh", ca.OP_ATANH: "arctanh", ca.OP_FABS: "abs",
-    ca.OP_SIGN: "sign", ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_LOG1P: "log1p", ca.OP_EXPM1: "expm1",
-}  # fmt: skip
-_SPECIAL = {ca.OP_ERF: "erf", ca.OP_ERFINV: "erfinv"}
-_BINARY = {
-    ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax", ca.OP_ATAN2: "arctan2", ca.OP_HYPOT: "hypot", ca.OP_COPYSIGN: "copysign",
-    ca.OP_FMOD: "fmod",
-}  # fmt: skip
-_IN_PLACE: Operations = {
-    ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
-    ca.OP_SQ: np.square, ca.OP_TWICE: lambda a, out: np.add(a, a, out),
-    ca.OP_INV: lambda a, out: np.divide(1.0, a, out),
-}  # fmt: skip
-KNOWN = {
-    ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_REMAINDER, ca.OP_IF_ELSE_ZERO,
-    *_ARITHMETIC, *_LOGIC, *_UNARY, *_SPECIAL, *_BINARY,
-}  # fmt: skip
+Sizes = tuple[int, ...]
 
 
 class Vectorised:
@@ -158,7 +128,7 @@ class Vectorised:
             elif op == ca.OP_OUTPUT:
                 calls.append((np.copyto, (out[outputs[1]], value[inputs[0]])))
             else:
-                calls.append((_into_room(op), (*(value[i] for i in inputs), room[outputs[0]])))
+                calls.append((into_room(op), (*(value[i] for i in inputs), room[outputs[0]])))
                 value[outputs[0]] = room[outputs[0]]
 
         def run() -> None:
@@ -177,82 +147,138 @@ def check_sizes(sizes: Sequence[int], arguments: Sequence[Any]) -> None:
             raise InputError(name, f"shape {tuple(value.shape)}", f"(..., {size})")
 
 
-@cache
-def numpy_operations() -> Operations:
-    """CasADi operations on NumPy arrays."""
-    from scipy import special
+class SymbolicFunction:
+    """Function of CasADi columns, for arrays and tensors of any batch.
 
-    table: Operations = {op: _returning(float, call) for op, call in _LOGIC.items()}
-    table |= _ARITHMETIC
-    table |= {op: getattr(np, name) for op, name in {**_UNARY, **_BINARY}.items()}
-    table |= {op: getattr(special, name) for op, name in _SPECIAL.items()}
-    table[ca.OP_REMAINDER] = lambda a, b: a - b * np.rint(a / b)
-    # selected, not multiplied, so that an unused inf or NaN vanishes
-    table[ca.OP_IF_ELSE_ZERO] = lambda condition, a: np.where(np.asarray(condition) != 0, a, 0.0)
-    return table
+    What is pickled are its expressions for the sizes that it was used with, so that a lambda is no obstacle.
+
+    Parameters
+    ----------
+    argument : str
+        What an error calls it.
+    given : callable
+        On CasADi SX columns: a Python function, or a `casadi.Function`.
+    names : tuple of str
+        Of its arguments.
+    """
+
+    def __init__(self, argument: str, given: Any, names: tuple[str, ...]) -> None:
+        self.argument = argument
+        self.names = names
+        self._given = given
+        self._functions: dict[Sizes, ca.Function] = {}
+        self._compiled: dict[Sizes, Vectorised] = {}
+        self._at_rest: dict[tuple[str, Sizes], ca.Function] = {}
+
+    def function(self, *sizes: int) -> ca.Function:
+        """`casadi.Function` of columns of these sizes.
+
+        Raises
+        ------
+        InputError
+            If it cannot be evaluated on them, or gives no expression of them alone.
+        """
+        if sizes not in self._functions:
+            self._functions[sizes] = self._made(sizes)
+        return self._functions[sizes]
+
+    def scalar(self, *sizes: int) -> Vectorised:
+        """Function with one value (..., 1) on arrays or tensors (..., size).
+
+        Raises
+        ------
+        InputError
+            Besides, if it has more than one value.
+        """
+        function = self.function(*sizes)
+        if function.numel_out(0) != 1:
+            raise InputError(self.argument, f"{function.numel_out(0)} values", "one, a scalar expression")
+        return self.vector(*sizes)
+
+    def vector(self, *sizes: int) -> Vectorised:
+        """Function with values (..., m) on arrays or tensors (..., size)."""
+        if sizes not in self._compiled:
+            self._compiled[sizes] = Vectorised(self.function(*sizes))
+        return self._compiled[sizes]
+
+    def depends(self, *sizes: int) -> bool:
+        """Whether it depends on any of its arguments."""
+        function = self.function(*sizes)
+        columns = [ca.SX.sym(name, size) for name, size in zip(self.names, sizes)]
+        return bool(ca.depends_on(ca.simplify(function(*columns)), ca.vertcat(*columns)))
+
+    @property
+    def values(self) -> int:
+        """Number of values, for the sizes used first."""
+        return next(iter(self._functions.values())).numel_out(0)
+
+    def hessian(self, *sizes: int) -> ca.Function:
+        """Hessian at 0 by all arguments but the last, a function of the last."""
+        return self._derived("hessian", sizes, lambda value, free: [ca.hessian(value, free)[0]])
+
+    def linear(self, *sizes: int) -> ca.Function:
+        """Value and Jacobian at 0 by all arguments but the last, a function of the last."""
+        return self._derived("linear", sizes, lambda value, free: [value, ca.jacobian(value, free)])
+
+    def _derived(self, name: str, sizes: Sizes, make: Callable[[ca.SX, ca.SX], list[ca.SX]]) -> ca.Function:
+        """Derivatives at rest, as a function of the last argument."""
+        if (name, sizes) not in self._at_rest:
+            columns = [ca.SX.sym(name, size) for name, size in zip(self.names, sizes)]
+            free = ca.vertcat(*columns[:-1])
+            parts = make(self.function(*sizes)(*columns), free)
+            at_rest = [ca.substitute(ca.densify(part), free, ca.SX.zeros(free.shape)) for part in parts]
+            self._at_rest[name, sizes] = ca.Function(name, [columns[-1]], at_rest)
+        return self._at_rest[name, sizes]
+
+    def _made(self, sizes: Sizes) -> ca.Function:
+        """The function for new sizes."""
+        columns = [ca.SX.sym(name, size) for name, size in zip(self.names, sizes)]
+        expected = f"a function of {', '.join(self.names)} that returns a CasADi expression"
+        if self._given is None:
+            known = " or ".join(map(str, self._functions))
+            raise InputError(self.argument, f"sizes {sizes}", f"{known}, those that it was stored with")
+        try:
+            value = self._given(*columns)
+        except Exception as error:
+            raise stopped(self.argument, self._given, error, expected) from error
+        expression = ca.vec(as_expression(self.argument, value))
+        check_known(self.argument, expression, **dict(zip(self.names, columns)))
+        return ca.Function(self.argument, columns, [expression], list(self.names), ["value"])
+
+    def __str__(self) -> str:
+        """The expression, for the sizes used first."""
+        for function in self._functions.values():
+            columns = [ca.SX.sym(name, function.numel_in(i)) for i, name in enumerate(self.names)]
+            text = " ".join(str(function(*columns)).split())
+            return brief(text, 200)  # characters
+        return f"{self.argument}({', '.join(self.names)})"
+
+    def serialized(self) -> dict[str, str]:
+        """Expressions of the function as text, by sizes."""
+        return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        given = self._given if isinstance(self._given, ca.Function) or not self._functions else None
+        return {"argument": self.argument, "names": self.names, "functions": self._functions, "given": given}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["argument"], state["given"], state["names"])  # type: ignore[misc]
+        self._functions = dict(state["functions"])
 
 
-@cache
-def texts_of_operations() -> dict[int, str]:
-    """CasADi operations on numbers, as Python text that Numba compiles."""
-    infix = {
-        ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/", ca.OP_POW: "**", ca.OP_CONSTPOW: "**",
-    }  # fmt: skip
-    truths = {
-        ca.OP_LT: "{} < {}", ca.OP_LE: "{} <= {}", ca.OP_EQ: "{} == {}", ca.OP_NE: "{} != {}", ca.OP_NOT: "{} == 0",
-        ca.OP_AND: "({} != 0) & ({} != 0)", ca.OP_OR: "({} != 0) | ({} != 0)",
-    }  # fmt: skip
-    table = {op: f"{{}} {sign} {{}}" for op, sign in infix.items()}
-    table |= {op: f"1.0 if {test} else 0.0" for op, test in truths.items()}
-    table |= {op: f"np.{name}({{}})" for op, name in _UNARY.items()}
-    table |= {op: f"np.{name}({{}}, {{}})" for op, name in _BINARY.items()}
-    return table | {
-        ca.OP_NEG: "-{}", ca.OP_TWICE: "{0} + {0}", ca.OP_SQ: "{0} * {0}", ca.OP_INV: "1.0 / {}", ca.OP_ASSIGN: "{}",
-        ca.OP_LIFT: "{}", ca.OP_REMAINDER: "{0} - {1} * np.rint({0} / {1})",
-        ca.OP_IF_ELSE_ZERO: "{1} if {0} != 0 else 0.0",
-    }  # fmt: skip
+def as_symbolic(argument: str, value: Any, names: tuple[str, ...]) -> SymbolicFunction:
+    """`value` as a function of these CasADi columns.
 
-
-def can_be_compiled(function: ca.Function) -> bool:
-    """Whether every operation of a function has a text."""
-    moved = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
-    return all(op in moved or op in texts_of_operations() for op, *_ in Vectorised(function).instructions)
-
-
-@cache
-def torch_operations(dtype: Any) -> Operations:
-    """CasADi operations on torch tensors of one type and numbers."""
-    import torch
-
-    def together(call: Callable[..., Any]) -> Callable[..., Any]:
-        """Call with numbers made tensors, given at least one tensor."""
-
-        def both(a: Any, b: Any) -> Any:
-            like = a if torch.is_tensor(a) else b
-            return call(*(v if torch.is_tensor(v) else like.new_tensor(v) for v in (a, b)))
-
-        return both
-
-    table: Operations = {op: _returning(dtype, call) for op, call in _LOGIC.items()}
-    table |= _ARITHMETIC
-    table |= {op: getattr(torch, name) for op, name in {**_UNARY, **_SPECIAL}.items()}
-    table |= {op: together(getattr(torch, name)) for op, name in _BINARY.items()}
-    table[ca.OP_REMAINDER] = lambda a, b: a - b * torch.round(a / b).detach()
-    table[ca.OP_IF_ELSE_ZERO] = together(lambda condition, a: torch.where(condition != 0, a, a.new_zeros(())))
-    return table
-
-
-def _returning(kind: Any, call: Callable[..., Any]) -> Callable[..., Any]:
-    """A comparison that returns 0.0 and 1.0."""
-    if kind is float:
-        return lambda *values: call(*values) * 1.0
-    return lambda *values: call(*values).to(kind)
-
-
-@cache
-def _into_room(op: int) -> Callable[..., Any]:
-    """(operands, out) → an operation that writes to `out`."""
-    if op in _IN_PLACE:
-        return _IN_PLACE[op]
-    plain = numpy_operations()[op]
-    return plain if isinstance(plain, np.ufunc) else lambda *operands: np.copyto(operands[-1], plain(*operands[:-1]))
+    Raises
+    ------
+    InputError
+        If it is not callable, or a `casadi.Function` with another number of arguments.
+    """
+    if isinstance(value, SymbolicFunction):
+        return value
+    expected = f"a function of {', '.join(names)} on CasADi columns"
+    if not callable(value) or isinstance(value, type):
+        raise InputError(argument, shown(value), expected, "Such as lambda p: 3 * p[0] + p[1] ** 2.")
+    if isinstance(value, ca.Function) and (value.n_in() != len(names) or value.n_out() != 1):
+        raise InputError(argument, f"{value.n_in()} arguments and {value.n_out()} results", f"{expected}, one result")
+    return SymbolicFunction(argument, value, names)

@@ -11,7 +11,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.plants.budgets import COMPILED_ROWS, KEPT_SIZES
-from ccdtools.plants.casadi_arrays import Operations, Vectorised, texts_of_operations
+from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.casadi_operations import Operations, texts_of_operations
 from ccdtools.plants.runge_kutta import ExplicitStep, slopes_of
 
 WHOLE_SAMPLE = """
@@ -26,6 +27,12 @@ def slopes(states, u, w, p, du, dw, dp, m, total):
         for k in range(states.shape[0] - 2, -1, -1):
             {body}
 """
+
+
+def can_be_compiled(function: ca.Function) -> bool:
+    """Whether every operation of a function has a text."""
+    moved = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
+    return all(op in moved or op in texts_of_operations() for op, *_ in Vectorised(function).instructions)
 
 
 class CompiledStep(ExplicitStep):

@@ -7,13 +7,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import null_space
-from scipy.optimize import nnls
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.symbols import as_expression, check_known
-from ccdtools.plants.tolerances import BESIDE_LEVEL, CURVED, EXTENT_QUANTILES, LEVEL, NEAR_EDGE, ON_EDGE
+from ccdtools.plants.tolerances import BESIDE_LEVEL, EXTENT_QUANTILES, LEVEL, NEAR_EDGE
 from ccdtools_ground.door import as_names, shown
 from ccdtools_ground.operations import term_sizes
 from ccdtools_ground.user_functions import stopped
@@ -165,60 +163,22 @@ class UnitConstraints:
         far = np.divide(-g, own, out=far, where=np.isfinite(own) & ~level)
         return normals, np.where(np.isfinite(own), far, -g / self._scale)
 
-    def prices(self, u: Array, push: Array, free: Any) -> tuple[Array, Array, Array]:
-        """Prices of edges that hold a point; see `held`.
+    def steepness(self, v: Array, free: Any) -> Array:
+        """Slopes (ng,) of the constraints along the free entries, per unit-box length."""
+        return np.asarray(np.linalg.norm(self._slopes(v[None])[0][0][:, free], axis=1))
 
-        Here the edges are those of constraints and unit box at `u`.
-
-        Returns
-        -------
-        (ng,), (np,) and (np,) arrays
-            Prices of the constraints, those of the bounds (below zero at a lower one), and what is left of the push.
-        """
-        normals, distances = self.edges(u, push)
-        eye = np.eye(len(u))
-        normals = np.vstack([normals, -eye, eye])
-        at = np.r_[distances <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
-        paid = np.zeros(len(at))
-        paid[at] = held(normals[at][:, free], push[free])
-        constraints, low, high = np.split(paid, [self.count, self.count + len(u)])
-        return constraints, high - low, np.where(free, push - paid @ normals, 0.0)
-
-    def pulled_back(self, v: Array, u: Array, gradient: Array, free: Any) -> Array:
-        """Gradient (np,) at `v` of a function of its nearest allowed point.
-
-        The nearest point moves along the constraints that hold it alone, and by less where they are curved away.
-        """
-        push = v - u
-        constraints, bounds, _ = self.prices(u, push, free)
-        eye = np.eye(len(v))
-        beside = _beside(u, push)
-        holding = constraints > 0
-        along = null_space(np.vstack([self.edges(u, push)[0][holding], eye[bounds != 0], eye[~free]]), rcond=1e-8)
-        paid = np.divide(constraints, self._slopes(beside[None])[1][0], out=np.zeros(self.count), where=holding)
-        curvature = along.T @ (eye + np.asarray(self._curvature(beside, paid), dtype=float)) @ along
-        if not along.size:
-            return np.zeros(len(v))
-        if np.linalg.eigvalsh(curvature)[0] < CURVED:
-            curvature = np.eye(along.shape[1])
-        return np.asarray(along @ np.linalg.solve(curvature, along.T @ gradient), dtype=float)
+    def curvature(self, v: Array, prices: Array, off: Array) -> Array:
+        """Curvature (np, np) of the edges just off `v`, weighted with their prices (ng,)."""
+        point = _beside(v, off)
+        lengths = self._slopes(point[None])[1][0]
+        paid = np.divide(prices, lengths, out=np.zeros(self.count), where=prices > 0)
+        return np.asarray(self._curvature(point, paid), dtype=float)
 
 
 def _beside(v: Array, off: Array | None) -> Array:
     """Point (np,) of the unit box just off `v`."""
     length = 0.0 if off is None else float(np.linalg.norm(off))
     return v if off is None or length == 0 else np.clip(v + BESIDE_LEVEL * off / length, 0.0, 1.0)
-
-
-def held(normals: Array, push: Array) -> Array:
-    """Prices ≥ 0 (m,) of edges with normals (m, np) against a push (np,).
-
-    The rest, push − prices · normals, is the push's projection on the directions that cross no edge (Moreau).
-    """
-    if not len(normals):
-        return np.zeros(0)
-    lengths = np.maximum(np.linalg.norm(normals, axis=1), TINY)
-    return np.asarray(nnls((normals / lengths[:, None]).T, push)[0] / lengths, dtype=float)
 
 
 def _mapped(function: Callable[[Any], Any], points: Array) -> Array:

@@ -74,8 +74,7 @@ class DesignSpace(Immutable):
         dimensionless = isinstance(self.units, tuple) and not self.units
         units = as_names("units", ("-",) * len(names) if dimensionless else self.units, len(names))
         integer = _whole_numbers(self.integer, names, lower, upper)
-        for key, value in {"names": names, "lower": lower, "upper": upper, "units": units, "integer": integer}.items():
-            object.__setattr__(self, key, value)
+        self._set(names=names, lower=lower, upper=upper, units=units, integer=integer)
         self._compile()
 
     def _compile(self) -> None:
@@ -83,13 +82,13 @@ class DesignSpace(Immutable):
         if self.constraints is None:
             if len(self.constraint_names):
                 raise InputError("constraint_names", shown(self.constraint_names), "none, as there are no constraints")
-            object.__setattr__(self, "constraint_names", ())
+            self._set(constraint_names=())
             return
         if not self.names:
             raise InputError("constraints", shown(self.constraints), "none, as there are no parameters")
         function = compiled(self.constraints, self.names)
-        object.__setattr__(self, "constraints", function)
-        object.__setattr__(self, "constraint_names", constraint_names(self.constraint_names, function.numel_out(0)))
+        self._set(constraints=function)
+        self._set(constraint_names=constraint_names(self.constraint_names, function.numel_out(0)))
         limits = self.allowed.limits
         assert limits is not None
         for place in self.from_unit(limits.not_finite[:1]):
@@ -117,6 +116,11 @@ class DesignSpace(Immutable):
     def dim(self) -> int:
         """Number of design parameters."""
         return len(self.names)
+
+    @property
+    def labels(self) -> list[str]:
+        """Names with units, for axes and headings."""
+        return [name if unit == "-" else f"{name} [{unit}]" for name, unit in zip(self.names, self.units)]
 
     def check(self, p: ArrayLike, *, argument: str = "design") -> Array:
         """`p` as an array (np,) or (n, np) within the bounds, checked."""

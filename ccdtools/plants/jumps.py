@@ -15,7 +15,8 @@ import numpy as np
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.plants.budgets import JUMP_LINES
-from ccdtools.plants.casadi_arrays import Operations, Vectorised
+from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.casadi_operations import Operations
 from ccdtools.plants.symbols import elements
 from ccdtools.plants.tolerances import AT_POINT, JUMP_SIZES, JUMP_WIDTH, NO_JUMP
 from ccdtools_ground.operations import JUMPS

@@ -109,13 +109,12 @@ class LinearModel(Symbolic, DiscreteModel):
     c: Any = None
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        set_(self, "symbols", as_symbols("symbols", self.symbols))
-        set_(self, "c", ca.SX.zeros(ca.SX(self.A).shape[0], 1) if self.c is None else self.c)
+        self._set(symbols=as_symbols("symbols", self.symbols))
+        self._set(c=ca.SX.zeros(ca.SX(self.A).shape[0], 1) if self.c is None else self.c)
         for name in ("A", "B", "E", "c"):
             M = as_expression(name, getattr(self, name))
             check_known(name, M, symbols=self.symbols)
-            set_(self, name, M)
+            self._set(**{name: M})
         nx = self.A.shape[0]
         if self.A.shape != (nx, nx) or nx == 0:
             raise InputError("A", f"shape {self.A.shape}", "a square matrix (nx, nx)")
@@ -124,7 +123,7 @@ class LinearModel(Symbolic, DiscreteModel):
                 raise InputError(name, f"shape {M.shape}", f"{nx} rows, one per state")
         if self.c.shape != (nx, 1):
             raise InputError("c", f"shape {self.c.shape}", f"({nx}, 1), one row per state")
-        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
+        self._set(dt=as_positive("dt", self.dt, unit="s"))
         if self.design is not None:
             as_instance("design", self.design, DesignSpace, "a DesignSpace or None")
         check_finite(self.function, self.design, "the matrices")

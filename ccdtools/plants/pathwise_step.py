@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
@@ -52,26 +53,13 @@ class _Taken(torch.autograd.Function):
         return tensors[0].new_tensor(step.rows(x, tuple(held)) if few else ctx.states[-1].T)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Slopes by x, u, w and p, summed where shared."""
-        return None, *_Slopes.apply(ctx.step, ctx.states, gradient, *ctx.saved_tensors)
-
-
-class _Slopes(torch.autograd.Function):
-    """Slopes of a step, without second derivatives."""
-
-    @staticmethod
-    def forward(ctx: Any, step: Any, states: list[Array], *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Slopes in the shapes of x, u, w and p."""
-        multiplier, x, *held = _arrays(*tensors)
-        found = step.slopes(x, tuple(held), states, multiplier)
-        out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, tensors[1:])]
-        return tuple(tensors[0].new_tensor(part) for part in out)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, ...]:
-        """Raise, as zero would be wrong."""
-        raise RuntimeError("`pathwise` is differentiable once; `advance` of the model has second derivatives")
+        multiplier, x, *held = _arrays(gradient, *ctx.saved_tensors)
+        found = ctx.step.slopes(x, tuple(held), ctx.states, multiplier)
+        out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, ctx.saved_tensors)]
+        return None, *(gradient.new_tensor(part) for part in out)
 
 
 def _arrays(*tensors: Tensor) -> tuple[Array, ...]:

@@ -86,16 +86,14 @@ class Plant(Symbolic):
     z_guess: InitVar[Any] = 0.0
 
     def __post_init__(self, z: Any, algebraic: Any, z_guess: Any) -> None:
-        set_ = object.__setattr__
-        for name in ("x", "u", "w", "p"):
-            set_(self, name, as_symbols(name, getattr(self, name)))
+        self._set(**{name: as_symbols(name, getattr(self, name)) for name in ("x", "u", "w", "p")})
         z = as_symbols("z", z)
         check_distinct(x=self.x, u=self.u, w=self.w, p=self.p, z=z)
         if not z.is_empty() or as_expression("algebraic", algebraic).numel():
             self._substitute(z, algebraic, z_guess)
         if self.nx == 0:
             raise InputError("x", "no state", "at least one")
-        set_(self, "dynamics", as_expression("dynamics", self.dynamics))
+        self._set(dynamics=as_expression("dynamics", self.dynamics))
         if self.dynamics.shape != (self.nx, 1):
             raise InputError("dynamics", f"shape {self.dynamics.shape}", f"({self.nx}, 1), one row per state")
         check_known("dynamics", self.dynamics, x=self.x, u=self.u, w=self.w, p=self.p)
@@ -104,13 +102,12 @@ class Plant(Symbolic):
         if self.p.numel() != self.design.dim:
             names = ", ".join(self.design.names) or "none"
             raise InputError("p", f"{self.p.numel()} symbols", f"{self.design.dim} ({names}), one per design parameter")
-        set_(self, "dt", as_positive("dt", self.dt, unit="s"))
-        set_(self, "continuous", as_flag("continuous", self.continuous))
-        set_(self, "substeps", as_count("substeps", self.substeps))
+        self._set(dt=as_positive("dt", self.dt, unit="s"))
+        self._set(continuous=as_flag("continuous", self.continuous))
+        self._set(substeps=as_count("substeps", self.substeps))
         self._check_outputs()
         named = (("state_names", "x", self.nx), ("input_names", "u", self.nu), ("output_names", "y", self.ny))
-        for name, letter, n in named:
-            set_(self, name, as_names(name, getattr(self, name), n, letter))
+        self._set(**{name: as_names(name, getattr(self, name), n, letter) for name, letter, n in named})
         Vectorised(self.right_hand_side)  # refuses operations that have no array counterpart
 
     def _substitute(self, z: ca.SX, algebraic: Any, guess: Any) -> None:
@@ -127,11 +124,10 @@ class Plant(Symbolic):
         found = solved(g, z, guess)
         for name in ("dynamics", "outputs"):
             stated = as_expression(name, () if getattr(self, name) is None else getattr(self, name))
-            object.__setattr__(self, name, ca.substitute(stated, z, found))
+            self._set(**{name: ca.substitute(stated, z, found)})
 
     def _check_outputs(self) -> None:
         """Raise an `InputError` unless outputs and their limits are valid."""
-        set_ = object.__setattr__
         given = () if self.outputs is None else self.outputs
         none = given.is_empty() if isinstance(given, ca.SX) else isinstance(given, tuple | list) and not given
         y = ca.SX(0, 1) if none else as_expression("outputs", given)
@@ -139,14 +135,14 @@ class Plant(Symbolic):
             raise InputError("outputs", f"shape {y.shape}", "a column of expressions (ny, 1)")
         check_known("outputs", y, x=self.x, u=self.u, p=self.p)
         check_numbers("outputs", y)
-        set_(self, "outputs", y)
+        self._set(outputs=y)
         given = (-np.inf, np.inf) if self.output_limits is None else self.output_limits
         if not isinstance(given, tuple | list) or len(given) != 2:
             raise InputError("output_limits", shown(given), "bounds (lower, upper)")
         low, high = (_bound(f"output_limits, {side}", value, self.ny) for side, value in zip(("lower", "upper"), given))
         if not (low < high).all():
             raise InputError("output_limits", f"{low.tolist()} and {high.tolist()}", "lower < upper")
-        set_(self, "output_limits", (low, high))
+        self._set(output_limits=(low, high))
 
     def __repr__(self) -> str:
         kind = f"continuous, sampled every {self.dt:g} s" if self.continuous else f"discrete, dt = {self.dt:g} s"

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import can_be_compiled
 from ccdtools.plants.collocation import ImplicitStep
-from ccdtools.plants.compiled_step import CompiledStep
+from ccdtools.plants.compiled_step import CompiledStep, can_be_compiled
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.integration_error import IntegrationError
 from ccdtools.plants.linear_model import DiscreteModel
@@ -65,9 +64,9 @@ class SampledModel(Immutable, DiscreteModel):
 
     def __post_init__(self) -> None:
         as_instance("plant", self.plant, Plant, "a Plant")
-        object.__setattr__(self, "dt", as_positive("dt", self.dt, unit="s"))
+        self._set(dt=as_positive("dt", self.dt, unit="s"))
         as_choice("method", self.method, METHODS)
-        object.__setattr__(self, "substeps", as_count("substeps", self.substeps))
+        self._set(substeps=as_count("substeps", self.substeps))
 
     def __repr__(self) -> str:
         parts = f"{self.method}, {self.substeps} parts a sample" if self.plant.continuous else "a discrete plant"

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from ccdtools.exceptions import InputError
-from ccdtools.plants.casadi_arrays import Vectorised, torch_operations
+from ccdtools.plants.casadi_arrays import Vectorised
+from ccdtools.plants.casadi_operations import torch_operations
 from ccdtools_ground.door import shown
 
 

@@ -17,9 +17,9 @@ import numpy as np
 from ccdtools.arrays import jsonable
 from ccdtools.disturbances.disturbance import Recorded
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.plant import Plant
-from ccdtools.plants.symbolic_functions import SymbolicFunction
 from ccdtools.studies.asked_study import asked_study, blamed_on_source_options
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.options import Options

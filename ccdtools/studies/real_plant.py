@@ -58,9 +58,9 @@ class RealPlant(Immutable):
 
     def __post_init__(self) -> None:
         as_instance("real.plant", self.plant, (Plant, SampledModel, BlackBox), "a ccdtools.Plant, or a BlackBox")
-        object.__setattr__(self, "x0", as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
-        object.__setattr__(self, "runs", as_count("real.runs", self.runs))
-        object.__setattr__(self, "steps", as_count("real.steps", self.steps))
+        self._set(x0=as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
+        self._set(runs=as_count("real.runs", self.runs))
+        self._set(steps=as_count("real.steps", self.steps))
         if self.runs * self.steps < MINIMUM_LOG:
             got = f"{self.runs} of {self.steps} steps"
             raise InputError("real.runs", got, f"at least {MINIMUM_LOG} samples to learn the discrepancy from")
@@ -77,7 +77,7 @@ class RealPlant(Immutable):
                 if not isinstance(name, str) or not name.strip() or len(name.splitlines()) > 1:
                     raise InputError("real.held_out", shown(name), "names of one line")
                 check_disturbance(f"real.held_out[{name!r}]", disturbance, self.plant)
-            object.__setattr__(self, "held_out", named)
+            self._set(held_out=named)
 
     @property
     def fresh(self) -> dict[str, Disturbance]:

@@ -156,19 +156,17 @@ class Study(Immutable):
         self._check_kinds()
         check_finite(self.plant)
         check_disturbance("disturbance", self.disturbance, self.plant)
-        object.__setattr__(self, "x0", as_vector("x0", self.x0, self.plant.nx, of="one per state"))
+        self._set(x0=as_vector("x0", self.x0, self.plant.nx, of="one per state"))
         p0 = as_vector("p0", self.p0, self.plant.design.dim, of="one per design parameter")
-        object.__setattr__(self, "p0", self.plant.design.check_feasible(p0, argument="p0"))
+        self._set(p0=self.plant.design.check_feasible(p0, argument="p0"))
         if self.quantile_weight is not None:
-            weight = as_weight("quantile_weight", self.quantile_weight, self.plant.nx)
-            object.__setattr__(self, "quantile_weight", weight)
+            self._set(quantile_weight=as_weight("quantile_weight", self.quantile_weight, self.plant.nx))
         self._check_limits()
         self._check_stabilisable()
         check_disturbance_enters(self.model)
         if self.real is None:
             plant = self.model if isinstance(self.model, SampledModel) else self.plant
-            itself = RealPlant(plant, self.disturbance, self.x0, MODEL_RUNS, max(self.steps, 3))
-            object.__setattr__(self, "real", itself)
+            self._set(real=RealPlant(plant, self.disturbance, self.x0, MODEL_RUNS, max(self.steps, 3)))
         self._check_real(as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
 
     def _check_kinds(self) -> None:
@@ -178,29 +176,25 @@ class Study(Immutable):
                 raise InputError(argument, shown(value), "one line of text")
         as_instance("plant", self.plant, Plant, "a ccdtools.Plant")
         space = self.plant.design
-        object.__setattr__(self, "X", as_limits_over("X", self.X, self.plant.nx, "one per state", space))
-        object.__setattr__(self, "U", as_limits_over("U", self.U, self.plant.nu, "one per input", space))
-        object.__setattr__(self, "steps", as_count("steps", self.steps))
-        objective = as_objective("objective", self.objective).over(self.steps)
-        objective.check(self.plant.nx, self.plant.nu, self.plant.design.dim)
-        object.__setattr__(self, "objective", objective)
-        object.__setattr__(self, "samples", as_count("samples", self.samples))
+        self._set(X=as_limits_over("X", self.X, self.plant.nx, "one per state", space))
+        self._set(U=as_limits_over("U", self.U, self.plant.nu, "one per input", space))
+        self._set(steps=as_count("steps", self.steps))
+        self._set(objective=as_objective("objective", self.objective).over(self.steps))
+        self._set(samples=as_count("samples", self.samples))
         as_choice("sets", self.sets, CHOICES["sets"])
-        object.__setattr__(self, "sets_time_limit", as_positive("sets_time_limit", self.sets_time_limit, unit="s"))
+        self._set(sets_time_limit=as_positive("sets_time_limit", self.sets_time_limit, unit="s"))
         if not isinstance(self.paper_networks, list | tuple):
             raise InputError("paper_networks", shown(self.paper_networks), "the widths of the hidden layers")
-        widths = tuple(as_count("paper_networks", width) for width in self.paper_networks)
-        object.__setattr__(self, "paper_networks", widths)
-
+        self._set(paper_networks=tuple(as_count("paper_networks", width) for width in self.paper_networks))
         RedesignPrice.parse(self.redesign_price)
         accepted_loss(self.accept_loss)
         if self.redesign_cost is not None:
             as_instance("redesign_cost", self.redesign_cost, RedesignCost, "a RedesignCost or None")
             if self.redesign_price != DEFAULT_PRICE:
                 raise InputError("redesign_price", shown(self.redesign_price), "it or redesign_cost, not both")
-        object.__setattr__(self, "limit_tolerance", as_limit_tolerance("limit_tolerance", self.limit_tolerance))
+        self._set(limit_tolerance=as_limit_tolerance("limit_tolerance", self.limit_tolerance))
         as_choice("filter", self.filter, CHOICES["filter"])
-        object.__setattr__(self, "accuracy", as_positive("accuracy", self.accuracy))
+        self._set(accuracy=as_positive("accuracy", self.accuracy))
         as_choice("method", self.method, ("auto", *METHODS))
         metrics = as_metrics(self.metrics)
         if metrics is not None:
@@ -212,18 +206,12 @@ class Study(Immutable):
         as_choice("expert", self.expert, (*EXPERTS, *self.laws))
 
     def _check_limits(self) -> None:
-        """Raise unless X and U hold the origin, and X the start."""
-        for argument, limits in (("X", widest(self.X)), ("U", widest(self.U))):
-            if limits.is_empty:
-                raise InputError(argument, "an empty set", "limits with a point between them")
-            if not limits.contains(np.zeros(limits.dim)):
-                raise InputError(argument, "a set without the origin", "limits around the point that is regulated to")
-        if not widest(self.X).contains(self.x0):
-            raise InputError("x0", f"{self.x0.tolist()}, which is outside X", "a state within X")
+        """Raise unless the problem can be stated, and X holds the start."""
         if self.starts is not None:
             self._check_starts()
         try:
-            self.problem()  # checks dimensions, boundedness, that U is a box, and the sizes of Q and R
+            self.problem()  # checks limits, their dimensions, and the sizes of Q and R
+            FixedStart(self.x0, self.disturbance).check_within(widest(self.X))
         except InputError as error:
             raise InputError(error.argument.removeprefix("scenarios."), error.got, error.expected, error.cure) from None
 

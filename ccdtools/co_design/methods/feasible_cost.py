@@ -6,8 +6,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import SIZE_EVALUATIONS
-from ccdtools.co_design.descent import compressed
-from ccdtools.co_design.methods.design_search import DesignCost
+from ccdtools.co_design.design_search import DesignCost, compressed
 from ccdtools.co_design.tolerances import BETTER_SHARE, DISTANCE_COST, LEAST_TOLERANCE, LOST_COST, VIOLATION_COST
 
 Evaluation = tuple[Array, float, float, float]

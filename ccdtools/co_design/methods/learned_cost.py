@@ -19,8 +19,8 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import POLICY_ITERATIONS
 from ccdtools.co_design.configuration import CoDesignConfig
+from ccdtools.co_design.design_search import DesignCost
 from ccdtools.co_design.differentiable_model import ScenarioTensors, episode_at
-from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.learned import Learned
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import ROUNDS_AT_ONE_DESIGN, ROUNDS_WITHOUT_GAIN
-from ccdtools.co_design.descent import DesignPoint, descend
 from ccdtools.co_design.design_controllers import LQR, DesignLaw
+from ccdtools.co_design.design_search import DesignCost, DesignPoint, descend
 from ccdtools.co_design.differentiable_model import (
     Episode,
     Law,
@@ -27,7 +27,6 @@ from ccdtools.co_design.differentiable_model import (
     to_design,
 )
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
-from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.tolerances import NEGLIGIBLE_GAIN, PRICE_GROWTH, USED_SHARE

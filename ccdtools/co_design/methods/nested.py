@@ -19,8 +19,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import LQR, DesignLaw, mpc_law
+from ccdtools.co_design.design_search import DesignCost, best_design
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
-from ccdtools.co_design.methods.design_search import DesignCost, best_design
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.riccati_cost import RiccatiCost
 from ccdtools.co_design.problem import CoDesignProblem

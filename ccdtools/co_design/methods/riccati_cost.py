@@ -11,7 +11,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.custom_objective import CustomObjective
 from ccdtools.co_design.design_controllers import regulator_data, saturated_lqr
-from ccdtools.co_design.methods.design_search import DesignCost
+from ccdtools.co_design.design_search import DesignCost
 from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.risk import Mean
 from ccdtools.controllers.controllers import Controller

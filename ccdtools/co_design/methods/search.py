@@ -20,9 +20,9 @@ from tqdm import tqdm
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import SIZE_EVALUATIONS
 from ccdtools.co_design.design_controllers import LQR, controller_of, mpc_law
+from ccdtools.co_design.design_search import DesignCost
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_search import DesignCost
 from ccdtools.co_design.methods.feasible_cost import Evaluation, FeasibleCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem

@@ -14,8 +14,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import CONTROL, PASSIVE, controller_of
+from ccdtools.co_design.design_search import best_design
 from ccdtools.co_design.differentiable_model import ScenarioTensors, fewer_runs, scenario_tensors
-from ccdtools.co_design.methods.design_search import best_design
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.methods.simultaneous import Simultaneous
 from ccdtools.co_design.problem import CoDesignProblem

@@ -15,8 +15,8 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import CONTROL, controller_of
-from ccdtools.co_design.landscape import valleys
-from ccdtools.co_design.methods.design_search import OTHERS, start_points
+from ccdtools.co_design.design_search import OTHERS
+from ccdtools.co_design.landscape import start_points, valleys
 from ccdtools.co_design.methods.open_loop import (
     at_the_mean,
     check_open_loop,

@@ -14,7 +14,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import controller_of
-from ccdtools.co_design.methods.design_search import DesignCost
+from ccdtools.co_design.design_search import DesignCost
 from ccdtools.co_design.methods.open_loop import at_the_mean, open_loop_problem, told
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus
 from ccdtools.co_design.risk import MEAN, WorstCase

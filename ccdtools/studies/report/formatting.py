@@ -52,8 +52,3 @@ def design_text(results: Mapping[str, Any], design: Mapping[str, float]) -> str:
     """Text of a design with its units."""
     units = dict(zip(results["design_space"]["names"], results["design_space"]["units"]))
     return ", ".join(f"{name} = {value:.6g} {units[name]}".removesuffix(" -") for name, value in design.items())
-
-
-def axis_label(name: str, unit: str) -> str:
-    """Name with its unit, for an axis or a heading."""
-    return name if unit == "-" else f"{name} [{unit}]"

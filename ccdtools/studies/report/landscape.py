@@ -13,7 +13,6 @@ from ccdtools.evidence.percent import number, share, with_minus
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.scenario import Scenario
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
-from ccdtools.studies.report.formatting import axis_label
 from ccdtools.studies.tolerances import DIVERGED_RUNS
 from mpc import MPCError
 
@@ -40,13 +39,13 @@ def landscape(run: FinishedRun) -> list[ReportFigure]:
     whole = bool(space.whole[shown].any())
     figure = style.blank(8, 4.6, quick=run.quick)
     ax = figure.add_subplot()
-    ax.set_xlabel(axis_label(space.names[shown[0]], space.units[shown[0]]))
+    ax.set_xlabel(space.labels[shown[0]])
     if len(shown) == 1:
         draw_curve(ax, axes[0], mean, interval, fine, whole=whole)
         ax.set_ylabel("return, nominal model")
     else:
         style.draw_map(ax, axes[0], axes[1], mean, fine, label="return of LQR, nominal model", whole=whole)
-        ax.set_ylabel(axis_label(space.names[shown[1]], space.units[shown[1]]))
+        ax.set_ylabel(space.labels[shown[1]])
     ways = [np.vstack([h.design[: k + 1], p]) for h, k, p in zip(run.histories, run.chosen, run.designs[1:])]
     *paths, start = (
         (way[:, shown[0]], way[:, shown[1]] if len(shown) == 2 else np.interp(way[:, shown[0]], axes[0], mean))

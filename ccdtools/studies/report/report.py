@@ -20,7 +20,6 @@ from ccdtools.plants.sampling_guard import sampling_note
 from ccdtools.studies.budgets import SET_SECONDS
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
 from ccdtools.studies.report.formatting import (
-    axis_label,
     capitalised,
     design_text,
     duration,
@@ -195,7 +194,7 @@ def _signal_rows(run: FinishedRun) -> list[tuple[str, float, float]]:
     if limited is not None:
         lower, upper = (np.where(np.isfinite(bound), bound, np.nan) for bound in (limited.lower, limited.upper))
         boxes.append((limited.names, lower, upper))
-    named = [f"design {axis_label(name, unit)}" for name, unit in zip(space.names, space.units)]
+    named = [f"design {name}" for name in space.labels]
     rows = [(name, float(low), float(high)) for box in (*boxes, (named, space.lower, space.upper))
             for name, low, high in zip(*box)]  # fmt: skip
     return [row for row in rows if np.isfinite(row[1:]).any()]

@@ -12,7 +12,7 @@ from ccdtools.arrays import Array, Indices
 from ccdtools.evidence.percent import share, signed_percent
 from ccdtools.studies.names import SOURCES
 from ccdtools.studies.report.finished_run import FinishedRun, ReportFigure
-from ccdtools.studies.report.formatting import axis_label, generation_name, place
+from ccdtools.studies.report.formatting import generation_name, place
 from ccdtools.studies.report.gains import gain_percent
 from ccdtools.studies.report.summary import COST, Change, in_first_place
 from ccdtools.studies.report.verdicts import percent_of_reference
@@ -82,7 +82,7 @@ def history(run: FinishedRun) -> list[ReportFigure]:
         style.whole_ticks(grid[-1, g], 5)
     grid[0, 0].set_ylabel("return")
     for ax, i in zip(grid[1:, 0], designed):
-        ax.set_ylabel(axis_label(space.names[i], space.units[i]))
+        ax.set_ylabel(space.labels[i])
     caption = (
         "Return (mean and one standard deviation over the evaluation runs) and design at every evaluation of the "
         "co-designs; the star marks the design that was deployed, dashed lines are the bounds of the design. "

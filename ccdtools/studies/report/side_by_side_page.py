@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from ccdtools import figure_style as style
 from ccdtools.evidence.percent import number, percent_interval
-from ccdtools.studies.report.method_page import page_of
+from ccdtools.pages import page_of, paragraphs, picture_of
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.studies.side_by_side import START, SideBySide
 from ccdtools.studies.side_by_side_run import Trial
@@ -40,10 +39,10 @@ def write_side_by_side(
     image = style.png(plot_side_by_side(study, found, trials, quick=quick))
     folder.write_bytes("side_by_side.png", image)
     folder.write_text("gains.csv", csv_text([dict(zip(tables[0].head, line)) for line in changes]))
-    body = "".join(f"<p>{escape(line)}</p>" for line in designs)
-    body += "".join(f"<div>{table.html}</div><br>" for table in tables)
-    page = folder.write_text("report.html", page_of(study.title, body, image, "Designs, and changes in every use"))
-    return "\n\n".join("\n".join(lines) for lines in (designs, *(table.aligned() for table in tables))), page
+    shown = "".join(f"<div>{table.html}</div><br>" for table in tables)
+    body = paragraphs(designs) + shown + picture_of(image, "Designs, and changes in every use")
+    page = folder.write_text("report.html", page_of(study.title, body))
+    return "\n\n".join(["\n".join(designs), *map(str, tables)]), page
 
 
 def plot_side_by_side(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.figure_style import Figure
 from ccdtools.scenario import Scenario
+from ccdtools.studies.report.finished_run import ReportFigure
 from ccdtools.studies.reproduce.paper_figures import FIRST, SECOND, SETS_AT, SIGNALS, STARTS
 from ccdtools.studies.reproduce.places import COMMON, STRETCHES
 from ccdtools.studies.stage_storage import Stage
@@ -28,34 +28,26 @@ PAPERS = "#7F7F7F"  # colour of what the paper prints
 SHOWN = 150  # samples of the logged errors that are drawn
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """Figure with its name and what it shows."""
-
-    name: str
-    caption: str
-    figure: Figure
-
-
-def drawn_figures(loops: dict[str, list[Task]], presets: dict[str, list[Task]], *, quick: bool) -> list[Drawn]:
+def drawn_figures(loops: dict[str, list[Task]], presets: dict[str, list[Task]], *, quick: bool) -> list[ReportFigure]:
     """Every figure, from the tasks of both case studies."""
     one, other = loops["illustrative"], loops["suspension"]
     with style.styled():
-        return [
-            Drawn("sets", "X_fea(p) of the illustrative example (figure Xfea).", _sets(one[0], quick)),
-            Drawn("first", "First co-designs of every seed: by default (colours), by the preset paper (grey), and the "
-                  "paper's design (dotted).", _courses(loops, presets, FIRST, "first", quick)),
-            Drawn("policy", "Mean of the policy at the paper's p₁ and at our design (figure policy1_numerical), with "
-                  "X_fea.", _policy(one[0], quick)),
-            Drawn("trajectories", "States before and after the first co-design, 95 % of the runs.",
-                  _before_and_after([one[0], other[0]], quick)),
-            Drawn("quantiles", "One-step errors and learned quantiles at the end of the first deployment.",
-                  _quantiles([one[0], other[0]], quick)),
-            Drawn("second", "Second co-designs of every seed, and the paper's design (dotted).",
-                  _courses(loops, {}, SECOND, "second", quick)),
-            Drawn("starts", "Deployed generations from the three named starts on the real plant, on one typical "
-                  "stretch of road (figure susp_traj_trial); σ_ss is of the shaded half.", _starts(other[0], quick)),
-        ]  # fmt: skip
+        drawn = {
+            "sets": ("X_fea(p) of the illustrative example (figure Xfea).", _sets(one[0], quick)),
+            "first": ("First co-designs of every seed: by default (colours), by the preset paper (grey), and the "
+                      "paper's design (dotted).", _courses(loops, presets, FIRST, "first", quick)),
+            "policy": ("Mean of the policy at the paper's p₁ and at our design (figure policy1_numerical), with "
+                       "X_fea.", _policy(one[0], quick)),
+            "trajectories": ("States before and after the first co-design, 95 % of the runs.",
+                             _before_and_after([one[0], other[0]], quick)),
+            "quantiles": ("One-step errors and learned quantiles at the end of the first deployment.",
+                          _quantiles([one[0], other[0]], quick)),
+            "second": ("Second co-designs of every seed, and the paper's design (dotted).",
+                       _courses(loops, {}, SECOND, "second", quick)),
+            "starts": ("Deployed generations from the three named starts on the real plant, on one typical stretch of "
+                       "road (figure susp_traj_trial); σ_ss is of the shaded half.", _starts(other[0], quick)),
+        }  # fmt: skip
+    return [ReportFigure(name, name.capitalize(), *found) for name, found in drawn.items()]
 
 
 def _law(stage: Stage, design: Array) -> Controller:

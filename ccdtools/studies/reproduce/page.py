@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ccdtools import figure_style as style
-from ccdtools.studies.report.method_page import LOOK
+from ccdtools.pages import page_of, paragraphs, picture_of
+from ccdtools.studies.report.finished_run import ReportFigure
 from ccdtools.studies.reproduce.budget import CASES, EPOCHS, Budget
-from ccdtools.studies.reproduce.figures import Drawn, drawn_figures
+from ccdtools.studies.reproduce.figures import drawn_figures
 from ccdtools.studies.reproduce.places import SIGMA_WINDOW
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools.table import Table, csv_text
@@ -42,28 +42,24 @@ def written(rows: Sequence[Mapping[str, Any]], tasks: Sequence[Task], folder: Ru
     return folder.write_text("paper.html", page(rows, [(one, _kept(one, folder)) for one in figures], budget))
 
 
-def _kept(figure: Drawn, folder: RunFolder) -> bytes:
+def _kept(figure: ReportFigure, folder: RunFolder) -> bytes:
     image = style.png(figure.figure)
     folder.write_bytes(f"figures/{figure.name}.png", image)
     return image
 
 
-def page(rows: Sequence[Mapping[str, Any]], figures: Sequence[tuple[Drawn, bytes]], budget: Budget) -> str:
+def page(rows: Sequence[Mapping[str, Any]], figures: Sequence[tuple[ReportFigure, bytes]], budget: Budget) -> str:
     """HTML of the tables and figures."""
     tables = "".join(
         f"<h2>{escape(case.capitalize())}</h2><div>{table_of([r for r in rows if r['case'] == case]).html}</div>"
         for case in CASES
     )
     images = "".join(
-        f"<h3 id='{one.name}'>{one.name}</h3><p>{escape(one.caption)}</p>"
-        f"<img alt='{escape(one.caption)}' src='data:image/png;base64,{base64.b64encode(image).decode('ascii')}'>"
+        f"<h3 id='{one.name}'>{one.title}</h3><p>{escape(one.caption)}</p>{picture_of(image, one.caption)}"
         for one, image in figures
     )
-    notes = "".join(f"<p>{escape(note)}</p>" for note in notes_of(budget))
-    return (
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Beside the paper</title>"
-        f"<style>{LOOK}</style></head><body><h1>Both case studies beside the paper</h1>{notes}{tables}<h2>Figures</h2>"
-        f"{images}</body></html>"
+    return page_of(
+        "Both case studies beside the paper", f"{paragraphs(notes_of(budget))}{tables}<h2>Figures</h2>{images}"
     )
 
 

@@ -12,7 +12,7 @@ from ccdtools.arrays import Array
 from ccdtools.comparison.seeds import mean_over_seeds
 from ccdtools.evidence.evidence import Asked, Evidence
 from ccdtools.evidence.percent import number, with_minus
-from ccdtools.evidence.verdict import Status, decide
+from ccdtools.evidence.verdict import Status, Verdict, decide
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.statistics import PairedDifference
 from ccdtools.studies.reproduce.budget import CASES, Budget
@@ -43,18 +43,6 @@ class Cell:
         ends = f" [{number(self.low, 4)}, {number(self.high, 4)}]" if self.high > self.low else ""
         std = f", std {number(self.std, 3)}" if self.std > 0 else ""
         return with_minus(number(self.mean, 4) + ends + std) + (f"; {self.at}" if self.at else "")
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Status of one law beside another, and its gain in per cent."""
-
-    status: Status
-    percent: str
-
-    def word(self, otherwise: str) -> str:
-        """Better, worse or more lost, or another word where none is shown, with the gain."""
-        return f"{WORDS.get(self.status, otherwise)}: {self.percent}"
 
 
 @dataclass(frozen=True)
@@ -89,8 +77,8 @@ class Found:
         told = (self._where(key), f"{lost.mean():.2%} of the runs lost" if lost.any() else "")
         return Cell(found.mean, *found.ci95, spread, "; ".join(filter(None, told)))
 
-    def beside(self, key: str, other: str, *, fresh: bool, lower: bool) -> Judged | None:
-        """Status and gain of one key beside another, or None."""
+    def beside(self, key: str, other: str, *, fresh: bool, lower: bool) -> Verdict | None:
+        """Verdict on one key beside another, or None."""
         one, two = self.values(key), self.values(other)
         if one is None or two is None:
             return None
@@ -167,7 +155,7 @@ def _row(line: Line, found: Found, note: str) -> dict[str, Any]:
         former = found.beside(f"{line.key}.ours", f"{line.place}-1.ours", fresh=True, lower=False)
         assert former is not None
         deployed = f"{sum(found.decisions)} of {len(found.decisions)} redesigns deployed"
-        said += f"; {former.word('equal within chance')} beside generation 1; {deployed}"
+        said += f"; {said_of(former, 'equal within chance')} beside generation 1; {deployed}"
     return {
         "case": line.case, "row": line.says, "paper": str(line.printed), "place": line.printed.place, "LQR": str(lqr),
         "our policy there": str(policy), "ours": str(ours), "optimum": str(optimum), "verdict": said + note,
@@ -187,9 +175,9 @@ def verdict(line: Line, found: Found, ours: Cell, optimum: Cell) -> str:
         beside = found.beside(f"{line.key}.ours", f"{line.base}.lqr", fresh=line.fresh, lower=line.lower)
         if beside is None:
             return "no figure to compare"
-        return f"no figure; {beside.word('equal within chance')} beside LQR at the paper's design"
+        return f"no figure; {said_of(beside, 'equal within chance')} beside LQR at the paper's design"
     paper = Cell(printed.mean, printed.mean - printed.half_width, printed.mean + printed.half_width)
-    word = apart(ours, paper, lower=line.lower).word("reproduced within chance")
+    word = said_of(apart(ours, paper, lower=line.lower), "reproduced within chance")
     if not np.isfinite(optimum.mean) or apart(paper, optimum, lower=line.lower).status is not Status.BETTER:
         return word
     return _out_of_reach(line, optimum, word)
@@ -206,8 +194,8 @@ def _out_of_reach(line: Line, optimum: Cell, word: str) -> str:
     return f"{word}; linear prediction of the road leaves {best} at the paper's design"
 
 
-def apart(one: Cell, other: Cell, *, lower: bool) -> Judged:
-    """Status and gain of one mean beside another of other runs."""
+def apart(one: Cell, other: Cell, *, lower: bool) -> Verdict:
+    """Verdict on one mean beside another of other runs."""
     sign = -1 if lower else 1
     away = np.nan_to_num([one.mean - one.low, one.high - one.mean, other.high - other.mean])
     below, above = np.hypot(away[:2], away[2])[::sign]
@@ -215,10 +203,15 @@ def apart(one: Cell, other: Cell, *, lower: bool) -> Judged:
     return judged(PairedDifference(gain, (gain - below, gain + above)), one.mean, other.mean)
 
 
-def judged(gain: PairedDifference, one: float, other: float, *, lost: tuple[int, int] = (0, 0)) -> Judged:
-    """Status and gain by the decision rule for deployments."""
+def judged(gain: PairedDifference, one: float, other: float, *, lost: tuple[int, int] = (0, 0)) -> Verdict:
+    """Verdict by the decision rule for deployments."""
     evidence = Evidence("ours", "other", "these runs", Asked.GAIN, gain, (one, other), abs(other), 1, "seeds", lost)
-    return Judged(decide([evidence]).status, evidence.percent)
+    return decide([evidence])
+
+
+def said_of(verdict: Verdict, otherwise: str) -> str:
+    """Word on a verdict, or another where nothing is shown, and the gain."""
+    return f"{WORDS.get(verdict.status, otherwise)}: {verdict.percent}"
 
 
 def _of_sets(line: Line, found: Found) -> str:

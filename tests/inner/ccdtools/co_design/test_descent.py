@@ -7,8 +7,8 @@ from scipy.optimize import minimize
 from small_plants import mass
 
 import ccdtools as cc
-from ccdtools.co_design.descent import descend
 from ccdtools.co_design.design_controllers import DesignLaw
+from ccdtools.co_design.design_search import descend
 from ccdtools.co_design.methods.loop_cost import LoopCost
 
 

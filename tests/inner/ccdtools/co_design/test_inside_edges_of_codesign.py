@@ -22,14 +22,14 @@ from ccdtools.co_design import expert_loops
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent
 from ccdtools.co_design.closed_loop import ClosedLoopReturns
-from ccdtools.co_design.descent import DesignPoint, _Watched, descend
 from ccdtools.co_design.design_gradients import Differences, Slope
+from ccdtools.co_design.design_search import DesignPoint, _Watched, confirmed, descend
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.expert import _leaving
 from ccdtools.co_design.expert_loops import set_filter
 from ccdtools.co_design.feasible import FeasibleSlope
 from ccdtools.co_design.idle_entries import acting_together
-from ccdtools.co_design.landscape import _same_hill
+from ccdtools.co_design.landscape import _same_hill, start_points
 from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import unavoidable_depth
 from ccdtools.co_design.limits import BY_MPC, LimitsOutcome, Pair, Tolerance
@@ -37,7 +37,6 @@ from ccdtools.co_design.lqr_regions import LQRRegions
 from ccdtools.co_design.method_comparison import MethodComparison
 from ccdtools.co_design.method_pairs import MethodRow
 from ccdtools.co_design.method_plots import _returns
-from ccdtools.co_design.methods.design_search import confirmed, start_points
 from ccdtools.co_design.methods.feasible_cost import FeasibleCost
 from ccdtools.co_design.methods.learned import start_designs
 from ccdtools.co_design.methods.loop_cost import LoopCost, _settled as rounds_settled
@@ -412,7 +411,7 @@ def test_searches_follow_one_another_while_they_gain_a_ten_millionth(monkeypatch
         begun.append(first)
         value(np.array([0.5 + 0.1 * len(begun)]))
 
-    monkeypatch.setattr("ccdtools.co_design.descent.minimize", search)
+    monkeypatch.setattr("ccdtools.co_design.design_search.minimize", search)
     space = DesignSpace(["p"], [0], [1])
     descend(lambda v: (2 - 20 * gain * v[0], lambda: ONE), space, np.array([0.5]), size=2.0, evaluations=9)
     assert len(begun) == searches

@@ -9,11 +9,10 @@ from small_plants import mass
 
 import ccdtools as cc
 import mpc
-from ccdtools.co_design.descent import DesignPoint
 from ccdtools.co_design.design_controllers import LQR
+from ccdtools.co_design.design_search import DesignCost, DesignPoint, best_design, confirmed, status_of
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.co_design.limits import StateLimitPenalty
-from ccdtools.co_design.methods.design_search import DesignCost, best_design, confirmed, status_of
 from ccdtools.co_design.methods.learned_cost import LearnedCost
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.result import CoDesignStatus

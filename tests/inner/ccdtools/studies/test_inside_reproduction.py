@@ -9,7 +9,7 @@ from ccdtools.studies.reproduce.dynamic_program import optimal_return, viable
 from ccdtools.studies.reproduce.lines import Line, lines_of
 from ccdtools.studies.reproduce.paper_figures import PAPER
 from ccdtools.studies.reproduce.places import best_of, floors, steady
-from ccdtools.studies.reproduce.rows import Cell, Found, apart, verdict
+from ccdtools.studies.reproduce.rows import Cell, Found, apart, said_of, verdict
 from ccdtools.trajectory import Trajectory
 
 A = np.array([[0.8, 0.5], [0.5, 0.6]])
@@ -114,8 +114,8 @@ def test_the_verdict_is_that_of_the_decision_rule(ours, optimum, word):
 
 def test_less_is_better_where_it_is():
     few, many = Cell(1.0, 0.9, 1.1), Cell(2.0, 1.9, 2.1)
-    assert apart(few, many, lower=True).word("") == "better: +50 % [+43, +57]"
-    assert apart(few, many, lower=False).word("").startswith("worse")
+    assert said_of(apart(few, many, lower=True), "") == "better: +50 % [+43, +57]"
+    assert said_of(apart(few, many, lower=False), "").startswith("worse")
 
 
 def test_laws_on_the_same_runs_are_compared_in_pairs():
@@ -124,7 +124,7 @@ def test_laws_on_the_same_runs_are_compared_in_pairs():
     seeds = tuple({"free-1.ours": common + gain, "free-1.lqr": common} for gain in (0.9, 1.0, 1.1))
     found = Found(seeds, {}, (), NOTHING.space)
     gain = found.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False)
-    assert gain.word("equal").startswith("better: +2.1 %")
+    assert said_of(gain, "equal").startswith("better: +2.1 %")
     assert found.beside("free-1.ours", "nowhere", fresh=True, lower=False) is None
 
 
@@ -139,10 +139,12 @@ def test_a_law_that_loses_more_runs_is_not_better_by_the_others():
         return Found(seeds, {}, (), NOTHING.space)
 
     found = beside(ours, base)
-    assert found.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False).word("equal").startswith("loses more")
+    gain = found.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False)
+    assert said_of(gain, "equal").startswith("loses more")
     assert found.cell("free-1.ours", fresh=True).at == "66.67% of the runs lost"
     nowhere = beside(ours, base * np.nan)
-    assert nowhere.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False).word("equal") == "equal: n/a"
+    gain = nowhere.beside("free-1.ours", "free-1.lqr", fresh=True, lower=False)
+    assert said_of(gain, "equal") == "equal: n/a"
 
 
 def test_every_figure_of_the_paper_has_its_row():
