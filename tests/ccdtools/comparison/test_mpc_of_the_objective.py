@@ -71,5 +71,5 @@ def test_limits_of_states_are_kept():
 
 
 def test_another_cost_is_named():
-    with pytest.raises(InputError, match="cost.*weights"):
+    with pytest.raises(InputError, match=r"cost: .* weights"):
         nonlinear_mpc(wells(), GAIN, cost="economic")

@@ -19,7 +19,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )
-from ccdtools.co_design.loops import lqr_is_expert, loops_of
+from ccdtools.co_design.loops import loops_of, lqr_is_expert
 from ccdtools.co_design.result import CoDesignStatus
 from ccdtools.co_design.settling import Settling
 
