@@ -54,6 +54,16 @@ class AllowedDesigns:
         """Entries that are neither fixed nor whole numbers, (np,) of bool."""
         return self._moving & ~self.whole
 
+    def sides(self, v: Array) -> Array:
+        """Bounds that the entries of a point (np,) stand at: -1 lower, 1 upper, 0 none or fixed.
+
+        Those of whole numbers are the outermost of them.
+        """
+        ends = ((end - self.lower) / self.width for end in whole_bounds(self.lower, self.upper))
+        lower, upper = (np.where(self.whole, end, bound) for end, bound in zip(ends, (0.0, 1.0)))
+        slack = ON_BOUND * self.whole
+        return np.where(self._moving, (v >= upper - slack) * 1.0 - (v <= lower + slack), 0.0)
+
     @property
     def _moving(self) -> Any:
         """Entries that are not fixed, (np,) of bool."""

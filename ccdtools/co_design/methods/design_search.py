@@ -72,11 +72,13 @@ class DesignCost(ABC):
     def differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
         """Slopes (count, np) of values (count,), central or one-sided at a bound."""
         slopes = np.zeros((count, len(v)))
-        for i in np.flatnonzero(self.problem.design.allowed.free):
+        allowed = self.problem.design.allowed
+        side = allowed.sides(v)
+        for i in np.flatnonzero(allowed.free | (allowed.whole & (side != 0))):
             ends = []
-            for side in (COST_STEP, -COST_STEP):
+            for move in (0.0, -side[i] / allowed.width[i]) if allowed.whole[i] else (COST_STEP, -COST_STEP):
                 at = v.copy()
-                at[i] = np.clip(v[i] + side, 0.0, 1.0)
+                at[i] = np.clip(v[i] + move, 0.0, 1.0)
                 ends.append((at[i], values(at)))
             (high, above), (low, below) = ends
             slopes[:, i] = (above - below) / (high - low)
@@ -212,14 +214,15 @@ def active_set_at(
 
     A price is by how much the return would rise per unit of a bound or constraint; the slope along the directions that
     are left is per unit-box length, NaN where the slope is unknown. Active limits of the closed loop are constraints,
-    too: by name, the slopes (np,) of their violations.
+    too: by name, the slopes (np,) of their violations. A whole number is held where it is, but for a bound that the
+    return rises across.
     """
     if not np.isfinite(slope).all():
         return {}, float("nan")
-    free = space.allowed.free
+    side = space.allowed.sides(v)
+    free = space.allowed.free | (space.allowed.whole & (side * slope < 0))
     push = np.where(free, -slope, 0.0)
-    eye = np.eye(len(v))
-    at = free & ((v <= 0) | (v >= 1))
+    at = free & (side != 0)
     edges = [np.asarray(normal) for normal in violations.values()]
     named = [(name, 1.0) for name in violations]
     if space.allowed.limits is not None:
@@ -230,7 +233,7 @@ def active_set_at(
         for k in np.flatnonzero(distances <= ON_EDGE):
             edges.append(normals[k])
             named.append((space.constraint_names[int(k)], steepness[k] if steepness[k] > 0 else np.inf))
-    edges += [eye[i] if v[i] >= 1 else -eye[i] for i in np.flatnonzero(at)]
+    edges += list(np.diag(side)[at])
     named += [(space.names[i], space.allowed.width[i]) for i in map(int, np.flatnonzero(at))]
     normals = np.reshape(edges, (-1, len(v))) * free
     paid = held(normals, push)
