@@ -55,9 +55,9 @@ class AllowedDesigns:
         return self._moving & ~self.whole
 
     def sides(self, v: Array) -> Array:
-        """Bounds that the entries of a point (np,) stand at: -1 lower, 1 upper, 0 none or fixed.
+        """Side of the bound that each entry stands at.
 
-        Those of whole numbers are the outermost of them.
+        -1 lower, 1 upper, 0 none or fixed, at a point (np,). Bounds of whole numbers are the outermost of them.
         """
         ends = ((end - self.lower) / self.width for end in whole_bounds(self.lower, self.upper))
         lower, upper = (np.where(self.whole, end, bound) for end, bound in zip(ends, (0.0, 1.0)))

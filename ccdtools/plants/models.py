@@ -78,7 +78,7 @@ def as_regulated_model(argument: str, value: Any) -> Model:
 
 
 def check_at_rest(argument: str, model: Any, names: Sequence[str], slack: Array | float = 0.0) -> None:
-    """Raise an `InputError` unless a nonlinear model rests at 0 at every design, but for `slack` (nx,) a sample."""
+    """Raise an `InputError` unless a model rests at 0 within `slack` (nx,)."""
     for p in sample_designs(model.design):
         A, B, _ = model.matrices(p)
         moved = np.abs(model.undisturbed(p)(np.zeros(model.nx), np.zeros(model.nu)))

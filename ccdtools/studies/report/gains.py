@@ -18,9 +18,9 @@ WORDS = {
 
 
 def gain_percent(place: Values, source: str) -> tuple[float, float | None, float | None] | None:
-    """Gain and its interval in per cent of what control costs LQR at the start design.
+    """Gain and its interval in per cent.
 
-    None where there is none.
+    Of what control costs LQR at the start design; None where there is none.
 
     Parameters
     ----------
