@@ -109,11 +109,13 @@ class DesignCost(ABC):
     def differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
         """Slopes (count, np) of values (count,), central or one-sided at a bound."""
         slopes = np.zeros((count, len(v)))
-        for i in np.flatnonzero(self.problem.design.allowed.free):
+        allowed = self.problem.design.allowed
+        side = allowed.sides(v)
+        for i in np.flatnonzero(allowed.free | (allowed.whole & (side != 0))):
             ends = []
-            for side in (COST_STEP, -COST_STEP):
+            for move in (0.0, -side[i] / allowed.width[i]) if allowed.whole[i] else (COST_STEP, -COST_STEP):
                 at = v.copy()
-                at[i] = np.clip(v[i] + side, 0.0, 1.0)
+                at[i] = np.clip(v[i] + move, 0.0, 1.0)
                 ends.append((at[i], values(at)))
             (high, above), (low, below) = ends
             slopes[:, i] = (above - below) / (high - low)
@@ -249,15 +251,17 @@ def active_set_at(
 
     A price is by how much the return would rise per unit of a bound or constraint; the slope along the directions that
     are left is per unit-box length, NaN where the slope is unknown. Active limits of the closed loop are constraints,
-    too: by name, the slopes (np,) of their violations.
+    too: by name, the slopes (np,) of their violations. A whole number is held where it is, but for a bound that the
+    return rises across.
     """
     if not np.isfinite(slope).all():
         return {}, float("nan")
     allowed = space.allowed
-    further, constraints, bounds, rest = allowed.prices(v, -slope, allowed.free, tuple(violations.values()))
+    free = allowed.free | (allowed.whole & (allowed.sides(v) * slope < 0))
+    further, constraints, bounds, rest = allowed.prices(v, -slope, free, tuple(violations.values()))
     prices = dict(zip(violations, further))
     if allowed.limits is not None:
-        steepness = allowed.limits.steepness(v, allowed.free)
+        steepness = allowed.limits.steepness(v, free)
         per_unit = np.divide(constraints, steepness, out=np.zeros(len(constraints)), where=steepness > 0)
         prices |= zip(space.constraint_names, per_unit)
     prices |= zip(space.names, np.abs(bounds) / allowed.width)

@@ -15,10 +15,10 @@ import torch
 from scipy.optimize import linprog
 from torch import Tensor
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Mask
 from ccdtools.co_design.design_gradients import Differences, Slope
 from ccdtools.co_design.tolerances import ACTIVE, PULL, SIGNIFICANT, SLOPE_AHEAD
-from ccdtools.plants.allowed_designs import held
+from ccdtools.plants.allowed_designs import AllowedDesigns, held
 from ccdtools.plants.design_constraints import UnitConstraints
 from ccdtools.plants.design_space import DesignSpace
 
@@ -101,13 +101,14 @@ class FeasibleSlope(Slope):
     edges_error: Array  # (k,)
 
     @classmethod
-    def within(cls, by_run: Array, point: Array, limits: UnitConstraints, free: Any) -> FeasibleSlope:
-        """Slope from every run's slopes (n, np) at a point."""
+    def within(cls, by_run: Array, point: Array, allowed: AllowedDesigns, moving: Mask) -> FeasibleSlope:
+        """Slope from every run's slopes (n, np) of the entries that move or are held by a bound, at a point."""
+        limits, side = allowed.limits, allowed.sides(point)
+        assert limits is not None
         b = by_run.mean(axis=0)
-        far = best_step(limits, point, b, free)
+        far = best_step(limits, point, b, allowed.free)
         outward, distances = limits.edges(point)
-        eye = np.eye(len(point))
-        normals = np.vstack([outward[distances <= ACTIVE], -eye[free & (point <= 0)], eye[free & (point >= 1)]]) * free
+        normals = np.vstack([outward[distances <= ACTIVE], np.diag(side)[moving & (side != 0)]]) * moving
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
         prices = held(normals, b)
         holding = normals[prices > 0]
@@ -129,14 +130,20 @@ class FeasibleSlope(Slope):
 
 
 def measured_slope(differences: Differences, v: Tensor, region: DesignRegion) -> Slope:
-    """Slope at a unit-box point, where the region has room."""
-    by_run = region.masked(differences.about(v, differences.step(v)))
-    limits = region.space.allowed.limits
-    if limits is None:
-        return Slope.of(by_run, v)
-    point = v.double().numpy()
+    """Slope at a unit-box point, where the region has room.
+
+    Whole numbers have none: their slope counts where it points across a bound.
+    """
+    by_run = differences.about(v, differences.step(v))
+    allowed = region.space.allowed
+    point = allowed.rounded(v.double().numpy())
+    side = allowed.sides(point)
+    moving = region.free | (side * by_run.mean(0).numpy() > 0)
+    by_run = by_run * torch.as_tensor(moving)
+    if allowed.limits is None:
+        return Slope.of(by_run, torch.as_tensor(np.where(side == 0, point, (side + 1) / 2)))
     found = region.nearest(point)
-    return FeasibleSlope.within(by_run.numpy(), point if found is None else found, limits, region.free)
+    return FeasibleSlope.within(by_run.numpy(), point if found is None else found, allowed, moving)
 
 
 def best_step(limits: UnitConstraints, point: Array, slope: Array, free: Any) -> Array:

@@ -23,7 +23,7 @@ from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import as_regulated_model, check_at_rest
 from ccdtools.plants.simulated_model import SimulatedModel
-from ccdtools.plants.tolerances import FEASIBLE
+from ccdtools.plants.tolerances import ACCURACY, FEASIBLE
 from ccdtools.tolerances import DIVERGENCE
 from ccdtools_ground.door import (
     as_count,
@@ -94,7 +94,8 @@ class CoDesignProblem(Immutable):
     Parameters
     ----------
     model : LinearModel, SampledModel or BlackBox
-        x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design.
+        x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design. A
+        simulator may move there by 1e-6 half-widths of X a sample.
         LQR, MPC and sets are then those of its linearisation there. The slopes of a simulator are differences, with
         steps of a thousandth of X, U and the box of designs, and twice that.
     X, U : Polytope, bounds (lower, upper), or function of p
@@ -240,7 +241,7 @@ class CoDesignProblem(Immutable):
         w = w if w.shape == (box.nw,) else np.zeros(box.nw)  # what is wrong with it is said later
         extent = np.r_[self.state_scale, np.max(np.abs(self.input_bounds), axis=0), w + (w == 0)]
         model = SimulatedModel(box, extent)
-        check_at_rest("model", model, as_names("state_names", (), box.nx, "x"))
+        check_at_rest("model", model, as_names("state_names", (), box.nx, "x"), ACCURACY * self.state_scale)
         return model
 
     def _drawn(self) -> tuple[Array, Array]:

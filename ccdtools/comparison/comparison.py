@@ -204,7 +204,7 @@ def compare(
     ----------
     controllers : mapping of name to controller
         Functions of the state, see `ccdtools.controllers.controllers`, or models with the ``predict`` of
-        Stable-Baselines3 or scikit-learn.
+        Stable-Baselines3 or scikit-learn, in the plant's units: of an agent of a `DesignEnv` its ``controller``.
     scenario : Scenario
     design : (np,) array_like
         Required when the plant has design parameters.

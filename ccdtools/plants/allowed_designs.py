@@ -55,6 +55,16 @@ class AllowedDesigns:
         """Entries that are neither fixed nor whole numbers, (np,) of bool."""
         return self._moving & ~self.whole
 
+    def sides(self, v: Array) -> Array:
+        """Side of the bound that each entry stands at.
+
+        -1 lower, 1 upper, 0 none or fixed, at a point (np,). Bounds of whole numbers are the outermost of them.
+        """
+        ends = ((end - self.lower) / self.width for end in whole_bounds(self.lower, self.upper))
+        lower, upper = (np.where(self.whole, end, bound) for end, bound in zip(ends, (0.0, 1.0)))
+        slack = ON_BOUND * self.whole
+        return np.where(self._moving, (v >= upper - slack) * 1.0 - (v <= lower + slack), 0.0)
+
     @property
     def _moving(self) -> Any:
         """Entries that are not fixed, (np,) of bool."""
@@ -237,10 +247,10 @@ class AllowedDesigns:
             of the push.
         """
         constraints = (np.zeros((0, len(u))), np.zeros(0)) if self.limits is None else self.limits.edges(u, push)
-        eye = np.eye(len(u))
+        eye, side = np.eye(len(u)), self.sides(u)
         parts = [np.reshape(further, (-1, len(u))), constraints[0], -eye, eye]
         normals = np.vstack(parts)
-        at = np.r_[np.full(len(further), True), constraints[1] <= ON_EDGE, free & (u <= 0.0), free & (u >= 1.0)]
+        at = np.r_[np.full(len(further), True), constraints[1] <= ON_EDGE, free & (side < 0), free & (side > 0)]
         paid = np.zeros(len(at))
         paid[at] = held(normals[at][:, free], push[free])
         others, own, low, high = np.split(paid, np.cumsum([len(part) for part in parts])[:-1])

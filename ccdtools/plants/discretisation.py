@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -59,8 +60,8 @@ def discretise(
         Of a nonlinear plant: largest error of a sample, relative to half the range of each state in X.
     X, U, W : Polytope, or bounds (lower, upper), optional
         Of a nonlinear plant: where the accuracy is asked for. U and W are 0 by default. Each bound is a number for all
-        coordinates, or one number each. X and U of a problem or study that depend on the design (`problem.X`) are taken
-        at every design as they are there; of a function of p the widest bounds over the box of designs.
+        coordinates, or one number each. X and U that depend on the design, functions of p or those of a problem or
+        study (`problem.X`), are taken at every design as they are there.
     sampling_guard : {"warn", "ignore"}
         Whether a `SamplingWarning` says that some design has an oscillation near or beyond half the sampling rate.
     compiled : bool
@@ -139,11 +140,8 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
         if U is not None or W is not None:
             raise InputError("X", "nothing, beside limits of u or w", "limits of the states too")
         return None
-    boxes = [
-        _box("X", _over_designs("X", X, plant), plant.nx),
-        _box("U", _over_designs("U", U, plant), plant.nu),
-        _box("W", W, plant.nw),
-    ]
+    X, U = (_of_design(name, value, plant) for name, value in (("X", X), ("U", U)))
+    boxes = [_box("X", X, plant.nx), _box("U", U, plant.nu), _box("W", W, plant.nw)]
     of_design = tuple(value if _narrows(value) else None for value in (X, U))
     region = Region.of(*boxes, (plant.design.lower, plant.design.upper), of_design=of_design)  # type: ignore[arg-type]
     flat = np.flatnonzero(region.extent <= 0)
@@ -152,14 +150,27 @@ def _region(plant: Plant, X: Any, U: Any, W: Any) -> Region | None:
     return region
 
 
-def _over_designs(name: str, value: Any, plant: Plant) -> Any:
-    """Widest bounds of a function of p; others as given."""
+@dataclass(frozen=True, eq=False)
+class _OfDesign:
+    """Bounds of a function of p, as numbers."""
+
+    function: Callable[[Array], Any]
+    box: tuple[Array, Array]  # the widest that were seen over the box of designs
+
+    def bounds(self, p: Array) -> tuple[Array, Array]:
+        """Bounds (m, n) or (m, 1) at designs (m, np)."""
+        pairs = [[np.asarray(ca.DM(end), dtype=float).ravel() for end in self.function(design)] for design in p]
+        lower, upper = zip(*pairs, strict=True)
+        return np.stack(lower), np.stack(upper)
+
+
+def _of_design(name: str, value: Any, plant: Plant) -> Any:
+    """Bounds at each design of a function of p; others as given."""
     if not callable(value) or isinstance(value, type):
         return value
     try:
-        pairs = [[np.asarray(ca.DM(end), dtype=float).ravel() for end in value(p)] for p in plant.design.spread()]
-        lower, upper = ([pair[side] for pair in pairs] for side in (0, 1))
-        return np.min(lower, axis=0), np.max(upper, axis=0)
+        lower, upper = _OfDesign(value, (np.empty(0), np.empty(0))).bounds(plant.design.spread())
+        return _OfDesign(value, (lower.min(axis=0), upper.max(axis=0)))
     except (TypeError, ValueError, IndexError, AttributeError, NotImplementedError) as error:
         expected = "a function of p that returns (lower, upper)"
         raise InputError(name, f"a function that fails: {error}", expected) from error
@@ -169,10 +180,7 @@ def _box(name: str, value: Any, size: int) -> tuple[Array, Array]:
     """Bounds (size,) of a set; zeros where there is none."""
     if value is None or size == 0:
         return np.zeros(size), np.zeros(size)
-    if _narrows(value):
-        lower, upper = value.box
-        return np.asarray(lower), np.asarray(upper)
-    limits = as_set(value, name, size)
+    limits = as_set(value.box if _narrows(value) else value, name, size)
     if limits.is_empty or not np.isfinite(np.concatenate(limits.bounding_box())).all():
         raise InputError(name, "an empty or unbounded set", "a bounded one with at least one point")
     return limits.bounding_box()

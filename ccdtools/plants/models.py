@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from ccdtools.arrays import Array
 from ccdtools.exceptions import InputError
 from ccdtools.plants.budgets import COMPILED_FROM
 from ccdtools.plants.design_space import DesignSpace, sample_designs
@@ -76,13 +77,13 @@ def as_regulated_model(argument: str, value: Any) -> Model:
     return model
 
 
-def check_at_rest(argument: str, model: Any, names: Sequence[str]) -> None:
-    """Raise an `InputError` unless a nonlinear model rests at 0 at every design."""
+def check_at_rest(argument: str, model: Any, names: Sequence[str], slack: Array | float = 0.0) -> None:
+    """Raise an `InputError` unless a model rests at 0 within `slack` (nx,)."""
     for p in sample_designs(model.design):
         A, B, _ = model.matrices(p)
         moved = np.abs(model.undisturbed(p)(np.zeros(model.nx), np.zeros(model.nu)))
         size = np.maximum(np.abs(A).sum(axis=1), np.abs(B).sum(axis=1))
-        if not (moved <= MODEL_AT_REST * np.maximum(size, np.finfo(float).tiny)).all():
+        if not (moved <= slack + MODEL_AT_REST * np.maximum(size, np.finfo(float).tiny)).all():
             i = int(np.argmax(moved))
             where = f"{names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
             got = f"a plant that does not rest at x = 0, u = 0: {where}"

@@ -177,8 +177,8 @@ def of_normal(
 
     A redesign now is worth its mean gain over all that it serves, less its cost. After k more deployments the mean will
     be normal about today's, and is acted upon if it pays in the time that is left: the preposterior worth of k logs, of
-    which the best k counts. A worth below half a per cent of the cost of a redesign is not worth a log. `allowed` says
-    whether a redesign may be built today.
+    which the best k counts. Logs have to be worth half a per cent of the cost of a redesign more than what else there
+    is. `allowed` says whether a redesign may be built today.
 
     References
     ----------
@@ -197,7 +197,9 @@ def of_normal(
         worths[RedesignAction.REDESIGN] = scale * mean - terms.cost
     if len(logs):
         worths[RedesignAction.LOG] = float(logged[most])
-    best, other, *_ = [*sorted(worths, key=lambda action: worths[action], reverse=True), RedesignAction.STOP]
+    hurdle = {RedesignAction.LOG: NOT_WORSE * terms.cost}
+    ranked = sorted(worths, key=lambda action: worths[action] - hurdle.get(action, 0.0), reverse=True)
+    best, other, *_ = [*ranked, RedesignAction.STOP]
     ahead = int(logs[most]) if best is RedesignAction.LOG else 0
     return RedesignDecision(best, worths[best], other, worths[other], interval, ahead, terms.unit)
 
@@ -211,4 +213,4 @@ def _preposterior(mean: float, error: float, noise: float, terms: RedesignCost, 
     with np.errstate(divide="ignore", invalid="ignore"):
         beyond = np.nan_to_num(excess / spread, posinf=np.inf, neginf=-np.inf)
     worth: Array = excess * stats.norm.cdf(beyond) + spread * stats.norm.pdf(beyond)
-    return worth - terms.logging * logs - NOT_WORSE * terms.cost
+    return worth - terms.logging * logs

@@ -25,7 +25,7 @@ from mpc.optimal_control.estimation.information import Information
 from mpc.optimal_control.estimation.parameter_estimate import in_words
 from mpc.tolerances import NEGLIGIBLE, TOLD
 
-NOISE = ("variance of w", "variance of the sensors")  # logarithms of the factors by which they differ
+NOISE = ("log factor of the variance of w", "log factor of the variance of the sensors")
 
 
 class FitStatus(Outcome):

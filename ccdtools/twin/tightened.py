@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import SET_SECONDS
 from ccdtools.co_design.closed_loop import ONLINE_RUNS, ClosedLoopReturns, closed_loop_returns
 from ccdtools.co_design.design_controllers import HORIZON, linear_mpc
@@ -42,6 +43,8 @@ class RobustMPC:
         found in time, and of quantiles, the terminal set of `controller`, which is a part of both.
     nominal, tightened : ClosedLoopReturns
         Returns and violations of MPC without and with W, on the same scenarios of the problem.
+    planned : float
+        Share of the starts of these scenarios that have a plan, which is where the guarantee holds from.
     """
 
     controller: LinearMPC
@@ -51,6 +54,7 @@ class RobustMPC:
     robust_set: SetResult
     nominal: ClosedLoopReturns
     tightened: ClosedLoopReturns
+    planned: float
 
     @property
     def price(self) -> PairedDifference:
@@ -66,8 +70,7 @@ class RobustMPC:
         """
         if isinstance(self.W, Polytope):
             return self.robust_set.set.volume / self.nominal_set.set.volume
-        drawn = self.nominal_set.set.sample(ONLINE_RUNS, rng=np.random.default_rng(0))
-        return float(np.mean([plan.status is Solved.SOLVED for plan in self.controller.solve_many(drawn)]))
+        return _planned(self.controller, self.nominal_set.set.sample(ONLINE_RUNS, rng=np.random.default_rng(0)))
 
     def __str__(self) -> str:
         """Price, violations and volume in a sentence."""
@@ -78,7 +81,8 @@ class RobustMPC:
         return (
             f"{self.level:.4g} {kept} at a return of {self.price.mean:.4g} "
             f"[{low:.4g}, {high:.4g}] less; states outside X: {self.tightened.outside:.3%}, without "
-            f"{self.nominal.outside:.3%}; volume left of X_fea{so_far}: {self.volume_left:.1%}"
+            f"{self.nominal.outside:.3%}; volume left of X_fea{so_far}: {self.volume_left:.1%}; "
+            f"starts that have a plan: {self.planned:.1%}"
         )
 
     def __repr__(self) -> str:
@@ -106,7 +110,7 @@ def robust_mpc(
     level : float
         Share of the errors to allow for, or probability of each limit, in (0, 1).
     horizon : int
-        [steps]
+        [steps]; longer where starts have no plan, which is to reach the terminal set.
     runs : int, optional
         As in `closed_loop_returns`.
     errors : {"set", "quantiles", "normal"}
@@ -152,4 +156,11 @@ def robust_mpc(
         closed_loop_returns(problem, controller, p, np.random.default_rng(seed), runs=runs)
         for controller in controllers
     ]
-    return RobustMPC(controllers[1], W, level, sets[0], sets[1], returns[0], returns[1])
+    starts = problem.scenarios.sample(len(returns[1].values), problem.steps, np.random.default_rng(seed))[0]
+    planned = _planned(controllers[1], starts)
+    return RobustMPC(controllers[1], W, level, sets[0], sets[1], returns[0], returns[1], planned)
+
+
+def _planned(controller: LinearMPC, states: Array) -> float:
+    """Share of states (n, nx) that have a plan."""
+    return float(np.mean([plan.status is Solved.SOLVED for plan in controller.solve_many(states)]))

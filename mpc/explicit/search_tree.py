@@ -86,13 +86,13 @@ def build_tree(
     are computed, so that the work grows little faster than the number of regions.
     """
     scan = is_scan(method)
-    deadline = time.perf_counter() + as_seconds("tree_time_limit", time_limit)
+    seconds = as_seconds("tree_time_limit", time_limit)
     n = len(partition.centre)
     every = np.arange(len(partition), dtype=np.int64)
     nodes = np.array([[-1, 0, len(partition)]], dtype=np.int64)
     tree = SearchTree(np.zeros((0, n + 1)), nodes, every, np.zeros((0, n + 1)), np.zeros(n), TreeStatus.SEQUENTIAL)
     if not scan:
-        planes, nodes, leaf, status = _grow(partition, laws, points, deadline)
+        planes, nodes, leaf, status = _grow(partition, laws, points, seconds)
         tree = replace(
             tree, planes=planes, nodes=nodes, leaf_regions=_largest_first(nodes, leaf, points), status=status
         )
@@ -169,7 +169,7 @@ def region_points(partition: Partition) -> RegionPoints:
 
 
 def _grow(
-    partition: Partition, laws: Ints, points: RegionPoints, deadline: float
+    partition: Partition, laws: Ints, points: RegionPoints, seconds: float
 ) -> tuple[Array, Ints, Ints, TreeStatus]:
     """Planes, nodes, leaf regions and status of a grown tree."""
     from mpc.explicit.kernels.growth import LEAF, NEXT, NODES, POOL, Growth, Regions, grow
@@ -187,8 +187,10 @@ def _grow(
     growth.inside[:count] = [(1 << int(size)) - 1 for size in np.diff(points.starts)]
     bucket = 1 if count <= 2000 else 8
     status = TreeStatus.COMPLETE
+    deadline = np.inf
     while True:
         full = grow(regions, growth, bucket, TESTS_AT_ONCE)
+        deadline = min(deadline, time.perf_counter() + seconds)  # the first of all is compiled, which does not count
         if growth.counts[NEXT] == growth.counts[NODES]:
             break
         if full:

@@ -18,9 +18,9 @@ WORDS = {
 
 
 def gain_percent(place: Values, source: str) -> tuple[float, float | None, float | None] | None:
-    """Gain and its interval in per cent of LQR's return at the start design.
+    """Gain and its interval in per cent.
 
-    None where there is none.
+    Of what control costs LQR at the start design; None where there is none.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def held_out_phrase(results: Values) -> str:
 
 def console_lines(results: Values) -> list[str]:
     """Lines of plain text with the gains by source, one per place."""
-    lines = ["gain in return, in % of LQR at the start design, by source [95 % interval]"]
+    lines = ["gain in return, in % of what control costs LQR at the start design, by source [95 % interval]"]
     for heading, place in zip(gain_headings(results), results["gains"], strict=True):
         parts = [f"{source} {gain_text(place, source)}" for source in (*SOURCES[1:], "total")]
         lines.append(f"  {heading}: {'; '.join(parts)}")

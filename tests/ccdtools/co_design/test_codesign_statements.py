@@ -230,3 +230,21 @@ def test_whole_numbers_of_odd_ranges_are_held_by_trajectories(bounds):
     for number in range(1, 7):
         found = codesigned(problem, cc.Nested("trajectory", runs=1, starts=1, evaluations=3), design=[number, 1.0])
         assert found.design[0] == number
+
+
+@pytest.mark.parametrize("method", [cc.Nested(runs=32), cc.Nested("mpc", runs=4, horizon=5)], ids=lambda one: one.name)
+def test_a_whole_number_at_a_bound_that_the_return_rises_across_holds_the_design(method):
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    space = cc.DesignSpace(["k", "turns"], [0.5, 1.3], [4.0, 4.9], integer=["turns"])
+    plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], -p[0] * x[0] - x[1] + (1 + 0.01 * p[1]) * u + w), space, dt=0.1)
+    given = replace(mass(), model=cc.discretise(plant), steps=20)
+    prices = {2: lambda n: 9 * n, 3: lambda n: 9 * (n - 3) ** 2, 4: lambda n: -9 * n}
+    for number, price in prices.items():
+        objective = cc.QuadraticObjective(
+            np.eye(2), [[0.1]], design_cost=lambda p, price=price: 9 * (p[0] - 1.5) ** 2 + price(p[1])
+        )
+        found = codesigned(replace(given, objective=objective), method)
+        assert found.design[1] == number
+        held = number != 3
+        assert found.status.name == ("AT_BOUND" if held else "CONVERGED")
+        assert found.multipliers.get("turns", 0.0) == pytest.approx(9.0 if held else 0.0, abs=0.5)

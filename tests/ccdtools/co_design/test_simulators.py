@@ -190,6 +190,21 @@ def test_noise_of_a_simulator_is_a_thousand_times_as_large_in_a_slope():
     assert 1e-11 < np.abs((found - exact) * scale / scale[:, None]).max() < 1e-8
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_a_simulator_may_rest_to_a_millionth_of_the_limits_in_any_unit(unit):
+    def problem(drift):
+        box = BlackBox(lambda x, u, w, p: 0.9 * x + 0.1 * unit * u / p + drift * unit, nx=1, nu=1, dt=0.1,
+                       design=DesignSpace(["p"], [0.5], [2.0]))  # fmt: skip
+        return CoDesignProblem(
+            box, X=(-2 * unit, 2 * unit), U=(-1, 1), steps=5, scenarios=FixedStart([unit], Gaussian([])),
+            objective=QuadraticObjective([[unit**-2]], [[0.1]]),
+        )  # fmt: skip
+
+    assert problem(1e-6).model.nx == 1
+    with pytest.raises(InputError, match="does not rest at x = 0, u = 0: x1 moves by"):
+        problem(1e-5)
+
+
 def test_a_length_is_designed_in_an_environment_of_gymnasium():
     gymnasium = pytest.importorskip("gymnasium")
 

@@ -33,6 +33,15 @@ def test_accuracy_is_asked_for_in_the_room_that_each_design_has():
     assert again.substeps <= 16
 
 
+def test_a_function_of_the_design_and_the_limits_of_a_study_are_the_same_room():
+    own = study(lambda p: (-0.5 * p[0], 0.5 * p[0]))
+    limits = {"U": lambda p: (-0.1, 0.1), "W": ([-0.05], [0.05])}
+    given = cc.discretise(own.plant, X=lambda p: (-0.5 * p[0], 0.5 * p[0]), **limits)
+    again = cc.discretise(own.plant, X=own.X, **limits)
+    assert given.substeps == again.substeps
+    assert given.error.relative == pytest.approx(again.error.relative)
+
+
 @pytest.mark.check
 def test_the_same_room_for_all_designs_holds_the_singular_points():
     with pytest.raises(cc.InputError, match="accuracy"):

@@ -81,8 +81,8 @@ def test_a_weak_or_strong_actuator_is_found_with_its_sign_where_smoothed_states_
         "w1 by x2",
         "w1 by u1",
         "w1 by constant",
-        "variance of w",
-        "variance of the sensors",
+        "log factor of the variance of w",
+        "log factor of the variance of the sensors",
     )
     assert fit.status.name == "SOLVED"
     away = (fit.values - [0, 0, gain - 1, push, 0, 0]) / fit.deviations
@@ -227,7 +227,7 @@ def test_noise_that_differs_from_what_is_stated_is_fitted():
     problem = stated()
     log = logged(stated(noise=0.1), spring(0.7))
     fit = fit_outputs(problem, log)
-    assert fit.names[-2:] == ("variance of w", "variance of the sensors")
+    assert fit.names[-2:] == ("log factor of the variance of w", "log factor of the variance of the sensors")
     assert fit.innovation_variance == pytest.approx(1, abs=0.02)
     assert fit.values[-1] == pytest.approx(np.log(4), abs=3.5 * fit.deviations[-1])
     assert (np.abs(fit.values[:4] - [0, 0, -0.3, 0]) < 3.5 * fit.deviations[:4]).all()

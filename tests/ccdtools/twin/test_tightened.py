@@ -297,3 +297,23 @@ def test_a_small_sample_of_the_benchmark_finds_no_violation(capsys):
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[4] == "0; 0"
     assert cells[7] == "0"
+
+
+def test_a_start_without_a_plan_is_told_and_has_one_over_a_longer_horizon():
+    # 1 m at 0.1 m/s and 0.1 s a sample takes a hundred samples
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("m")
+    space = DesignSpace(["m"], [0.5], [2.0])
+    plant = Plant(x, u, w, p, ca.vertcat(x[1], (u + w) / p), space, dt=0.1)
+    far = CoDesignProblem(
+        discretise(plant), X=([-0.1, -0.1], [1.1, 0.1]), U=(-1, 1), objective=QuadraticObjective(np.eye(2), [[0.1]]),
+        scenarios=FixedStart([1.0, 0.0], Gaussian([0.02])), steps=40,
+    )  # fmt: skip
+    w = Gaussian([0.02]).sample(20, 40, np.random.default_rng(0))
+    log = deploy(plant, linear_mpc(far, [1.0]), [1.0], w, x0=[1.0, 0.0])
+    short, long = (
+        robust_mpc(far, [1.0], log, rng=np.random.default_rng(0), level=0.9, runs=4, horizon=steps)
+        for steps in (20, 150)
+    )
+    assert "starts that have a plan: 0.0%" in str(short)
+    assert (short.planned, long.planned) == (0.0, 1.0)
+    assert long.controller.solve([1.0, 0.0]).status is Status.SOLVED

@@ -1,11 +1,14 @@
 """What test_point_location.py claims, seen from inside."""
 
+import time
+
 import numpy as np
 import pytest
 from partitions import stacked_integrators
 
 from mpc import ExplicitMPC, solve_mpqp
 from mpc.explicit import search_tree
+from mpc.explicit.kernels import growth
 from mpc.explicit.search_tree import TreeStatus
 
 
@@ -52,3 +55,17 @@ def test_limits_of_the_whole_way_are_passed_on():
     assert law.tree.status is TreeStatus.SEQUENTIAL
     assert "method='tree'" in law.tree.status.advice
     assert mpc.explicit(tree_time_limit=1e-9).tree.status is TreeStatus.TIME_LIMIT
+
+
+def test_compiling_does_not_count_as_time_of_the_tree(partition, monkeypatch):
+    grown, calls = growth.grow, []
+
+    def compiled_first(*given):
+        time.sleep(0.0 if calls else 1.0)
+        calls.append(given)
+        return grown(*given)
+
+    monkeypatch.setattr(growth, "grow", compiled_first)
+    law = ExplicitMPC.from_partition(partition, tree_time_limit=0.9)
+    assert len(calls) > 1
+    assert law.tree.status is TreeStatus.COMPLETE

@@ -83,7 +83,7 @@ def slope_at(name, design, b, error=0.0, free=None):
     noise = np.random.default_rng(0).normal(size=(400, space.dim))
     by_run = np.asarray(b) + error * (noise - noise.mean(axis=0))
     free = space.allowed.free if free is None else free
-    return FeasibleSlope.within(by_run, space.to_unit(design), space.allowed.limits, free)
+    return FeasibleSlope.within(by_run, space.to_unit(design), space.allowed, free)
 
 
 def test_a_slope_straight_across_an_active_constraint_promises_nothing_and_names_it():

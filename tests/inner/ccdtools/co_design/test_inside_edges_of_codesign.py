@@ -119,7 +119,7 @@ def test_the_slopes_to_both_sides_of_an_optimum_agree_within_a_tenth(slope, gap,
 def test_a_slope_ends_at_a_constraint_within_a_thousandth_of_the_box(away, edges):
     by_run = np.array([[1.0, 0.1], [1.0, 0.1]])
     free = np.array([True, True])
-    found = FeasibleSlope.within(by_run, np.array([0.5 - away, 0.5]), HALF.allowed.limits, free)
+    found = FeasibleSlope.within(by_run, np.array([0.5 - away, 0.5]), HALF.allowed, free)
     assert len(found.edges) == edges
 
 

@@ -38,6 +38,20 @@ def test_a_bound_is_named_only_where_the_return_rises_across_it(mass_and_clone):
     assert not nothing.rises_across_bounds(0.0)
 
 
+@pytest.mark.parametrize("constraints", [None, lambda p: p[0] - 99.0], ids=["a box", "constraints"])
+def test_a_whole_number_is_held_by_a_bound_that_the_return_rises_across_alone(mass_and_clone, constraints):
+    problem, agent = mass_and_clone
+    space = replace(problem.design, integer=problem.design.names, constraints=constraints)
+    whole = replace(problem, model=problem.model.within(space))
+    objective = problem.objective
+    scenarios = scenario_tensors(problem, 64, np.random.default_rng(0))
+    for one, rises in ((whole, False), (replace(whole, objective=Reversed(objective.Q, objective.R)), True)):
+        region = DesignRegion(space, np.array([1.0]))
+        slope = measured_slope(Differences(one, agent, scenarios), torch.tensor([1.0]), region)
+        assert not slope.promises(1e-6)
+        assert slope.rises_across_bounds(0.01) == rises
+
+
 class Reversed(QuadraticObjective):
     """What costs becomes a gain, and the other way round."""
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ccdtools import FixedStart, Gaussian, LinearFeedback, QuadraticObjective, Scenario, compare, discretise
-from ccdtools.studies.report.gains import gain_percent
+from ccdtools.studies.report.gains import console_lines, gain_percent
 from ccdtools.studies.report.headline import _cost
 from ccdtools.studies.report.verdicts import percent_of_reference, verdict
 
@@ -47,3 +47,12 @@ def test_a_score_knows_what_its_returns_hold_for_the_design(illustrative):
         design=[2.0], objective=objective, X=illustrative.X,
     )  # fmt: skip
     assert score.design_cost == pytest.approx(14.0)
+
+
+def test_the_gains_say_what_their_per_cent_are_of():
+    gain = {"mean": 1.0, "ci95": [0.5, 1.5]}
+    sources = dict.fromkeys(("design", "policy", "updates", "redesign", "total"), gain)
+    place = {"place": "real plant", "runs": 9, "steps": 5, "left_out": 0.0, "start": -20.0, "design_cost": 10.0}
+    first, second = console_lines({"gains": [place | sources]})
+    assert "of what control costs LQR at the start design" in first
+    assert "total +10 %" in second
