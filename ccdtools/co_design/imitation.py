@@ -12,7 +12,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.design_controllers import long_mpc, own_cost, saturated_lqr
-from ccdtools.co_design.loops import Law, Loops, loops_of
+from ccdtools.co_design.loops import Law, loops_of
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -40,47 +40,53 @@ def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generato
 
 def planned_start(
     problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True,
-    shares: Sequence[float] = (0.0, 0.5, 0.75), runs: int = 16,
+    shares: Sequence[float] = (0.5, 0.75), runs: int = 16,
 ) -> ActorCritic:  # fmt: skip
     """Agent that imitates the best expert, in loops that both drive.
 
-    A policy that only saw the expert's own loops does not know what to do after its own errors. In each round it
-    drives the given share of the samples itself, drawn by chance, and the expert, who goes on from there, says what it
-    would do in all of them.
+    A policy that only saw the expert's own loops does not know what to do after its own errors. So in rounds at the
+    design it drives the given shares of the samples itself, drawn by chance, and the expert, who goes on from there,
+    says what it would do in all of them.
 
     Parameters
     ----------
     all_over : bool
-        Whether the loops are at three other designs in each round, too.
+        Whether the expert's own loops are at three other designs, too.
     shares : sequence of float
-        Of the samples that the policy drives, a round each; none in the first.
+        Of the samples that the policy drives, a round each.
     runs : int
-        Of every round, over all designs.
+        Of the expert alone; half as many in every round.
 
     References
     ----------
     Ross, Gordon, Bagnell, "A reduction of imitation learning and structured prediction to no-regret online learning",
     AISTATS 2011 (DAgger, whose expert drives a part of the samples, too).
     """
-    others = 3 * all_over
-    each = -(-runs // (1 + others))
-    expert = EXPERTS[best_expert(problem, design, rng, runs=each)]
+    drawn = problem.design.latin_hypercube(3, rng) if all_over else np.empty((0, problem.design.dim))
+    designs = [design, *map(problem.design.project, drawn)]
+    expert = EXPERTS[best_expert(problem, design, rng)]
     data: list[tuple[Array, Array, Array]] = []
-    agents: list[ActorCritic] = []
-    sharp = CloningConfig(steps=4 * CloningConfig.steps)  # near its bounds MPC switches
+    for p in designs:
+        with suppress(MPCError, InputError):
+            data.append(_shared(problem, expert(problem, p), None, p, 0.0, -(-runs // len(designs)), rng))
+    agents = [_imitating_all(problem, data, rng)]
     for share in shares:
-        drawn = problem.design.latin_hypercube(others, rng) if others else ()
-        designs = [design, *map(problem.design.project, drawn)]
-        for p in designs:
-            with suppress(MPCError, InputError):
-                driver = LearnedPolicy(agents[-1], p) if agents else None
-                loops = _shared(problem, expert(problem, p), driver, p, share, each, rng)
-                states, inputs, values = loops.samples()
-                seen = np.hstack([states, np.tile(p, (len(states), 1))])
-                data.append((seen, inputs, values if driver is None else np.full(len(values), np.nan)))
-        seen, inputs, values = (np.concatenate(part) for part in zip(*data))
-        agents.append(imitating(problem, seen, inputs, values, rng, config=sharp))
-    return max(agents, key=lambda agent: _worth(problem, agent, designs, rng))
+        driver = LearnedPolicy(agents[-1], design)
+        data.append(_shared(problem, expert(problem, design), driver, design, share, runs // 2, rng))
+        agents.append(_imitating_all(problem, data, rng))
+    returns = [
+        closed_loop_returns(problem, LearnedPolicy(agent, design), design, copy.deepcopy(rng), runs=64).summary.mean
+        for agent in agents
+    ]
+    return agents[int(np.argmax(returns))]
+
+
+def _imitating_all(
+    problem: CoDesignProblem, data: list[tuple[Array, Array, Array]], rng: np.random.Generator
+) -> ActorCritic:
+    """Agent that imitates the samples of all rounds, longer than one of LQR: near its bounds MPC switches."""
+    seen, inputs, values = (np.concatenate(part) for part in zip(*data))
+    return imitating(problem, seen, inputs, values, rng, config=CloningConfig(steps=4 * CloningConfig.steps))
 
 
 def imitating(
@@ -95,18 +101,14 @@ def imitating(
 
 def _shared(
     problem: CoDesignProblem, law: Law, driver: Law | None, p: Array, share: float, runs: int, rng: np.random.Generator
-) -> Loops:
-    """Loops of a law of which a driver takes a share of the samples."""
+) -> tuple[Array, Array, Array]:
+    """Observations, inputs and values of a law, of whose samples a driver takes a share; then values are unknown."""
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
 
     def applied(x: Array, u: Array) -> Array:
         """Inputs of the one or the other, run by run."""
         return u if driver is None else np.where(rng.random((len(x), 1)) < share, driver(x), u)
 
-    return loops_of(problem, law, p, x0, w, applied)
-
-
-def _worth(problem: CoDesignProblem, agent: ActorCritic, designs: list[Array], rng: np.random.Generator) -> float:
-    """Mean return of an agent over designs, on common runs."""
-    loops = (closed_loop_returns(problem, LearnedPolicy(agent, p), p, copy.deepcopy(rng), runs=64) for p in designs)
-    return float(np.mean([loop.summary.mean for loop in loops]))
+    states, inputs, values = loops_of(problem, law, p, x0, w, applied).samples()
+    seen = np.hstack([states, np.tile(p, (len(states), 1))])
+    return seen, inputs, values if driver is None else np.full(len(values), np.nan)
