@@ -25,13 +25,14 @@ class Missed(NamedTuple):
     cost: Array
 
 
-def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
+def mesh_errors(phase: PhaseSolution, p: Array, multipliers: dict[str, Array]) -> Missed:
     """Errors of a phase's dynamics and cost over each interval.
 
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
-    quadrature. Zero for discrete dynamics; infinite where the dynamics are not finite between the points.
+    quadrature; by collocation also limits that are passed between the points, by their multipliers. Zero for discrete
+    dynamics; infinite where the dynamics are not finite between the points.
 
     References
     ----------
@@ -44,13 +45,16 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
     size = np.maximum(largest, NEGLIGIBLE * moved)
-    found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
+    if isinstance(scheme, Collocation):
+        found = _by_residual(phase, scheme, p, multipliers)
+    else:
+        found = _by_finer_steps(phase, scheme, p)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
     return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost)))
 
 
-def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
+def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array, multipliers: dict[str, Array]) -> Missed:
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
@@ -68,7 +72,24 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
         states, inputs = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
         counted = evaluated(cost, part.phase, states, inputs, places, p).reshape(N, -1) @ scheme.matrix[-1]
         of_cost = of_cost + phase.weight * (fine - counted)
+    passed = np.maximum(_beyond(phase, p, k + at), 0.0).reshape(-1, N, len(tau))
+    prices = _prices(phase, multipliers)
+    of_limits = np.einsum("t,tj,kjm,mkt->k", weights, np.maximum(basis, 0.0), prices, passed, optimize=True)
+    of_cost = np.abs(of_cost) + of_limits
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
+
+
+def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
+    """Multipliers (N, points, m) of the limits, a unit of time, without sign: path, then bounded states."""
+    part, m = phase.part, len(phase.part.functions.path_names)
+    N, points = part.shares.shape
+    path = np.zeros((N, points, m))
+    shared = int(part.scheme.continuous_inputs)
+    path[:, shared:] = multipliers["rows"][part.path].reshape(N, points - shared, m)
+    if shared:
+        path[1:, 0] = path[:-1, -1]
+    states = np.stack(part.unknowns(multipliers["bounds"])[2]).transpose(2, 0, 1)[:, :, _bounded(phase)]
+    return np.asarray(np.abs(np.concatenate([path, states], axis=2)) / (phase.duration * part.shares[:, :, None]))
 
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:

@@ -18,7 +18,7 @@ from mpc.optimal_control.interval import Layout, at_points, coordinates
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 from mpc.optimal_control.pieces import Numbers, Piece, piece_function
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.schemes import Scheme
+from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.tolerances import COST_ROUNDING, NEGLIGIBLE, VIOLATION_PRICE
 
 
@@ -70,6 +70,17 @@ class PhasePart:
         before = len(self.free) - self.phase.free_duration
         start = self.start + sum(free[i] for i in range(before))
         return start, free[before] if self.phase.free_duration else self.phase.duration[0]
+
+    @property
+    def shares(self) -> Array:
+        """Parts (N, points) of the phase that the points with path limits stand for in an integral."""
+        lengths, scheme = np.diff(self.mesh)[:, None], self.scheme
+        if self.phase.discrete or not isinstance(scheme, Collocation):
+            return lengths
+        shares = np.asarray(lengths * scheme.matrix[-1])
+        if scheme.points[0] == 0:  # a node belongs to both its intervals
+            shares[:-1, -1] += shares[1:, 0]
+        return shares
 
     @cached_property
     def coordinates(self) -> tuple[Numbers, Array]:

@@ -225,7 +225,7 @@ class _Assembly:
         data = np.vstack([part.mesh[:-1], np.diff(part.mesh), signals])
         self._piece(values, places, rows, part.interval, factors=factors, data=data)
         if part.functions.path is not None:
-            every, shares = np.arange(len(part.functions.path_names)), _shares(part)
+            every, shares = np.arange(len(part.functions.path_names)), part.shares
             kept = shares[:, layout.points[0] == 0 :] if shares.shape[1] > 1 else shares
             self._soften(part, part.path, every, kept.ravel(), target, weight)
 
@@ -241,7 +241,7 @@ class _Assembly:
             node = part.last - layout.node
             inputs = node - layout.nu + np.arange(layout.nu)
         else:
-            fraction, share = 0.0, _shares(part)[0, 0] if layout.points[0] == 0 else 0.0
+            fraction, share = 0.0, part.shares[0, 0] if layout.points[0] == 0 else 0.0
             node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
             if not layout.node_inputs:
@@ -345,17 +345,6 @@ class _Assembly:
             self._piece(lambda p, data: [function(p) for function in stated], {"p": self.p}, targets, *stated)
 
 
-def _shares(part: PhasePart) -> Array:
-    """Parts (N, points) of a phase that the points with path limits stand for in an integral."""
-    lengths, scheme = np.diff(part.mesh)[:, None], part.scheme
-    if part.phase.discrete or not isinstance(scheme, Collocation):
-        return lengths
-    shares = np.asarray(lengths * scheme.matrix[-1])
-    if scheme.points[0] == 0:  # a node belongs to both its intervals
-        shares[:-1, -1] += shares[1:, 0]
-    return shares
-
-
 def _numbers(rows: slice) -> Numbers:
     """Numbers of constraints in [f; g]."""
     return 1 + np.arange(rows.start, rows.stop)
@@ -365,7 +354,8 @@ def _as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> l
     """Mesh fractions of every phase."""
     count = len(problem.phases)
     if meshes is None:
-        each = [intervals] * count if np.ndim(intervals) == 0 else list(intervals)
+        several = getattr(intervals, "ndim", hasattr(intervals, "__len__"))
+        each = list(intervals) if several else [intervals] * count
         if len(each) != count:
             raise InputError("intervals", f"{len(each)} numbers", f"{count}, one a phase")
         meshes = [np.linspace(0, 1, as_count("intervals", n) + 1) for n in each]

@@ -58,6 +58,13 @@ def test_a_bad_phase_is_refused_where_it_is_stated(change, argument, got):
     assert got in str(caught.value)
 
 
+@pytest.mark.parametrize("intervals", [[np.ones(2), np.ones(3)], [np.ones(2, dtype=int)], [2.0], np.array(4.0), "ab"])
+def test_intervals_that_are_no_whole_numbers_are_refused_by_name(intervals):
+    with pytest.raises(InputError, match=r"^intervals: got .* expected") as caught:
+        build(Phase(**GOOD), intervals=intervals)
+    assert caught.value.argument == "intervals"
+
+
 def test_an_integrator_that_stops_at_the_guess_is_told_in_words():
     away = Phase(lambda x, u: ca.vertcat(x[1], 500 * x[0] ** 3 + u), 2, 1, start=[0, 0], end=[1, 0], duration=3.0)
     with pytest.raises(InputError, match=r"guess: got one that stops with CVode returned .* Give a `guess`") as caught:
