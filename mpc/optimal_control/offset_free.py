@@ -54,11 +54,17 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     mpc: Any
 
     def _disturbed(self) -> NonlinearMPC:
-        """Regulator, checked, of a model with disturbances."""
+        """Regulator, checked, of a model with disturbances: added to every next state where it has none."""
         if not isinstance(self.mpc, NonlinearMPC):
             raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
         _ = self.mpc.problem  # which a phase has not
-        return self.mpc if self.mpc.disturbances else _with_additive(self.mpc)
+        if self.mpc.disturbances:
+            return self.mpc
+        step, size = self.mpc.model.step, self.mpc.states
+        x, u, none, p = symbols_of(step).values()
+        w = type(x).sym("w", size)
+        moved = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
+        return replace(self.mpc, step=moved, disturbances=size)
 
     @property
     def problem(self) -> MPCProblem:
@@ -126,12 +132,3 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         least = np.where(np.arange(solver.numel_out("g")) < nx, 0.0, -np.inf)
         found = solver(x0=0, p=data, lbg=least, ubg=0)
         return np.asarray(found["x"]).ravel() * size if solver.stats()["success"] else otherwise
-
-
-def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
-    """Controller with a disturbance added to every next state."""
-    step = mpc.model.step
-    x, u, none, p = symbols_of(step).values()
-    w = type(x).sym("w", mpc.states)
-    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
-    return replace(mpc, step=disturbed, disturbances=mpc.states)

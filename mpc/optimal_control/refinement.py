@@ -261,18 +261,13 @@ def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: f
     parts = np.where(errors > 1, np.ceil(asked).astype(int), 1)
     long = steps > JUMP_PLACE * np.sqrt(tolerance)
     parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
-    parts[_jumps(phase) & long] = MOST_PARTS
+    crossing, swinging = _crossings(phase)
+    parts[crossing & ~swinging & long] = MOST_PARTS  # where an input jumps
     parts[steps <= LEAST_INTERVAL] = 1
     if part.phase.discrete:
         return part.mesh
     inner = [left + step * np.arange(n) / n for left, step, n in zip(part.mesh[:-1], steps, parts)]
     return np.append(np.concatenate(inner), 1.0)
-
-
-def _jumps(phase: PhaseSolution) -> Flags:
-    """Intervals (N,) within which an input jumps, which it does not where it swings."""
-    crossing, swinging = _crossings(phase)
-    return crossing & ~swinging
 
 
 def _crossings(phase: PhaseSolution) -> tuple[Flags, Flags]:

@@ -207,7 +207,7 @@ class Run:
             phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
             for part, clock, weight in zip(program.parts, program.times(v), weights)
         )  # fmt: skip
-        notes = notes_of(program, v, status is OptimalControlStatus.SOLVED)
+        notes = tuple(notes_of(program, v, status is OptimalControlStatus.SOLVED))
         return Solution(
             program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
             residuals=found.residuals, conflicts=conflicts, notes=notes, multipliers=multipliers,

@@ -53,18 +53,16 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
             "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
         )
     if any(phase.algebraic is not None for phase in problem.phases):
-        problem = replace(problem, phases=[_without_z(phase, scheme, problem.parameters) for phase in problem.phases])
+        unknown = isinstance(scheme, Collocation)  # z at the points; else an expression
+        stated = [
+            phase if phase.algebraic is None
+            else (collocated if unknown and not phase.discrete else eliminated)(phase, problem.parameters)
+            for phase in problem.phases
+        ]  # fmt: skip
+        problem = replace(problem, phases=stated)
     program = _Assembly(problem, scheme, _as_meshes(problem, intervals, meshes)).program()
     check_at_guess(program)
     return with_sizes_of_rows(with_costs_of_scenarios(program))
-
-
-def _without_z(phase: Phase, scheme: Scheme, parameters: int) -> Phase:
-    """Phase without algebraic equations: z is unknown at the points of collocation, else an expression."""
-    if phase.algebraic is None:
-        return phase
-    unknown = isinstance(scheme, Collocation) and not phase.discrete
-    return collocated(phase, parameters) if unknown else eliminated(phase, parameters)
 
 
 class _Assembly:

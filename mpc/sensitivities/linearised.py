@@ -14,7 +14,7 @@ from mpc.feedback import block_lengths, feedback_along
 from mpc.parametric_qp import places
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, deviations, relative_violations
+from mpc.rollout import Given, deviations
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
 from mpc.tolerances import KKT_REPORTED
@@ -29,14 +29,6 @@ class Point:
     slacks: Array
     multipliers: Array | None
     acting: Flags
-
-    @classmethod
-    def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:
-        """Point of a plan without multipliers."""
-        slacks = np.zeros(0)
-        if problem.soft is not None:
-            slacks = relative_violations(problem, plan.states, problem.price_units)
-        return cls(np.array(plan.inputs), np.array(plan.states), slacks, None, np.zeros(0, dtype=bool))
 
 
 class Conditions:

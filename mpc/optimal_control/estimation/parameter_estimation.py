@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.budgets import GUESSED_STEPS
-from mpc.checks import Array, as_array, as_count, as_weight
+from mpc.checks import Array, as_array, as_count, as_floats, as_weight
 from mpc.exceptions import InputError, NotConvexError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
@@ -101,13 +101,16 @@ def estimate_parameters(
     return estimate_of(solution, given, h, known, noise is not None)
 
 
-def as_covariance(name: str, value: ArrayLike, size: int | None) -> Array:
-    """Positive definite covariance (size, size), also from variances (size,)."""
-    size = len(np.atleast_1d(np.asarray(value))) if size is None else size
+def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:
+    """Covariance (size, size), also from variances (size,); positive definite unless it may be singular."""
+    given = np.atleast_1d(as_floats(name, value))
+    size = len(given) if size is None else size
     try:
-        full = as_weight(name, np.atleast_1d(np.asarray(value)), size)
+        full = as_weight(name, given, size)
     except NotConvexError as error:
         raise InputError(name, str(error), f"a covariance ({size}, {size}), or variances ({size},)") from None
+    if singular:
+        return full
     deviation = np.sqrt(np.diag(full))
     if not (deviation > 0).all() or np.linalg.eigvalsh(full / deviation / deviation[:, None])[0] < NEGLIGIBLE**2:
         raise InputError(name, "a singular matrix", "a positive definite one", "Give what is exact a small variance.")
