@@ -120,9 +120,8 @@ class LoopPhase(Immutable):
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)
-        free[part.path.start : part.path.start + len(part.functions.path_names)] = ~self._of(
-            part, "u"
-        )  # of the first state
+        of_inputs = self._of(part, "u")
+        free[part.path.start : part.path.start + len(of_inputs)] = ~of_inputs  # of the first state
         row_lower, row_upper = np.where(free, -INF, program.row_lower), np.where(free, INF, program.row_upper)
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 

@@ -185,28 +185,20 @@ def _closer(phase: PhaseSolution, rows: Any, place: Array) -> tuple[Array, Array
     N, count = phase.part.intervals, len(rows)
     steps = np.linspace(-1, 1, LIMIT_CHECKS + 1)
     value, size, width = np.full(count, -np.inf), np.zeros(count), 1 / LIMIT_CHECKS
+    extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
     for _ in range(CLOSER_LOOKS if count else 0):
         near = np.clip(place[:, None] + width * steps, 0.0, N)
         seen = _beyond(phase, near.ravel())[rows.repeat(len(steps)), np.arange(near.size)].reshape(near.shape)
         slopes = np.zeros(near.shape)
-        passed = seen > 0
-        slopes[passed] = _slopes(phase, near[passed], rows.repeat(len(steps)).reshape(near.shape)[passed])
-        size = np.maximum(size, slopes.max(axis=1))
+        passed = (seen > 0) & (rows < len(phase.part.functions.path_names))[:, None]
+        if passed.any():
+            which = rows.repeat(len(steps)).reshape(near.shape)[passed]
+            slopes[passed] = np.abs(_path_slopes(phase, near[passed], which)) @ extents
+        size = np.maximum(size, np.where(np.isfinite(slopes), slopes, 0.0).max(axis=1))
         best = seen.argmax(axis=1)[:, None]
         place, value = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (near, seen))
         width *= 2 / LIMIT_CHECKS
     return np.maximum(value, 0.0), place, np.where(size > 0, size, np.inf)
-
-
-def _slopes(phase: PhaseSolution, places: Array, rows: Any) -> Array:
-    """Change (n,) of limits `rows` over the extents; zero for bounded states."""
-    found = np.zeros(len(places))
-    own = np.flatnonzero(rows < len(phase.part.functions.path_names))
-    if len(own):
-        extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
-        steep = np.abs(_path_slopes(phase, places[own], rows[own])) @ extents
-        found[own] = np.where(np.isfinite(steep), steep, 0.0)
-    return found
 
 
 def _path_slopes(phase: PhaseSolution, places: Array, rows: Any) -> Array:

@@ -148,40 +148,26 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     """Phase solution from the unknowns (n,) of a program."""
     layout, N = part.layout, part.intervals
     start, length = clock
-    nodes, own, states, inputs = part.unknowns(v)
+    nodes, own, *of_points = part.unknowns(v)
     x = nodes[: layout.nx]
     discrete = part.phase.discrete  # in whole steps
     mesh_times = start + (np.arange(N + 1.0) if discrete else length * part.mesh)
     times = mesh_times[:-1, None] if discrete else start + length * times_of(layout.points, part.mesh)
     h = np.ones(N) if discrete else length * np.diff(part.mesh)
     w = signal_along(part.phase, times_of(layout.signals, part.mesh))
-    stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
-    stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
-    rates = _rates(part, stage_states, stage_inputs, p, times, (mesh_times, x.T))
-    costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
+    stage_states, stage_inputs = (np.stack(values, axis=0).transpose(2, 0, 1) for values in of_points)
+    at, states, inputs = times, stage_states, stage_inputs
+    if isinstance(part.scheme, MultipleShooting) and not discrete:  # at both ends
+        at, states = (np.stack([known[:-1], known[1:]], axis=1) for known in (mesh_times, x.T))
+        inputs = np.repeat(inputs, 2, axis=1)
+    flat = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
+    rates = evaluated(part.functions.dynamics, part.phase, *flat, at.ravel(), p).reshape(states.shape)
+    # costates are the Lagrangian's derivatives by the interval ends
+    arguments = [x[:, :-1], nodes[layout.nx :, :-1], own, x[:, 1:], nodes[layout.nx :, 1:], p, mesh_times[None, :-1],
+                 h[None], w.T]  # fmt: skip
+    pushes = [multipliers[rows].reshape(N, -1).T for rows in (part.defects, part.path)]
+    values = [np.zeros((part.interval.numel_out(i), N)) for i in range(3)]
+    found = part.interval.reverse(1)(*arguments, *values, pushes[0], weight, pushes[1])
+    costates = np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
     stages = Stages(times, stage_states, stage_inputs, rates)
     return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)
-
-
-def _rates(part: PhasePart, states: Array, inputs: Array, p: Array, times: Array, nodes: tuple[Array, Array]) -> Array:
-    """Rates dx/dt (N, d, nx) at the points; for shooting at both ends."""
-    if isinstance(part.scheme, MultipleShooting) and not part.phase.discrete:
-        times, states = (np.stack([known[:-1], known[1:]], axis=1) for known in nodes)
-        inputs = np.repeat(inputs, 2, axis=1)
-    N, d, nx = states.shape
-    at = states.reshape(N * d, nx), inputs.reshape(N * d, part.layout.nu)
-    return evaluated(part.functions.dynamics, part.phase, *at, times.ravel(), p).reshape(N, d, nx)
-
-
-def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,
-              weight: float) -> Array:  # fmt: skip
-    """Lagrangian derivatives by the interval ends."""
-    layout, N = part.layout, part.intervals
-    interval = part.interval
-    arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],
-                 p, times[None], h[None], w.T]  # fmt: skip
-    of_defects = multipliers[part.defects].reshape(N, -1).T
-    of_path = multipliers[part.path].reshape(N, -1).T
-    values = [np.zeros((interval.numel_out(i), N)) for i in range(3)]
-    found = interval.reverse(1)(*arguments, *values, of_defects, weight, of_path)
-    return np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])

@@ -75,7 +75,13 @@ def solution_sensitivity(
     held = _held(program)
     if not solved:
         return _none(program, held, SensitivityStatus.UNSOLVED, ())
-    gradient, W, J, rows = _derivatives(program, v, multipliers["rows"])
+    size, of_cost = program.scale, program.cost_scale
+    hessian = program.derivatives.hessian(v, 1.0, multipliers["rows"]).sparse()  # its upper triangle
+    W = csc_matrix(hessian + triu(hessian, 1).T).multiply(size[:, None]).multiply(size).tocsc() / of_cost
+    values, gradient, _ = program.derivatives.stationarity(v, multipliers["rows"])
+    rows, gradient = (np.asarray(value, dtype=float).ravel() for value in (values, gradient))
+    jacobian = csc_matrix(program.derivatives.jacobian[1](v)[1].sparse())
+    J = jacobian.multiply(size).multiply(1 / program.row_scale[:, None]).tocsr()
     softness = np.abs(W.diagonal())
     softness = 1 / np.maximum(softness, LEAST_CURVATURE * softness.max(initial=np.finfo(float).tiny))
     on_rows, weak_rows = _acting(
@@ -102,11 +108,10 @@ def solution_sensitivity(
     moves[held, np.arange(len(held))] = 1.0
     moves[free] = found[: len(free)]
     curvature = (W @ moves)[held] + (of_rows[:, held].T @ found[len(free) :])
-    unit = program.cost_scale / program.scale[held]
+    unit = of_cost / size[held]
     status = SensitivityStatus.ONE_SIDED if weak else SensitivityStatus.SMOOTH
-    moves = moves * program.scale[:, None] / program.scale[held]
-    return _packed(program, held, status, gradient[held] * unit, curvature * unit[:, None] / program.scale[held], moves,
-                   tuple(weak))  # fmt: skip
+    moves = moves * size[:, None] / size[held]
+    return _packed(program, held, status, gradient[held], curvature * unit[:, None] / size[held], moves, tuple(weak))
 
 
 def _held(program: NonlinearProgram) -> NDArray[np.int64]:
@@ -114,18 +119,6 @@ def _held(program: NonlinearProgram) -> NDArray[np.int64]:
     first = program.parts[0].first + np.arange(program.parts[0].layout.nx)
     given = first[program.lower[first] == program.upper[first]]
     return np.concatenate([np.arange(program.parameters.start, program.parameters.stop), given])
-
-
-def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tuple[Array, Any, Any, Array]:
-    """Scaled Lagrangian gradient and Hessian, row Jacobian, and rows."""
-    hessian = program.derivatives.hessian(v, 1.0, multipliers).sparse()  # its upper triangle
-    rows, jacobian = program.derivatives.jacobian[1](v)
-    gradient = program.derivatives.stationarity(v, multipliers)[1]
-    size, of_cost = program.scale, program.cost_scale
-    W = csc_matrix(hessian + triu(hessian, 1).T).multiply(size[:, None]).multiply(size) / of_cost
-    J = csc_matrix(jacobian.sparse()).multiply(size).multiply(1 / program.row_scale[:, None])
-    slope, values = (np.asarray(value, dtype=float).ravel() for value in (gradient, rows))
-    return slope * size / of_cost, W.tocsc(), J.tocsr(), values
 
 
 def _acting(low: Array, high: Array, multiplier: Array, softness: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

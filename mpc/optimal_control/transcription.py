@@ -86,7 +86,12 @@ class _Assembly:
             self._unknown(*phase_unknowns(phase, functions, p_guess, layout, mesh))
             for phase, functions, layout, mesh in zip(problem.phases, problem.functions, layouts, self.meshes)
         ]
-        durations = [self._duration(phase) for phase in problem.phases]
+        durations = [-1] * len(problem.phases)
+        for k, phase in enumerate(problem.phases):
+            if phase.free_duration:
+                low, high = phase.duration
+                guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
+                durations[k] = self._unknown(np.array([low]), np.array([high]), guess, guess)
         low, high = problem.p_bounds
         first = self._unknown(low, high, p_guess)
         self.p = first + np.arange(problem.parameters)
@@ -125,14 +130,6 @@ class _Assembly:
         size = np.nan_to_num(size_of(lower, upper, guess), nan=1.0) if scale is None else scale
         self.unknowns.append((lower, upper, guess, size))
         return first
-
-    def _duration(self, phase: Phase) -> int:
-        """Append a free duration; return its place, or −1."""
-        if not phase.free_duration:
-            return -1
-        low, high = phase.duration
-        guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
-        return self._unknown(np.array([low]), np.array([high]), guess, guess)
 
     def _rows(self, name: str, phase: int, entries: Sequence[str], fractions: Any, low: Any, high: Any,
               scale: Any) -> slice:  # fmt: skip

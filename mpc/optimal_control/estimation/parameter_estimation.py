@@ -77,7 +77,9 @@ def estimate_parameters(
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
-    ny, nu = given[0].outputs.shape[1], signal_width(given)
+    one = given[0]
+    nu = 0 if one.signal is None else np.atleast_2d(np.asarray(one.signal(one.times[:1]))).shape[1]
+    ny = one.outputs.shape[1]
     if disturbance is not None and noise is None:
         raise InputError("noise", "nothing", "the noise of the outputs, which a disturbance is weighed against")
     density = np.zeros((0, 0)) if disturbance is None else as_covariance("disturbance", disturbance, None)
@@ -125,14 +127,6 @@ def moved_by_noise(name: str, function: ca.Function) -> ca.Function:
         got = f"a function that does not depend on {', '.join(f'w[{i}]' for i in idle)}"
         raise InputError(name, got, "one that does, as w has a covariance", "Name an argument w, and add it.")
     return function
-
-
-def signal_width(given: Sequence[Experiment]) -> int:
-    """Number of inputs of experiments."""
-    one = given[0]
-    if one.signal is None:
-        return 0
-    return int(np.atleast_2d(np.asarray(one.signal(one.times[:1]))).shape[1])
 
 
 def _residual(h: ca.Function, ny: int) -> ca.Function:
