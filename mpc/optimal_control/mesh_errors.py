@@ -130,16 +130,12 @@ class Excess(NamedTuple):
     names: tuple[str, ...]
 
 
-def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> tuple[Excess, ...]:
-    """Violations of limits between the mesh points of every phase.
+def path_excess(program: NonlinearProgram, phase: PhaseSolution) -> Excess:
+    """Violations of limits between the mesh points of a phase.
 
     Zero where they never are; of discrete dynamics there is nothing between.
     """
-    return tuple(_excess(phase, sizes) for phase, sizes in zip(phases, _sizes(program, v, phases)))
-
-
-def _excess(phase: PhaseSolution, sizes: Array) -> Excess:
-    """Violations in a phase with limit sizes (m, N)."""
+    sizes = _sizes(program, phase)
     m, N = sizes.shape
     bounded = _bounded(phase)
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
@@ -185,7 +181,7 @@ def _closer(phase: PhaseSolution, rows: Any, place: Array) -> tuple[Array, Array
     N, count = phase.part.intervals, len(rows)
     steps = np.linspace(-1, 1, LIMIT_CHECKS + 1)
     value, size, width = np.full(count, -np.inf), np.zeros(count), 1 / LIMIT_CHECKS
-    extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
+    extents = _extents(phase)
     for _ in range(CLOSER_LOOKS if count else 0):
         near = np.clip(place[:, None] + width * steps, 0.0, N)
         seen = _beyond(phase, near.ravel())[rows.repeat(len(steps)), np.arange(near.size)].reshape(near.shape)
@@ -292,25 +288,24 @@ def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> 
     return np.where(free[:, None], -np.inf, np.where(np.isnan(values), np.inf, values))
 
 
-def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
-    """Sizes (m, N) of the limits of every phase."""
-    extents = np.zeros(len(v))
-    found, paths = [], []
-    for part, phase in zip(program.parts, phases):
-        numbers, _ = part.coordinates
-        of_all = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
-        extents[part.first : part.last] = of_all[numbers]
-        own = _bounded(phase)
-        scale = np.array([program.scale[part.first : part.last][numbers == i].max() for i in own])
-        size = np.maximum(of_all[own], LEAST_LIMIT_SIZE * scale)
-        found.append(np.tile(size.reshape(-1, 1), (1, part.intervals)))
-        paths.append(0 if part.functions.path is None or part.phase.discrete else part.functions.path.numel_out(0))
-    if not any(paths):
-        return found
-    steep = abs(program.derivatives.jacobian[1](v)[1].sparse().multiply(extents)).tocsr().max(axis=1).toarray().ravel()
-    for k, (part, m) in enumerate(zip(program.parts, paths)):
-        if not m:
-            continue
-        local, scale = (value[part.path].reshape(part.intervals, -1, m) for value in (steep, program.row_scale))
-        found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_LIMIT_SIZE * scale.min(axis=1)).T, found[k]])
-    return found
+def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
+    """Sizes (m, N) of the limits of a phase."""
+    part, own, extents = phase.part, _bounded(phase), _extents(phase)
+    scale = np.array([program.scale[part.first : part.last][part.coordinates[0] == i].max() for i in own])
+    size = np.maximum(extents[own], LEAST_LIMIT_SIZE * scale)
+    of_states = np.tile(size.reshape(-1, 1), (1, part.intervals))
+    m, shared = len(part.functions.path_names), int(part.scheme.continuous_inputs)
+    if not m or part.phase.discrete:
+        return of_states
+    stages = phase.stages
+    x, u, t = (values[:, shared:] for values in (stages.states, stages.inputs, stages.times))
+    at = x.reshape(t.size, -1), u.reshape(t.size, u.shape[2]), t.ravel()
+    slopes = phase.evaluated(part.functions.path_slopes, *at).reshape(part.intervals, -1, len(extents), m)
+    local = (np.abs(slopes) * extents[:, None]).max(axis=2).min(axis=1)
+    scale = program.row_scale[part.path].reshape(part.intervals, -1, m).min(axis=1)
+    return np.vstack([np.maximum(local, LEAST_LIMIT_SIZE * scale).T, of_states])
+
+
+def _extents(phase: PhaseSolution) -> Array:
+    """Extents (nx + nu,) of states and inputs along a phase."""
+    return np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])

@@ -124,7 +124,7 @@ class Solution:
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
         """Violations of limits between mesh points; see `Excess`."""
-        return path_excess(self.program, self.unknowns, self.phases)
+        return tuple(path_excess(self.program, phase) for phase in self.phases)
 
     @property
     def excess(self) -> float:

@@ -17,7 +17,7 @@ from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
 from mpc.optimal_control.notes import check_at_guess
 from mpc.optimal_control.phase import Phase, signal_along
-from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_function
+from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
@@ -147,14 +147,7 @@ class _Assembly:
     def _piece(self, values: Callable[..., Any], places: dict[str, Numbers], rows: Numbers, *functions: Any,
                factors: Array | None = None, data: Array | None = None) -> None:  # fmt: skip
         """Append values that `functions` make of unknowns to rows of [f; g]."""
-        rows = rows.reshape(len(rows), -1)
-        count = rows.shape[1]
-        data = np.zeros((0, count)) if data is None else data
-        factors = np.ones(len(rows)) if factors is None else factors
-        each = [np.broadcast_to(at.T, (count, len(at))).T for at in places.values()]
-        sizes = {name: len(at) for name, at in places.items()}
-        function = piece_function(values, kind_of(*functions), sizes, len(data))
-        self.pieces.append(Piece(function, np.vstack(each), data, rows, factors))
+        self.pieces.append(piece_of(values, kind_of(*functions), places, rows, factors=factors, data=data))
 
     def _costs_of_scenarios(self) -> slice:
         """Append the unknown costs of scenarios that are not summed, and their spread where it counts.
