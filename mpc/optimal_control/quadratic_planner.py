@@ -159,7 +159,13 @@ class QuadraticPlanner:
         """Plan that programs lead to."""
         first, follow = sample.first, sample.first.name == SHIFTED
         if follow and self.iterations is not None:
-            found = self._real_time(sample, self.iterations)
+            programs = self._programs(sample, replace(first, name=REAL_TIME, costates=None))
+            done = list(islice(programs, self.iterations))
+            if not done:
+                return self._plan(sample, first, Status.REPLACED)
+            cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
+            status = Status.FOLLOWED if len(done) == self.iterations else cut_short
+            found = self._plan(sample, _moved(done[-1]), status)
             if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
                 return found
         at = self._contracted(sample, replace(first, name=CONVERGING))
@@ -176,14 +182,6 @@ class QuadraticPlanner:
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
         return self._plan(sample, first, Status.REPLACED) if best is None else best
-
-    def _real_time(self, sample: _Sample, iterations: int) -> Plan:
-        """Plan after so many quadratic programs."""
-        done = list(islice(self._programs(sample, replace(sample.first, name=REAL_TIME, costates=None)), iterations))
-        if not done:
-            return self._plan(sample, sample.first, Status.REPLACED)
-        cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
-        return self._plan(sample, _moved(done[-1]), Status.FOLLOWED if len(done) == iterations else cut_short)
 
     def _plan(self, sample: _Sample, at: _Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""

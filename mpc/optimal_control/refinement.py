@@ -235,7 +235,8 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     passed = _jumps_over(solution)
     missed = f"{reason}: the mesh misses the {'cost' if of_cost else 'dynamics'} by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
-    ask = f"Ask for {_rounded_up(worst):g}{more}." if asked == run.tolerance else "Take more intervals."
+    digit = 10.0 ** np.floor(np.log10(worst)) if np.isfinite(worst) else 1.0
+    ask = f"Ask for {np.ceil(worst / digit) * digit:g}{more}." if asked == run.tolerance else "Take more intervals."
     if reason.startswith(FINER) or passed:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
     swinging = max(float(np.diff(one.part.mesh) @ _crossings(one)[1]) for one in solution.phases)
@@ -244,12 +245,6 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     cure = f"This is the optimum on its mesh, but {missed} where {asked:.1e} was asked for. {ask}"
     status = solution.status if passed else OptimalControlStatus.STOPPED
     return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
-
-
-def _rounded_up(value: float) -> float:
-    """Value rounded up to one digit."""
-    digit = 10.0 ** np.floor(np.log10(value)) if np.isfinite(value) else 1.0
-    return float(np.ceil(value / digit) * digit)
 
 
 def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:

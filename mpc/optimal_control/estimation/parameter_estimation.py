@@ -87,7 +87,10 @@ def estimate_parameters(
     f = moved_by_noise("dynamics", compiled("dynamics", dynamics, sizes, states))
     h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
     covariance = np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
-    residual = _residual(h, ny)
+    s = symbols_of(h)
+    y = type(s["x"]).sym("y", ny * (1 + ny))  # rows of `whitened`
+    value = ca.densify(ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny]))
+    residual = ca.Function("residual", [*s.values(), y], [value], ["x", "w", "p", "t", "y"], ["value"])
     guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
     phases = [
         _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
@@ -127,17 +130,6 @@ def moved_by_noise(name: str, function: ca.Function) -> ca.Function:
         got = f"a function that does not depend on {', '.join(f'w[{i}]' for i in idle)}"
         raise InputError(name, got, "one that does, as w has a covariance", "Name an argument w, and add it.")
     return function
-
-
-def _residual(h: ca.Function, ny: int) -> ca.Function:
-    """Function (x, w, p, t, y) → whitened residual (ny,).
-
-    w are the inputs, y rows of `whitened`.
-    """
-    s = symbols_of(h)
-    y = type(s["x"]).sym("y", ny * (1 + ny))
-    value = ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny])
-    return ca.Function("residual", [*s.values(), y], [ca.densify(value)], ["x", "w", "p", "t", "y"], ["value"])
 
 
 def _phase(one: Experiment, f: ca.Function, residual: ca.Function, density: Array, limits: tuple[Any, ...],
