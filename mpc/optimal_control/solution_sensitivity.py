@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
-from mpc.optimal_control.program import NonlinearProgram, PhasePart
+from mpc.optimal_control.program import NonlinearProgram
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
 from mpc.tolerances import AT_BOUND, BARRIER_BLUR, LEAST_CURVATURE, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS
 
@@ -168,23 +168,13 @@ def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: Sensitiv
     by_start = np.full(part.layout.nx, np.nan)
     by_start[held[count:] - part.first] = gradient[count:]
     moves = np.hstack([moves[:, :count], start])
-    phases = [
-        PhaseSensitivity(*(one for move in _along(own, moves) for one in np.split(move, [count], axis=2)))
-        for own in program.parts
-    ]
+    phases = []
+    for own in program.parts:
+        nodes, _, _, inputs = own.unknowns(np.arange(len(moves)))
+        places = nodes[: own.layout.nx].T, np.stack(inputs, axis=0).transpose(2, 0, 1).reshape(-1, own.layout.nu)
+        both = (np.split(moves[at], [count], axis=2) for at in places)
+        phases.append(PhaseSensitivity(*(one for moved in both for one in moved)))
     return SolutionSensitivity(status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak)
-
-
-def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
-    """Moves of states (N + 1, nx, m) and inputs (n, nu, m) of a phase."""
-    layout = part.layout
-    states = np.empty((part.intervals + 1, layout.nx, moves.shape[1]))
-    inputs = np.empty((part.intervals * len(layout.points), layout.nu, moves.shape[1]))
-    for i, move in enumerate(moves.T):
-        nodes, _, _, values = part.unknowns(move)
-        states[:, :, i] = nodes[: layout.nx].T
-        inputs[:, :, i] = np.stack(values, axis=0).transpose(2, 0, 1).reshape(-1, layout.nu)
-    return states, inputs
 
 
 def _none(
