@@ -160,8 +160,8 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     if isinstance(part.scheme, MultipleShooting) and not discrete:  # at both ends
         at, states = (np.stack([known[:-1], known[1:]], axis=1) for known in (mesh_times, x.T))
         inputs = np.repeat(inputs, 2, axis=1)
-    flat = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
-    rates = evaluated(part.functions.dynamics, part.phase, *flat, at.ravel(), p).reshape(states.shape)
+    flat_states, flat_inputs = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
+    rates = evaluated(part.functions.dynamics, part.phase, flat_states, flat_inputs, at.ravel(), p)
     # costates are the Lagrangian's derivatives by the interval ends
     arguments = [x[:, :-1], nodes[layout.nx :, :-1], own, x[:, 1:], nodes[layout.nx :, 1:], p, mesh_times[None, :-1],
                  h[None], w.T]  # fmt: skip
@@ -169,5 +169,5 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     values = [np.zeros((part.interval.numel_out(i), N)) for i in range(3)]
     found = part.interval.reverse(1)(*arguments, *values, pushes[0], weight, pushes[1])
     costates = np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
-    stages = Stages(times, stage_states, stage_inputs, rates)
+    stages = Stages(times, stage_states, stage_inputs, rates.reshape(states.shape))
     return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)

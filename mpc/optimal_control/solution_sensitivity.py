@@ -78,8 +78,8 @@ def solution_sensitivity(
     size, of_cost = program.scale, program.cost_scale
     hessian = program.derivatives.hessian(v, 1.0, multipliers["rows"]).sparse()  # its upper triangle
     W = csc_matrix(hessian + triu(hessian, 1).T).multiply(size[:, None]).multiply(size).tocsc() / of_cost
-    values, gradient, _ = program.derivatives.stationarity(v, multipliers["rows"])
-    rows, gradient = (np.asarray(value, dtype=float).ravel() for value in (values, gradient))
+    found = program.derivatives.stationarity(v, multipliers["rows"])
+    rows, gradient = (np.asarray(value, dtype=float).ravel() for value in found[:2])
     jacobian = csc_matrix(program.derivatives.jacobian[1](v)[1].sparse())
     J = jacobian.multiply(size).multiply(1 / program.row_scale[:, None]).tocsr()
     softness = np.abs(W.diagonal())
@@ -99,15 +99,15 @@ def solution_sensitivity(
     of_rows = of_rows[_once_each(of_rows)]
     K = bmat([[W[free][:, free], of_rows[:, free].T], [of_rows[:, free], None]], format="csc")
     right = -np.vstack([W[free][:, held].toarray(), of_rows[:, held].toarray()])
-    found = _solved(K, right)
+    by = _solved(K, right)
     weak = [describe_row(program, int(i), v) for i in np.flatnonzero(weak_rows)]
     weak += [describe_unknown(program, int(i), v) for i in np.setdiff1d(np.flatnonzero(weak_bounds), held)]
-    if found is None:
+    if by is None:
         return _none(program, held, SensitivityStatus.SINGULAR, tuple(weak))
     moves = np.zeros((len(v), len(held)))
     moves[held, np.arange(len(held))] = 1.0
-    moves[free] = found[: len(free)]
-    curvature = (W @ moves)[held] + (of_rows[:, held].T @ found[len(free) :])
+    moves[free] = by[: len(free)]
+    curvature = (W @ moves)[held] + (of_rows[:, held].T @ by[len(free) :])
     unit = of_cost / size[held]
     status = SensitivityStatus.ONE_SIDED if weak else SensitivityStatus.SMOOTH
     moves = moves * size[:, None] / size[held]
@@ -170,9 +170,9 @@ def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: Sensitiv
     moves = np.hstack([moves[:, :count], start])
     phases = []
     for own in program.parts:
-        nodes, _, _, inputs = own.unknowns(np.arange(len(moves)))
+        nodes, _, _, inputs = own.unknowns(np.arange(float(len(moves))))
         places = nodes[: own.layout.nx].T, np.stack(inputs, axis=0).transpose(2, 0, 1).reshape(-1, own.layout.nu)
-        both = (np.split(moves[at], [count], axis=2) for at in places)
+        both = (np.split(moves[at.astype(int)], [count], axis=2) for at in places)
         phases.append(PhaseSensitivity(*(one for moved in both for one in moved)))
     return SolutionSensitivity(status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak)
 
