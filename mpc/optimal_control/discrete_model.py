@@ -129,7 +129,7 @@ class DiscreteModel:
 
     @cached_property
     def _second(self) -> tuple[Buffered, Buffered]:
-        """Functions of second derivatives of λ'f by (x, u), and of ∂f/∂p and mixed ones with p, built on demand."""
+        """Functions of curvature along a plan; of derivatives by p."""
         columns = list(symbols_of(self.step).values())
         costate, value = type(columns[0]).sym("costate", self.step.numel_out(0)), self.step(*columns)
         curvature, slope = ca.hessian(ca.dot(costate, value), ca.vertcat(*columns[:2]))

@@ -82,7 +82,7 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[st
 
 
 def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
-    """Multipliers (N, points, m) of the limits, a unit of time, without sign: path, then bounded states."""
+    """Sizes (N, points, m) of the limits' multipliers, per time."""
     part, m = phase.part, len(phase.part.functions.path_names)
     N, points = part.shares.shape
     path = np.zeros((N, points, m))
@@ -279,7 +279,7 @@ def _beyond(phase: PhaseSolution, places: Array) -> Array:
 
 
 def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> Array:
-    """Violations (m, n) of the path limits at states, inputs and times; infinite where a limit is no number."""
+    """Violations (m, n) of path limits; infinite where no number."""
     low, high = (side[:, None] for side in phase.part.functions.path_bounds)
     free = np.isfinite(phase.part.functions.path_prices[0])  # for a price, or as what z is solved from
     free[len(free) - phase.part.phase.algebraics :] = True

@@ -318,7 +318,7 @@ class NonlinearMPC(Immutable):
 
     @cached_property
     def steady_solver(self) -> ca.Function:
-        """Ipopt for the steady state in X and U whose outputs are nearest to a reference.
+        """Ipopt for steady states nearest to a reference, in X and U.
 
         Its parameters are C'C, C'r, w and p; its unknowns states and inputs in their sizes, its rows the drift of the
         states, then those of X and U less their bounds.

@@ -93,7 +93,7 @@ def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[s
 
 
 def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> Iterator[str]:
-    """Notes on shortest durations, jumps, and unless solved kinks and coarse meshes."""
+    """Notes on durations, jumps, kinks and coarse meshes."""
     for k, part in enumerate(program.parts):
         if part.duration >= 0 and v[part.duration] <= part.phase.duration[0] * (1 + SHORTEST_DURATION):
             yield (

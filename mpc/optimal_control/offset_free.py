@@ -54,7 +54,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     mpc: Any
 
     def _disturbed(self) -> NonlinearMPC:
-        """Regulator, checked, of a model with disturbances: added to every next state where it has none."""
+        """Regulator, checked, of a model that disturbances move."""
         if not isinstance(self.mpc, NonlinearMPC):
             raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
         _ = self.mpc.problem  # which a phase has not

@@ -122,7 +122,7 @@ class PhaseSolution:
         return np.hstack([inputs[:, : self._nu], inputs[:, z] - step[:, :, 0]])
 
     def evaluated(self, function: ca.Function, x: Array, u: Array, t: Array) -> Array:
-        """Values (n, m) of a function at states (n, nx), inputs (n, nu) and times (n,)."""
+        """Values (n, m) of a function at n points."""
         return evaluated(function, self.part.phase, x, u, t, self.p)
 
     def at_fractions(self, at: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Pieces of a program: functions at many places, such as the equations of the intervals of a mesh."""
+"""Pieces of a program: functions at many places of a mesh."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def kind_of(*functions: ca.Function | None) -> Any:
 
 def piece_of(values: Callable[..., Any], kind: Any, places: dict[str, Numbers], rows: Numbers, *,
              factors: Array | None = None, data: Array | None = None) -> Piece:  # fmt: skip
-    """Piece of what a function makes of named unknowns (n, M) or (n, 1), and of data (d, M), for rows (k, M)."""
+    """Piece of a function of named unknowns (n, M) or (n, 1) and data."""
     rows = rows.reshape(len(rows), -1)
     count = rows.shape[1]
     data = np.zeros((0, count)) if data is None else data

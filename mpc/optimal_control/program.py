@@ -73,7 +73,7 @@ class PhasePart:
 
     @property
     def shares(self) -> Array:
-        """Parts (N, points) of the phase that the points with path limits stand for in an integral."""
+        """Parts (N, points) of a phase that points stand for in integrals."""
         lengths, scheme = np.diff(self.mesh)[:, None], self.scheme
         if self.phase.discrete or not isinstance(scheme, Collocation):
             return lengths

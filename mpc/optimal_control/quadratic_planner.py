@@ -42,7 +42,7 @@ OPTIMA = (Status.SOLVED, Status.SOFTENED)
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Path of states (N + 1, nx), inputs (N, nu), gains (N, nu, nx), and the program that it came from or ended at."""
+    """Path with its gains (N, nu, nx) and the program that made it."""
 
     states: Array
     inputs: Array
@@ -220,7 +220,7 @@ class QuadraticPlanner:
         return best
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
-        """Paths, each moved by the program at the one before, and the program there, as long as there is time."""
+        """Paths, each moved by the program at the one before, in time."""
         w = disturbance(self.law, sample.given)
         while at.last is None or not sample.clock.up:
             relaxed = at.last is not None and at.last.relaxed

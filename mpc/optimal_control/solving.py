@@ -235,7 +235,7 @@ def status_of(found: Found) -> OptimalControlStatus:
 
 
 def _from_solution(program: NonlinearProgram, start: Solution) -> tuple[Array, dict[str, Array] | None]:
-    """Unknowns (n,) of a program from a solution on any mesh, and its multipliers if it is on the same."""
+    """Unknowns (n,) from a solution on any mesh; multipliers from the same."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
     sizes = [(one.states.shape[1], one.part.layout.nu) for one in start.phases]
     if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:

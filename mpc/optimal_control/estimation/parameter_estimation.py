@@ -107,7 +107,7 @@ def estimate_parameters(
 
 
 def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:
-    """Covariance (size, size), also from variances (size,); positive definite unless it may be singular."""
+    """Covariance (size, size), checked, also from variances (size,)."""
     given = np.atleast_1d(as_floats(name, value))
     size = len(given) if size is None else size
     try:
