@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,19 +13,6 @@ from mpc.exceptions import InputError
 Bounds = Any
 INF = np.inf
 RISING = "rising fractions of the duration, from 0 to 1"
-
-
-def as_number(name: str, value: Any, expected: str, holds: Callable[[float], bool]) -> float:
-    """Finite number for which `holds` is true."""
-    number = as_floats(name, value)
-    if number.ndim or not np.isfinite(number) or not holds(float(number)):
-        raise InputError(name, brief(repr(value)), expected)
-    return float(number)
-
-
-def as_share(name: str, value: Any) -> float:
-    """Number between 0 and 1."""
-    return as_number(name, value, "a number between 0 and 1", lambda number: 0 < number < 1)
 
 
 def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False) -> tuple[Array, Array]:

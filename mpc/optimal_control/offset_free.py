@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_instance
 from mpc.checks import Array, as_array
-from mpc.exceptions import InputError
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
@@ -55,8 +55,7 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
     def _disturbed(self) -> NonlinearMPC:
         """Regulator, checked, of a model that disturbances move."""
-        if not isinstance(self.mpc, NonlinearMPC):
-            raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
+        as_instance("mpc", self.mpc, NonlinearMPC, "a NonlinearMPC")
         _ = self.mpc.problem  # which a phase has not
         if self.mpc.disturbances:
             return self.mpc

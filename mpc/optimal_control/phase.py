@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.algebraic import check_index
+from ccdtools_ground.door import as_number, as_positive
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import (
@@ -22,7 +23,6 @@ from mpc.optimal_control.bounds import (
     as_end,
     as_guess,
     as_names,
-    as_number,
     as_prices,
     as_samples,
 )
@@ -140,11 +140,11 @@ class Phase:
         for name in ("start", "end"):
             set_(self, name, as_end(name, getattr(self, name), self.x_bounds))
         set_(self, "duration", as_duration(self.duration, bool(self.discrete)))
-        set_(self, "start_time", as_number("start_time", self.start_time, "a finite number", np.isfinite))
+        set_(self, "start_time", as_number("start_time", self.start_time))
         for name, letter, size in (("state_names", "x", self.states), ("input_names", "u", self.inputs)):
             set_(self, name, as_names(name, getattr(self, name), letter, size))
         if self.duration_guess is not None:
-            as_number("duration_guess", self.duration_guess, "a number > 0", lambda number: number > 0)
+            as_positive("duration_guess", self.duration_guess)
         if self.signal is not None and not callable(self.signal):
             signal = as_floats("signal", self.signal)
             if signal.ndim != 2 or len(signal) < 2 or not np.isfinite(signal).all():

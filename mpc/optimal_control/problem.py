@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_choice, as_number
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, as_number, middle
+from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
@@ -85,13 +86,12 @@ class OptimalControlProblem:
         if self.risk == "worst" and np.ptp(weights) > 0:
             raise InputError("weights", weights, 'none with risk="worst": the largest cost counts, whatever its weight')
         set_(self, "weights", weights)
-        if self.risk not in RISKS:
-            raise InputError("risk", repr(self.risk), '"sum", "worst" or "spread"')
+        as_choice("risk", self.risk, RISKS)
         if self.risk != "sum" and self.linked and count > 1:
             raise InputError("risk", f'"{self.risk}" of phases that are linked', '"sum", or linked=False')
         if self.risk == "spread" and not weights.any():
             raise InputError("weights", weights, "numbers ≥ 0, not all of them 0")
-        set_(self, "spread", as_number("spread", self.spread, "a number ≥ 0", lambda number: number >= 0))
+        set_(self, "spread", as_number("spread", self.spread, expected="a number ≥ 0", low=0.0))
         sizes = [phase.states for phase in self.phases]
         links = list(self.link) if isinstance(self.link, list | tuple) else [self.link] * (count - 1)
         if any(link is not None for link in links) and not self.linked:

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_share, brief
 from mpc.budgets import LEAST_SECONDS, MESH_SAFETY, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_instance, as_share, brief
 from mpc.budgets import LEAST_SECONDS, USUAL_ITERATIONS
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once
@@ -68,11 +67,10 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     """
     if isinstance(program, OptimalControlProblem | Phase):
         program = build(program)
-    if not isinstance(program, NonlinearProgram):
-        raise InputError("program", type(program).__name__, "what `build` returns, an OptimalControlProblem or a Phase")
+    expected = "what `build` returns, an OptimalControlProblem or a Phase"
+    program = as_instance("program", program, NonlinearProgram, expected)
     settings = as_settings(tolerance, max_iterations, time_limit, options)
-    if start is not None and not isinstance(start, Solution):
-        raise InputError("start", type(start).__name__, "a Solution")
+    as_instance("start", start, (Solution, type(None)), "a Solution, or None")
     if p is not None:
         program = _held(program, p)
     run = Run(program, settings)

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_instance
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.algebraic import collocated, eliminated
@@ -45,13 +45,10 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
     """
     if isinstance(problem, Phase):
         problem = OptimalControlProblem(problem)
-    if not isinstance(problem, OptimalControlProblem):
-        raise InputError("problem", type(problem).__name__, "an OptimalControlProblem or a Phase")
+    as_instance("problem", problem, OptimalControlProblem, "an OptimalControlProblem or a Phase")
     scheme = Radau(3) if scheme is None else scheme
-    if not isinstance(scheme, Collocation | MultipleShooting):
-        raise InputError(
-            "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
-        )
+    expected = "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
+    as_instance("scheme", scheme, (Collocation, MultipleShooting), expected)
     if any(phase.algebraic is not None for phase in problem.phases):
         unknown = isinstance(scheme, Collocation)  # z at the points; else an expression
         stated = [
@@ -347,8 +344,7 @@ def _as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> l
         if len(each) != count:
             raise InputError("intervals", f"{len(each)} numbers", f"{count}, one a phase")
         meshes = [np.linspace(0, 1, as_count("intervals", n) + 1) for n in each]
-    if not isinstance(meshes, list | tuple | np.ndarray):
-        raise InputError("meshes", brief(repr(meshes)), "a list of meshes, one a phase")
+    as_instance("meshes", meshes, (list, tuple, np.ndarray), "a list of meshes, one a phase")
     if len(meshes) != count:
         raise InputError("meshes", f"{len(meshes)} of them", f"{count}, one a phase")
     checked = []

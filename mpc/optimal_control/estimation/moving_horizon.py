@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
+from ccdtools_ground.door import as_share
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_bounds, as_share
+from mpc.optimal_control.bounds import as_bounds
 from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
 from mpc.optimal_control.estimation.window import NoisyModel, Window, WindowProgram
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
