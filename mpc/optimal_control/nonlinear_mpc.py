@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_instance
 from invariant_sets import Polytope, maximal_positively_invariant_set
 from mpc.checks import Array, Immutable, as_array, as_count, as_floats, as_rate_limit, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
@@ -347,8 +348,7 @@ class NonlinearMPC(Immutable):
 
     def _check_start(self, start: Any) -> None:
         """Raise unless it is None or a plan of this controller."""
-        if start is not None and not isinstance(start, Plan):
-            raise InputError("start", type(start).__name__, "a Plan of this controller")
+        as_instance("start", start, (Plan, type(None)), "a Plan of this controller")
         if start is not None and (start.states.shape, start.inputs.shape) != (
             (self.horizon + 1, self.states), (self.horizon, self.inputs)
         ):  # fmt: skip

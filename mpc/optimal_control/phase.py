@@ -294,7 +294,13 @@ def signal_at(phase: Phase, times: Array) -> Array:
         return values
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))
-    return np.array([np.interp(times, grid, column) for column in table.T]).reshape(-1, len(times)).T
+    return interpolated(times, grid, table)
+
+
+def interpolated(at: Array, times: Array, table: Array) -> Array:
+    """Rows (..., m) of a table (n, m) at times (...), linear between."""
+    columns = [np.interp(at, times, column) for column in table.T]
+    return np.stack(columns, axis=-1) if columns else np.zeros((*np.shape(at), 0))
 
 
 def signal_along(phase: Phase, fractions: Array) -> Array:

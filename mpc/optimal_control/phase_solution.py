@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import evaluated, signal_along
+from mpc.optimal_control.phase import evaluated, interpolated, signal_along
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
@@ -132,8 +132,7 @@ class PhaseSolution:
 
     def costate(self, t: ArrayLike) -> Array:
         """Costates (..., nx) at times (...), linear between the mesh points."""
-        t = as_floats("t", t)
-        return np.stack([np.interp(t, self.times, column) for column in self.costates.T], axis=-1)
+        return interpolated(as_floats("t", t), self.times, self.costates)
 
     def _located(self, t: ArrayLike) -> tuple[Any, Array, tuple[int, ...]]:
         """Interval and fraction of each time, and the shape of the times."""

@@ -41,7 +41,7 @@ class Piece:
     @property
     def symbols(self) -> tuple[Any, Any]:
         """z and data, of the kind of the function."""
-        kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
+        kind = kind_of(self.function)
         return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
 
 

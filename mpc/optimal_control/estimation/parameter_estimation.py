@@ -9,15 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_weight
 from mpc.budgets import GUESSED_STEPS
-from mpc.checks import Array, as_array, as_count, as_floats, as_weight
-from mpc.exceptions import InputError, NotConvexError
+from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
 from mpc.optimal_control.estimation.information import information
 from mpc.optimal_control.estimation.parameter_estimate import ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
-from mpc.optimal_control.phase import Phase
+from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
 from mpc.tolerances import NEGLIGIBLE
@@ -109,11 +110,7 @@ def estimate_parameters(
 def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:
     """Covariance (size, size), checked, also from variances (size,)."""
     given = np.atleast_1d(as_floats(name, value))
-    size = len(given) if size is None else size
-    try:
-        full = as_weight(name, given, size)
-    except NotConvexError as error:
-        raise InputError(name, str(error), f"a covariance ({size}, {size}), or variances ({size},)") from None
+    full = as_weight(name, np.diag(given) if given.ndim == 1 else given, size)
     if singular:
         return full
     deviation = np.sqrt(np.diag(full))
@@ -172,7 +169,7 @@ def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Arra
         slopes = H.reshape(len(x), x.shape[1], -1).transpose(0, 2, 1)
         x = np.clip(x - (np.linalg.pinv(slopes, rcond=NEGLIGIBLE) @ r[:, :, None])[:, :, 0], *bounds)
     seen = one.measured.any(axis=1)
-    return np.stack([np.interp(times, times[seen], column[seen]) for column in x.T], axis=1)
+    return interpolated(times, times[seen], x[seen])
 
 
 def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment], of_noise: int) -> None:
