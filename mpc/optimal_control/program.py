@@ -216,11 +216,7 @@ def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
         return program
     guess, scale = program.guess.copy(), program.scale.copy()
     guess[own] = costs_of_scenarios(program, guess)
-    there = np.clip(scale, program.lower, program.upper)
-    there[own] = 0.0
-    large = np.abs(np.stack([guess[own], costs_of_scenarios(program, there)]))
-    size = np.where(np.isfinite(large), large, 0.0).max(axis=0)
-    scale[own] = np.where(size > 0, size, 1.0)
+    scale[own] = np.where(np.isfinite(guess[own]) & (guess[own] != 0), np.abs(guess[own]), 1.0)
     return replace(program, guess=guess, scale=scale)
 
 
