@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools_ground import door
 from ccdtools_ground.door import brief
 from mpc.checks import Array, as_floats
 from mpc.exceptions import InputError
@@ -103,14 +104,7 @@ def as_duration(value: Any, discrete: bool) -> tuple[float, float]:
 
 def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
     """Names, `size` of them; by default `usual` and a number."""
-    if isinstance(value, str) or not isinstance(value, list | tuple):
-        raise InputError(name, brief(repr(value)), f"a list of {size} names")
-    names = tuple(value) or tuple(f"{usual}{i + 1}" for i in range(size))
-    strange = next((entry for entry in names if not isinstance(entry, str)), None)
-    if strange is not None:
-        raise InputError(name, brief(repr(strange)), "names, which are text")
-    if len(names) != size:
-        raise InputError(name, f"{len(names)} names", f"{size}, one each")
+    names = door.as_names(name, tuple(value) if isinstance(value, list) else value, size, usual)
     if len(set(names)) < size:
         double = next(entry for entry in names if names.count(entry) > 1)
         raise InputError(name, f"{double!r} twice", "names that differ")
