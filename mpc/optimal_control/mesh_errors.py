@@ -96,24 +96,19 @@ def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
 
 def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers: dict[str, Array]) -> Missed:
     """Differences (N, nx) by finer integration, and cost errors."""
+    part, none = phase.part, np.zeros((0, phase.part.intervals))
     finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
-    (ends, fine), (_, coarse) = (_shot(phase, one) for one in (finer, scheme))
-    costates = multipliers["rows"][phase.part.defects].reshape(ends.shape)
-    of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + (costates * ends).sum(axis=1)
-    return Missed(np.abs(ends), of_cost)
-
-
-def _shot(phase: PhaseSolution, scheme: MultipleShooting) -> tuple[Array, Array]:
-    """Errors of the interval ends (N, nx), and costs (N, 1)."""
-    part, N = phase.part, phase.part.intervals
-    layout = layout_of(part.phase, part.layout.nw, scheme)
-    interval = interval_function(part.phase, part.functions, scheme, layout, len(phase.p))
-    w = signal_along(part.phase, times_of(layout.signals, part.mesh)).T
-    none = np.zeros((0, N))
     nodes = phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none
-    found = interval(*nodes, phase.p, phase.times[None, :-1], np.diff(phase.times)[None], w)
-    defects, cost = (np.asarray(value, dtype=float).T for value in found[:2])
-    return defects, cost
+    costs = []
+    for one in (scheme, finer):
+        layout = layout_of(part.phase, part.layout.nw, one)
+        interval = interval_function(part.phase, part.functions, one, layout, len(phase.p))
+        w = signal_along(part.phase, times_of(layout.signals, part.mesh)).T
+        found = interval(*nodes, phase.p, phase.times[None, :-1], np.diff(phase.times)[None], w)
+        ends, cost = (np.asarray(value, dtype=float).T for value in found[:2])
+        costs.append(cost[:, 0])
+    costates = multipliers["rows"][part.defects].reshape(ends.shape)
+    return Missed(np.abs(ends), phase.weight * (costs[1] - costs[0]) + (costates * ends).sum(axis=1))
 
 
 class Excess(NamedTuple):

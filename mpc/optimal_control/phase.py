@@ -207,10 +207,8 @@ class PhaseFunctions:
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
             for name, (sizes, rows) in _columns(phase, self.nw, parameters, looped=looped).items()
         }
-        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost, g = (
-            made.values()
-        )
-        self.algebraic = g
+        self.dynamics, self.stage_cost, self.path, self.terminal_cost, *others = made.values()
+        self.boundary, self.sample_cost, self.algebraic = others
         if self.algebraic is not None:
             _check_index(phase, self.algebraic)
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)

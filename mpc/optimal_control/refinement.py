@@ -146,13 +146,6 @@ class _Rounds:
         """Part of the cost by which it may be off [-]."""
         return solution.cost_error / _size_of_cost(solution)
 
-    def of_intervals(self, solution: Solution) -> list[Array]:
-        """Errors (N,) of the intervals of every phase, in tolerances: of the cost in shares of all, alike for each."""
-        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
-        fine = not self.of_cost and solution.cost_error <= allowed
-        share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)
-        return [np.maximum(one.cost / share, one.dynamics / self.dynamics) for one in solution.missed]
-
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""
         if time.perf_counter() >= self.end:
@@ -195,10 +188,13 @@ class _Rounds:
 
     def _meshes(self, solution: Solution) -> list[Array] | None:
         """Finer meshes; None where none are needed."""
+        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
+        fine = not self.of_cost and solution.cost_error <= allowed
+        share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)  # alike for each interval
         meshes = []
-        for k, (phase, error) in enumerate(zip(solution.phases, self.of_intervals(solution))):
-            excess = solution.path_excess[k].intervals / LIMIT_PASSED
-            meshes.append(_finer_mesh(phase, error, excess, self.tolerance))
+        for phase, missed, passed in zip(solution.phases, solution.missed, solution.path_excess):
+            errors = np.maximum(missed.cost / share, missed.dynamics / self.dynamics)  # in tolerances
+            meshes.append(_finer_mesh(phase, errors, passed.intervals / LIMIT_PASSED, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
 
