@@ -8,7 +8,7 @@ import numpy as np
 
 from ccdtools_ground import door
 from ccdtools_ground.door import brief
-from mpc.checks import Array, as_floats
+from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 
 Bounds = Any
@@ -122,17 +122,11 @@ def as_guess(value: Any, states: int, inputs: int) -> tuple[Array, Array, Array]
     """Times (n,) as fractions of the duration, states (n, nx) and inputs (n, nu)."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         raise InputError("guess", brief(repr(value)), "(times, x, u)")
-    times, x, u = (as_floats("guess", part) for part in value)
-    n = len(np.atleast_1d(times))
-    if states == 1 and x.shape == (n,):
-        x = x[:, None]
-    if inputs == 1 and u.shape == (n,):
-        u = u[:, None]
-    shapes = ((n,), (n, states), (n, inputs))
-    finite = all(np.isfinite(part).all() for part in (times, x, u))
-    if (times.shape, x.shape, u.shape) != shapes or not finite:
-        got = f"shapes {times.shape}, {x.shape}, {u.shape}" if finite else "numbers that are not finite"
-        raise InputError("guess", got, f"(n,) fractions, (n, {states}) states and (n, {inputs}) inputs, finite")
+    times = as_array("guess", value[0], (None,))
+    n = len(times)
+    given = ((as_floats("guess", part), size) for part, size in zip(value[1:], (states, inputs)))
+    x, u = (as_array("guess", part[:, None] if part.shape == (n,) and size == 1 else part, (n, size))
+            for part, size in given)  # fmt: skip
     if not n or (np.diff(times) < 0).any():
         raise InputError("guess", "times that fall" if n else "no times", RISING)
     if times[0] < 0 or times[-1] > 1:
@@ -150,11 +144,8 @@ def as_samples(value: Any, cost: Any, duration: tuple[float, float], discrete: b
         return None
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise InputError("samples", brief(repr(value)), "(times, values)")
-    times, values = (as_floats("samples", part) for part in value)
-    if times.ndim != 1 or values.ndim != 2 or len(times) != len(values) or not len(times):
-        raise InputError("samples", f"shapes {times.shape} and {values.shape}", "(n,) times and (n, m) values")
-    if not (np.isfinite(times).all() and np.isfinite(values).all()):
-        raise InputError("samples", "numbers that are not finite", "finite ones")
+    times = as_array("samples", value[0], ("n",))
+    values = as_array("samples", value[1], (len(times), None))
     if duration[0] != duration[1]:
         raise InputError("samples", "a duration that is free", "a given duration")
     if (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > duration[0] or (discrete and (times % 1).any()):

@@ -146,9 +146,9 @@ class Phase:
         if self.duration_guess is not None:
             as_positive("duration_guess", self.duration_guess)
         if self.signal is not None and not callable(self.signal):
-            signal = as_floats("signal", self.signal)
-            if signal.ndim != 2 or len(signal) < 2 or not np.isfinite(signal).all():
-                raise InputError("signal", f"shape {signal.shape}", "(n, nw), finite, n ≥ 2, or a function of time")
+            signal = as_array("signal", self.signal, (None, None))
+            if len(signal) < 2:
+                raise InputError("signal", f"shape {signal.shape}", "(n, nw), n ≥ 2, or a function of time")
             set_(self, "signal", signal)
         if self.signal is not None and self.duration[0] != self.duration[1]:
             cure = "State what is known over time as an expression of t in the dynamics."
@@ -284,12 +284,7 @@ def signal_at(phase: Phase, times: Array) -> Array:
         except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
             reason = brief(" ".join(f"{type(error).__name__}: {error}".split()))
             raise InputError("signal", f"one that stops with {reason}", "a function of times (n,)") from error
-        values = as_floats("signal", given)
-        if values.ndim != 2 or len(values) != len(times) or not np.isfinite(values).all():
-            raise InputError(
-                "signal", f"values of shape {values.shape} at {len(times)} times", f"({len(times)}, nw), finite"
-            )
-        return values
+        return as_array("signal", given, (len(times), None))
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))
     return interpolated(times, grid, table)

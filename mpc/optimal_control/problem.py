@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import as_choice, as_number
-from mpc.checks import Array, as_floats
+from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
@@ -80,8 +80,8 @@ class OptimalControlProblem:
         set_(self, "p_guess", self._as_guess())
         count = len(self.phases)
         usual = np.ones(count) if self.linked else np.full(count, 1 / count)
-        weights = usual if self.weights is None else as_floats("weights", self.weights)
-        if weights.shape != (count,) or not (np.isfinite(weights) & (weights >= 0)).all():
+        weights = as_array("weights", usual if self.weights is None else self.weights, (count,))
+        if (weights < 0).any():
             raise InputError("weights", brief(repr(self.weights)), f"{count} numbers ≥ 0, one a phase")
         if self.risk == "worst" and np.ptp(weights) > 0:
             raise InputError("weights", weights, 'none with risk="worst": the largest cost counts, whatever its weight')

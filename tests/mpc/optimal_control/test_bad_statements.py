@@ -47,7 +47,7 @@ GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, 
         ({"state_names": "ab"}, "state_names", "'ab'"),
         ({"duration": (1, 3), "duration_guess": np.nan}, "duration_guess", "nan"),
         ({"guess": 3}, "guess", "3"),
-        ({"guess": ([0, 1], [[0, np.nan], [1, 0]], [[0], [0]])}, "guess", "not finite"),
+        ({"guess": ([0, 1], [[0, np.nan], [1, 0]], [[0], [0]])}, "guess", "nan at index (0, 1)"),
         ({"signal": lambda t: 1 / 0}, "signal", "ZeroDivisionError"),
     ],
 )
