@@ -137,7 +137,7 @@ class NonlinearMPC(Immutable):
             self._set(**{name: as_count(name, getattr(self, name))})
         if self.iterations is not None:
             self._set(iterations=as_count("iterations", self.iterations))
-        nw = 0 if self.disturbances == 0 else as_count("disturbances", self.disturbances)
+        nw = as_count("disturbances", self.disturbances, least=0)
         self._set(disturbances=nw)
         sizes = {"x": self.states, "u": self.inputs, "w": nw, "p": len(self.p)}
         self._set(model=DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))

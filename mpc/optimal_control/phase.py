@@ -129,8 +129,7 @@ class Phase:
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "states", as_count("states", self.states))
-        inputs = 0 if self.inputs == 0 and not isinstance(self.inputs, bool) else as_count("inputs", self.inputs)
-        set_(self, "inputs", inputs)
+        set_(self, "inputs", as_count("inputs", self.inputs, least=0))
         set_(self, "algebraics", as_count("algebraics", self.algebraics) if self.algebraic or self.algebraics else 0)
         guess = as_floats("z_guess", self.z_guess)
         guess = np.full(self.algebraics, guess) if guess.ndim == 0 else guess

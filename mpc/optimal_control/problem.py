@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools_ground.door import as_choice, as_number
-from mpc.checks import Array, as_array, as_floats
+from ccdtools_ground.door import as_choice, as_number, as_vector
+from mpc.checks import Array, as_array
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
@@ -115,10 +115,7 @@ class OptimalControlProblem:
         low, high = self.p_bounds
         if self.p_guess is None:
             return np.asarray(np.clip(np.nan_to_num(middle(low, high)), low, high))
-        guess = np.atleast_1d(as_floats("p_guess", self.p_guess))
-        if guess.shape != low.shape or not np.isfinite(guess).all():
-            raise InputError("p_guess", brief(repr(self.p_guess)), f"{len(low)} finite numbers")
-        return np.asarray(np.clip(guess, low, high))
+        return np.asarray(np.clip(as_vector("p_guess", self.p_guess, len(low)), low, high))
 
     @property
     def parameters(self) -> int:

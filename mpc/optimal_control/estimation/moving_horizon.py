@@ -128,7 +128,7 @@ class MovingHorizonEstimator:
         set_ = object.__setattr__
         for name in ("states", "window"):
             set_(self, name, as_count(name, getattr(self, name)))
-        set_(self, "inputs", 0 if self.inputs == 0 else as_count("inputs", self.inputs))
+        set_(self, "inputs", as_count("inputs", self.inputs, least=0))
         nx = self.states
         set_(self, "x0", as_array("x0", np.zeros(nx) if self.x0 is None else self.x0, (nx,)))
         set_(self, "p", as_array("p", self.p, (None,)))
