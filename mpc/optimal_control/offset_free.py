@@ -55,15 +55,15 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
 
     def _disturbed(self) -> NonlinearMPC:
         """Regulator, checked, of a model that disturbances move."""
-        as_instance("mpc", self.mpc, NonlinearMPC, "a NonlinearMPC")
-        _ = self.mpc.problem  # which a phase has not
-        if self.mpc.disturbances:
-            return self.mpc
-        step, size = self.mpc.model.step, self.mpc.states
+        mpc: NonlinearMPC = as_instance("mpc", self.mpc, NonlinearMPC, "a NonlinearMPC")
+        _ = mpc.problem  # which a phase has not
+        if mpc.disturbances:
+            return mpc
+        step, size = mpc.model.step, mpc.states
         x, u, none, p = symbols_of(step).values()
         w = type(x).sym("w", size)
         moved = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
-        return replace(self.mpc, step=moved, disturbances=size)
+        return replace(mpc, step=moved, disturbances=size)
 
     @property
     def problem(self) -> MPCProblem:

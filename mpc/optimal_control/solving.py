@@ -65,17 +65,16 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     Solution
         With a status: only what passes a check of its own is called SOLVED.
     """
-    if isinstance(program, OptimalControlProblem | Phase):
-        program = build(program)
+    given = build(program) if isinstance(program, OptimalControlProblem | Phase) else program
     expected = "what `build` returns, an OptimalControlProblem or a Phase"
-    program = as_instance("program", program, NonlinearProgram, expected)
+    built: NonlinearProgram = as_instance("program", given, NonlinearProgram, expected)
     settings = as_settings(tolerance, max_iterations, time_limit, options)
     as_instance("start", start, (Solution, type(None)), "a Solution, or None")
     if p is not None:
-        program = _held(program, p)
-    run = Run(program, settings)
-    guess, multipliers = (program.guess, None) if start is None else _from_solution(program, start)
-    found = run.solved(np.clip(guess, program.lower, program.upper), multipliers, warm=start is not None)
+        built = _held(built, p)
+    run = Run(built, settings)
+    guess, multipliers = (built.guess, None) if start is None else _from_solution(built, start)
+    found = run.solved(np.clip(guess, built.lower, built.upper), multipliers, warm=start is not None)
     if found.ended and not found.iterations and start is None:
         found = run.elsewhere(found)
     return run.judged(found)
