@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from ccdtools_ground import door
 from ccdtools_ground.door import brief
-from mpc.checks import Array, as_floats
+from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 
 Bounds = Any
 INF = np.inf
 RISING = "rising fractions of the duration, from 0 to 1"
-
-
-def as_number(name: str, value: Any, expected: str, holds: Callable[[float], bool]) -> float:
-    """Finite number for which `holds` is true."""
-    number = as_floats(name, value)
-    if number.ndim or not np.isfinite(number) or not holds(float(number)):
-        raise InputError(name, brief(repr(value)), expected)
-    return float(number)
-
-
-def as_share(name: str, value: Any) -> float:
-    """Number between 0 and 1."""
-    return as_number(name, value, "a number between 0 and 1", lambda number: 0 < number < 1)
 
 
 def as_bounds(name: str, value: Any, size: int | None, *, crossing: bool = False) -> tuple[Array, Array]:
@@ -117,14 +104,7 @@ def as_duration(value: Any, discrete: bool) -> tuple[float, float]:
 
 def as_names(name: str, value: Any, usual: str, size: int) -> tuple[str, ...]:
     """Names, `size` of them; by default `usual` and a number."""
-    if isinstance(value, str) or not isinstance(value, list | tuple):
-        raise InputError(name, brief(repr(value)), f"a list of {size} names")
-    names = tuple(value) or tuple(f"{usual}{i + 1}" for i in range(size))
-    strange = next((entry for entry in names if not isinstance(entry, str)), None)
-    if strange is not None:
-        raise InputError(name, brief(repr(strange)), "names, which are text")
-    if len(names) != size:
-        raise InputError(name, f"{len(names)} names", f"{size}, one each")
+    names = door.as_names(name, tuple(value) if isinstance(value, list) else value, size, usual)
     if len(set(names)) < size:
         double = next(entry for entry in names if names.count(entry) > 1)
         raise InputError(name, f"{double!r} twice", "names that differ")
@@ -142,17 +122,11 @@ def as_guess(value: Any, states: int, inputs: int) -> tuple[Array, Array, Array]
     """Times (n,) as fractions of the duration, states (n, nx) and inputs (n, nu)."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         raise InputError("guess", brief(repr(value)), "(times, x, u)")
-    times, x, u = (as_floats("guess", part) for part in value)
-    n = len(np.atleast_1d(times))
-    if states == 1 and x.shape == (n,):
-        x = x[:, None]
-    if inputs == 1 and u.shape == (n,):
-        u = u[:, None]
-    shapes = ((n,), (n, states), (n, inputs))
-    finite = all(np.isfinite(part).all() for part in (times, x, u))
-    if (times.shape, x.shape, u.shape) != shapes or not finite:
-        got = f"shapes {times.shape}, {x.shape}, {u.shape}" if finite else "numbers that are not finite"
-        raise InputError("guess", got, f"(n,) fractions, (n, {states}) states and (n, {inputs}) inputs, finite")
+    times = as_array("guess", value[0], (None,))
+    n = len(times)
+    given = ((as_floats("guess", part), size) for part, size in zip(value[1:], (states, inputs)))
+    x, u = (as_array("guess", part[:, None] if part.shape == (n,) and size == 1 else part, (n, size))
+            for part, size in given)  # fmt: skip
     if not n or (np.diff(times) < 0).any():
         raise InputError("guess", "times that fall" if n else "no times", RISING)
     if times[0] < 0 or times[-1] > 1:
@@ -170,11 +144,8 @@ def as_samples(value: Any, cost: Any, duration: tuple[float, float], discrete: b
         return None
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise InputError("samples", brief(repr(value)), "(times, values)")
-    times, values = (as_floats("samples", part) for part in value)
-    if times.ndim != 1 or values.ndim != 2 or len(times) != len(values) or not len(times):
-        raise InputError("samples", f"shapes {times.shape} and {values.shape}", "(n,) times and (n, m) values")
-    if not (np.isfinite(times).all() and np.isfinite(values).all()):
-        raise InputError("samples", "numbers that are not finite", "finite ones")
+    times = as_array("samples", value[0], ("n",))
+    values = as_array("samples", value[1], (len(times), None))
     if duration[0] != duration[1]:
         raise InputError("samples", "a duration that is free", "a given duration")
     if (np.diff(times) <= 0).any() or times[0] < 0 or times[-1] > duration[0] or (discrete and (times % 1).any()):

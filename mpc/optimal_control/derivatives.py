@@ -14,7 +14,7 @@ from mpc.optimal_control.pieces import Numbers, Piece
 
 
 class Derivatives:
-    """Cost f and constraints g (m,) of the unknowns v (n,), assembled from pieces, and their derivatives."""
+    """Cost f, constraints g (m,) of unknowns v (n,), and derivatives."""
 
     def __init__(self, pieces: Sequence[Piece], unknowns: int, constraints: int) -> None:
         self.pieces = merged(pieces)

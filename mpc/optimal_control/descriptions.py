@@ -136,15 +136,11 @@ def _bound(program: NonlinearProgram, i: int, weight: float, value: float) -> st
         low, high = program.parts[k].phase.x_bounds
         if (program.lower[i], program.upper[i]) != (low[number], high[number]):
             where = {0.0: "start of ", 1.0: "end of "}.get(fraction, "")
-    return f"{where}{name.removeprefix('the ')} {_side(program, i, weight, value)}{_of_linked_phase(program, k)}"
-
-
-def _side(program: NonlinearProgram, i: int, weight: float, value: float) -> str:
-    """Side and value of the bound that a multiplier belongs to."""
     low, high = program.lower[i], program.upper[i]
-    if high - low <= AT_BOUND * program.scale[i]:
-        return f"= {high:.6g}"
     bound = high if weight > 0 else low
-    if abs(bound - value) > IN_THE_WAY * program.scale[i]:
-        return f"= {value:.6g}"
-    return f"{'≤' if weight > 0 else '≥'} {bound:.6g}"
+    side = f"{'≤' if weight > 0 else '≥'} {bound:.6g}"
+    if high - low <= AT_BOUND * program.scale[i]:
+        side = f"= {high:.6g}"
+    elif abs(bound - value) > IN_THE_WAY * program.scale[i]:
+        side = f"= {value:.6g}"
+    return f"{where}{name.removeprefix('the ')} {side}{_of_linked_phase(program, k)}"

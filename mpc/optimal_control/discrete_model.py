@@ -16,8 +16,6 @@ from mpc.optimal_control.loop_phase import LoopPhase
 from mpc.optimal_control.quadratic_phase import priced, quadratic_parameters, quadratic_phase
 from mpc.problem import MPCProblem
 from mpc.sensitivities.changes import PlanModel
-from mpc.tolerances import SOLVERS, TARGET_COST
-from mpc.tracking import sizes_of
 
 
 class Buffered:
@@ -112,14 +110,15 @@ class DiscreteModel:
 
         def first(states: Array, inputs: Array) -> tuple[Array, Array, Array, Array]:
             """f (N, nx), ∂f/∂x, ∂f/∂u and ∂f/∂p (N, nx, ·)."""
-            (slopes,) = self._by_parameters(states, inputs, w, p)
+            slopes, _ = self._second[1](states, inputs, w, p, np.zeros(states.shape))
             by_parameters = slopes.reshape(len(inputs), len(p), states.shape[1]).transpose(0, 2, 1)
             return *self.linearised(states, inputs, w, p), by_parameters
 
         def second(states: Array, inputs: Array, costates: Array) -> tuple[Array, Array]:
             """Second derivatives of Σ λ_i f_i by (x, u) and p, (N, nx + nu, ·)."""
             at = (states, inputs, w, p, costates)
-            return self.curvature(*at), self.mixed(*at)
+            curvature, mixed = self.curvature(*at), self._second[1](*at)[1]
+            return curvature, mixed.reshape(len(inputs), len(p), curvature.shape[1]).transpose(0, 2, 1)
 
         return PlanModel(first, second)
 
@@ -128,29 +127,17 @@ class DiscreteModel:
         N, n = len(inputs), states.shape[1] + inputs.shape[1]
         return self._second[0](states, inputs, w, p, costates)[0].reshape(N, n, n)
 
-    def mixed(self, states: Array, inputs: Array, w: Array, p: Array, costates: Array) -> Array:
-        """Second derivatives (N, nx + nu, np) of λ'f by (x, u) and p."""
-        N, n = len(inputs), states.shape[1] + inputs.shape[1]
-        found = self._second[1](states, inputs, w, p, costates)[0]
-        return found.reshape(N, -1 if found.size else 0, n).transpose(0, 2, 1)
-
     @cached_property
     def _second(self) -> tuple[Buffered, Buffered]:
-        """Functions of second derivatives by (x, u), and by these and p, built on demand."""
+        """Functions of curvature along a plan; of derivatives by p."""
         columns = list(symbols_of(self.step).values())
-        costate = type(columns[0]).sym("costate", self.step.numel_out(0))
-        curvature, slope = ca.hessian(ca.dot(costate, self.step(*columns)), ca.vertcat(*columns[:2]))
-        second = [ca.densify(curvature), ca.densify(ca.jacobian(slope, columns[3]))]
-        functions = [ca.Function("curvature", [*columns, costate], [part], {"cse": True}) for part in second]
-        along = [Buffered(one.map("curvature_along", "serial", self.horizon, [3], [])) for one in functions]
+        costate, value = type(columns[0]).sym("costate", self.step.numel_out(0)), self.step(*columns)
+        curvature, slope = ca.hessian(ca.dot(costate, value), ca.vertcat(*columns[:2]))
+        by_p = [ca.densify(ca.jacobian(part, columns[3])) for part in (value, slope)]
+        results = [ca.densify(curvature)], by_p
+        functions = [ca.Function("second", [*columns, costate], parts, {"cse": True}) for parts in results]
+        along = [Buffered(one.map("second_along", "serial", self.horizon, [3], [])) for one in functions]
         return along[0], along[1]
-
-    @cached_property
-    def _by_parameters(self) -> Buffered:
-        """Function of derivatives by p along a plan, built on demand."""
-        columns = list(symbols_of(self.step).values())
-        slope = ca.densify(ca.jacobian(self.step(*columns), columns[3]))
-        return Buffered(ca.Function("by_parameters", columns, [slope]).map("along", "serial", self.horizon, [3], []))
 
     def at_rest(self, p: Array) -> tuple[Array, Array]:
         """Derivatives ∂A/∂p (nx, nx, np) and ∂B/∂p (nx, nu, np) at rest."""
@@ -204,31 +191,3 @@ def _following(step: ca.Function) -> ca.Function:
     u = ca.fmax(ca.fmax(low, last - rate), ca.fmin(ca.fmin(high, last + rate), u))
     then = ca.densify(ca.vertcat(step(x, u, w, p), u))
     return ca.Function("following", [now, v, s, gain, low, high, rate, w, p], [then])
-
-
-def steady_solver(law: MPCProblem, model: DiscreteModel) -> ca.Function:
-    """Ipopt for the steady state of a model in X and U whose outputs are nearest to a reference.
-
-    Its parameters are C'C, C'r, w and p; its unknowns states and inputs in their sizes, its rows the drift of the
-    states, then those of X and U less their bounds.
-    """
-    size, nx = sizes_of(law), law.nx
-    _, _, w, p = symbols_of(model.step).values()
-    kind = type(w)
-    z, squares, slope = kind.sym("z", len(size)), kind.sym("squares", nx, nx), kind.sym("slope", nx)
-    x, u = ca.vertsplit(z * size, [0, nx, len(size)])
-    cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u) + 2 * ca.dot(x, ca.DM(law.cross) @ u)
-    most = float(sum(np.diag(law.Q) * size[:nx] ** 2) + sum(np.diag(law.R) * size[nx:] ** 2)) or 1.0
-    rows = [
-        (ca.DM(H) @ value - h) / law.row_units[name]
-        for name, value, (H, h) in (("state", x, law.state_rows), ("input", u, law.input_rows))
-    ]
-    drift = (model.step(x, u, w, p) - x) / law.state_extent
-    program = {
-        "x": z, "p": ca.vertcat(ca.vec(squares), slope, w, p), "g": ca.vertcat(drift, *rows),
-        "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
-    }  # fmt: skip
-    return ca.nlpsol("steady_state", "ipopt", program, {
-        "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": SOLVERS,
-        "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
-    })  # fmt: skip

@@ -55,7 +55,11 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
         raise
     except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
         raise stopped(argument, given, error, expected) from error
-    expression = _as_column(argument, value, kind, expected)
+    try:
+        parts = list(value) if isinstance(value, list | tuple) else [value]
+        expression = ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts))
+    except Exception as error:
+        raise InputError(argument, f"one that returns {brief(repr(value))}", expected) from error
     missing = [name for name in own if not sizes[name]]
     cure = f"There is no {missing[0]} in this problem." if missing else ""
     if rows is not None and expression.numel() != rows:
@@ -67,7 +71,9 @@ def _traced(argument: str, given: Any, own: tuple[str, ...], sizes: dict[str, in
     if function.has_free():
         got = f"an expression of {', '.join(function.get_free()[:5])} besides"
         raise InputError(argument, got, f"an expression of {', '.join(sizes)} alone")
-    if _has_nan(function):
+    scalar = range(function.n_instructions() if function.is_a("SXFunction") else 0)
+    constants = [i for i in scalar if function.instruction_id(i) == ca.OP_CONST]
+    if any(isnan(function.instruction_constant(i)) for i in constants):
         cure = "float(), math.sin and the like of a symbol are no number: use ca.sin and the like."
         raise InputError(argument, "an expression with a constant that is NaN", expected, cure)
     return function
@@ -118,20 +124,3 @@ def wanted(argument: str, given: Any, names: tuple[str, ...]) -> tuple[str, ...]
     if strange:
         raise InputError(argument, f"an argument named {strange[0]!r}", expected)
     return own
-
-
-def _as_column(argument: str, value: Any, kind: Any, expected: str) -> Any:
-    """Value as a column of expressions."""
-    try:
-        parts = list(value) if isinstance(value, list | tuple) else [value]
-        return ca.vertcat(kind(0, 1), *(ca.vec(kind(part)) for part in parts))
-    except Exception as error:
-        raise InputError(argument, f"one that returns {brief(repr(value))}", expected) from error
-
-
-def _has_nan(function: ca.Function) -> bool:
-    """Whether a scalar function contains a NaN constant."""
-    if not function.is_a("SXFunction"):
-        return False
-    constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
-    return any(isnan(function.instruction_constant(i)) for i in constants)

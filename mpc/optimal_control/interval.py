@@ -11,7 +11,7 @@ import numpy as np
 from mpc.checks import Array
 from mpc.optimal_control.bounds import middle
 from mpc.optimal_control.functions import slopes_of
-from mpc.optimal_control.phase import Phase, PhaseFunctions, evaluated
+from mpc.optimal_control.phase import Phase, PhaseFunctions, evaluated, interpolated
 from mpc.optimal_control.schemes import MultipleShooting, Scheme
 
 Trajectory = Callable[[Array], Sequence[Array]]
@@ -123,25 +123,14 @@ def first_duration(phase: Phase) -> float:
 def first_guess(phase: Phase) -> Trajectory:
     """First guess of a phase: the user's, else a straight line."""
     if phase.guess is not None:
-        return between(*phase.guess)
+        times, x, u = phase.guess
+        return lambda at: (interpolated(at, times, x), interpolated(at, times, u))
     first, last = middle(*phase.start), middle(*phase.end)
     first, last = np.where(np.isnan(first), last, first), np.where(np.isnan(last), first, last)
     near_zero = np.clip(0.0, *phase.x_bounds)
     x = np.where(np.isnan([first, last]), near_zero, [first, last])
-    return between(np.array([0.0, 1.0]), x, np.tile(np.clip(np.zeros(phase.inputs), *phase.u_bounds), (2, 1)))
-
-
-def between(times: Array, x: Array, u: Array) -> Trajectory:
-    """Linear interpolation of states (n, nx) and inputs (n, nu)."""
-
-    def trajectory(at: Array) -> tuple[Array, Array]:
-        states, inputs = (
-            np.array([np.interp(at, times, column) for column in part.T]).reshape(part.shape[1], len(at)).T
-            for part in (x, u)
-        )  # fmt: skip
-        return states, inputs
-
-    return trajectory
+    u = np.clip(np.zeros(phase.inputs), *phase.u_bounds)
+    return lambda at: (interpolated(at, np.array([0.0, 1.0]), x), np.tile(u, (len(at), 1)))
 
 
 def phase_unknowns(phase: Phase, functions: PhaseFunctions, parameters: Array, layout: Layout,

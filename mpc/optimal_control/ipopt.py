@@ -74,23 +74,18 @@ def once(program: SizedProgram, guess: Array, multipliers: dict[str, Array] | No
             "lam_x0": multipliers["bounds"] * size / of_cost,
         }
     with ONE_AT_A_TIME:
-        return _once(program, given, settings)
-
-
-def _once(program: SizedProgram, given: dict[str, Any], settings: Settings) -> Found:
-    """Call of the solver, alone."""
-    size, of_cost = program.scale, program.cost_scale
-    solver, watch = solver_of(program, settings)
-    if watch is not None:
-        watch.begin(given)
-    result = solver(**given)
-    stats = solver.stats()
+        solver, watch = solver_of(program, settings)
+        if watch is not None:
+            watch.begin(given)
+        result = solver(**given)
+        stats = solver.stats()
     z, on_rows, on_bounds = (np.asarray(result[name], dtype=float).ravel() for name in ("x", "lam_g", "lam_x"))
     said = str(stats["return_status"])
     if said == "Invalid_Option":
         raise InputError("options", brief(repr(settings.options)), "options that this Ipopt accepts")
     residuals, violations = _checked(program, z, on_rows, on_bounds, given)
-    if said not in ENDED and watch is not None and watch.better_than(violations, float(result["f"])):
+    rank = _rank(float(violations.max(initial=0.0)), float(result["f"]))
+    if said not in ENDED and watch is not None and len(watch.z) and watch.rank < rank:
         z = watch.z
         residuals, violations = _checked(program, z, on_rows, on_bounds, given)
     back = {"rows": on_rows / program.row_scale * of_cost, "bounds": on_bounds / size * of_cost}
@@ -164,10 +159,6 @@ class BestIterate(ca.Callback):
         if rank < self.rank:
             self.rank, self.z = rank, np.asarray(arg[0], dtype=float).ravel()
         return [0]
-
-    def better_than(self, violations: Array, f: float) -> bool:
-        """Whether a better iterate was kept than this one."""
-        return bool(len(self.z)) and self.rank < _rank(float(violations.max(initial=0.0)), f)
 
 
 def _rank(violation: float, f: float) -> tuple[float, float]:

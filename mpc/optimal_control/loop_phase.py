@@ -17,7 +17,7 @@ from mpc.optimal_control.functions import wanted
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.phase import Phase, PhaseFunctions, signal_at
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.program import NonlinearProgram, places_of_violations, relaxable
+from mpc.optimal_control.program import NonlinearProgram, PhasePart, places_of_violations, relaxable
 from mpc.optimal_control.schemes import sampled
 from mpc.optimal_control.transcription import build
 
@@ -120,14 +120,14 @@ class LoopPhase(Immutable):
         free = np.zeros(len(program.row_lower), dtype=bool)
         of_signal = np.arange(part.layout.nx)
         free[part.defects] = np.tile((of_signal >= nx) & (of_signal < nx + nw), self.horizon)
-        free[part.path.start : part.path.start + len(part.functions.path_names)] = ~self._of("u")  # of the first state
+        of_inputs = self._of(part, "u")
+        free[part.path.start : part.path.start + len(of_inputs)] = ~of_inputs  # of the first state
         row_lower, row_upper = np.where(free, -INF, program.row_lower), np.where(free, INF, program.row_upper)
         return replace(program, lower=lower, upper=upper, row_lower=row_lower, row_upper=row_upper, scale=scale)
 
-    def _of(self, name: str) -> Flags:
+    def _of(self, part: PhasePart, name: str) -> Flags:
         """Whether each path row depends on "u" or "x"."""
-        path, count = self._discrete_functions.path, len(self._discrete_functions.path_names)
-        found = np.zeros(count, dtype=bool)
+        path, found = part.functions.path, np.zeros(len(part.functions.path_names), dtype=bool)
         if path is not None:
             rows, columns = path.jac_sparsity(0, 0 if name == "x" else 1).get_triplet()
             found[[row for row, column in zip(rows, columns) if name == "u" or column < self.phase.states]] = True
@@ -140,14 +140,9 @@ class LoopPhase(Immutable):
         found = np.zeros(len(program.row_lower), dtype=bool)
         for rows in program.rows:
             if rows.name in ("path", "boundary"):
-                own = self._of("x") if rows.name == "path" else np.ones(len(rows.entries), dtype=bool)
+                own = self._of(program.parts[0], "x") if rows.name == "path" else np.ones(len(rows.entries), dtype=bool)
                 found[rows.first : rows.last] = np.tile(own, (rows.last - rows.first) // len(own))
         return found & (np.isfinite(program.row_lower) | np.isfinite(program.row_upper))
-
-    @cached_property
-    def _discrete_functions(self) -> PhaseFunctions:
-        """Functions of the discrete phase."""
-        return PhaseFunctions(self._discrete, len(self.p) + 1)
 
     @cached_property
     def _discrete(self) -> Phase:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools_ground.door import as_number
 from mpc.budgets import ASIDE
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_number
 from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
@@ -94,7 +94,7 @@ class LoopPlanner:
         known = {"w": nw > 0, "u_prev": loop.carries, "t": loop.timed, "time": loop.timed}
         given = {name: value for name, value in stated.items() if value is not None}
         if "time" in given and loop.timed:  # the number of the sample
-            given["t"] = loop.phase.start_time + loop.dt * as_number("time", given["time"], "a number", lambda _: True)
+            given["t"] = loop.phase.start_time + loop.dt * as_number("time", given["time"])
         strange = next((name for name in given if not known.get(name)), None)
         if strange is not None:
             names = ", ".join(name for name, there in known.items() if there)
@@ -102,7 +102,7 @@ class LoopPlanner:
         missing = next((name for name in ASKED if known[name] and name not in given), None)
         if missing is not None:
             raise InputError(missing, "nothing", ASKED[missing], f"The phase depends on it: pass {missing}=….")
-        t = as_number("t", given.get("t", loop.phase.start_time), "a finite number", lambda _: True)
+        t = as_number("t", given.get("t", loop.phase.start_time))
         w = as_floats("w", given.get("w", loop.signal(t)))
         w = np.tile(as_array("w", np.atleast_1d(w), (nw,)), (N + 1, 1)) if w.ndim <= 1 else w
         w = np.vstack([w, w[-1:]]) if len(w) == N else w

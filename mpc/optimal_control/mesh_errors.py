@@ -10,7 +10,7 @@ import numpy as np
 from mpc.budgets import CLOSER_LOOKS, LIMIT_CHECKS, OBSTACLE_DOUBLINGS
 from mpc.checks import Array
 from mpc.optimal_control.interval import layout_of, times_of
-from mpc.optimal_control.phase import evaluated, signal_along
+from mpc.optimal_control.phase import signal_along
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.pieces import interval_function
 from mpc.optimal_control.program import NonlinearProgram
@@ -25,13 +25,14 @@ class Missed(NamedTuple):
     cost: Array
 
 
-def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
+def mesh_errors(phase: PhaseSolution, multipliers: dict[str, Array]) -> Missed:
     """Errors of a phase's dynamics and cost over each interval.
 
     For collocation the integral of |dx/dt − f(x, u)| along the polynomials, with inputs that are cut at their bounds
     where they would cross them between the points; for shooting the difference that half the integration step makes,
     or with CVODES a hundredth of its tolerance. The cost feels that by the costates, λ·(f − dx/dt), and by its own
-    quadrature. Zero for discrete dynamics; infinite where the dynamics are not finite between the points.
+    quadrature; by collocation also limits that are passed between the points, by their multipliers. Zero for discrete
+    dynamics; infinite where the dynamics are not finite between the points.
 
     References
     ----------
@@ -44,13 +45,16 @@ def mesh_errors(phase: PhaseSolution, p: Array) -> Missed:
     moved = np.abs(phase.stages.rates).max(axis=(0, 1)) * phase.duration
     largest = np.maximum(np.abs(phase.states).max(axis=0), np.abs(phase.stages.states).max(axis=(0, 1)))
     size = np.maximum(largest, NEGLIGIBLE * moved)
-    found = _by_residual(phase, scheme, p) if isinstance(scheme, Collocation) else _by_finer_steps(phase, scheme, p)
+    if isinstance(scheme, Collocation):
+        found = _by_residual(phase, scheme, multipliers)
+    else:
+        found = _by_finer_steps(phase, scheme, multipliers)
     relative = found.dynamics / np.where(size > 0, size, 1.0)
     worst, cost = relative.max(axis=1), np.abs(found.cost)
     return Missed(*(np.asarray(np.where(np.isfinite(value), value, np.inf)) for value in (worst, cost)))
 
 
-def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
+def _by_residual(phase: PhaseSolution, scheme: Collocation, multipliers: dict[str, Array]) -> Missed:
     """Integrals ∫ |dx/dt − f| (N, nx) per interval, and cost errors."""
     part, N = phase.part, phase.part.intervals
     tau, weights = np.polynomial.legendre.leggauss(max(8, 2 * scheme.stages))  # Gauss points
@@ -60,36 +64,51 @@ def _by_residual(phase: PhaseSolution, scheme: Collocation, p: Array) -> Missed:
     x, u = phase.states_within(k, at), np.clip(phase.inputs_within(k, at), *part.phase.u_bounds)
     times = phase.times[k] + h[k] * at
     given = np.einsum("tj,kji->kti", basis, phase.stages.rates)
-    missed = evaluated(part.functions.dynamics, part.phase, x, u, times, p).reshape(given.shape) - given
-    of_cost = np.einsum("t,tj,kji,kti->k", weights, basis, phase.stages.costates, missed, optimize=True)
+    missed = phase.evaluated(part.functions.dynamics, x, u, times).reshape(given.shape) - given
+    later = scheme.matrix[int(scheme.continuous_inputs) :] / scheme.matrix[-1]
+    costates = np.einsum("mj,kmi->kji", later, multipliers["rows"][part.defects].reshape(N, len(later), -1))
+    of_cost = np.einsum("t,tj,kji,kti->k", weights, basis, costates, missed, optimize=True)
     if part.functions.stage_cost is not None:
         cost, stages, places = part.functions.stage_cost, phase.stages, phase.stages.times.ravel()
-        fine = evaluated(cost, part.phase, x, u, times, p).reshape(N, -1) @ weights
+        fine = phase.evaluated(cost, x, u, times).reshape(N, -1) @ weights
         states, inputs = (values.reshape(len(places), values.shape[2]) for values in (stages.states, stages.inputs))
-        counted = evaluated(cost, part.phase, states, inputs, places, p).reshape(N, -1) @ scheme.matrix[-1]
+        counted = phase.evaluated(cost, states, inputs, places).reshape(N, -1) @ scheme.matrix[-1]
         of_cost = of_cost + phase.weight * (fine - counted)
+    passed = np.maximum(_beyond(phase, k + at), 0.0).reshape(-1, N, len(tau))
+    prices = _prices(phase, multipliers)
+    of_limits = np.einsum("t,tj,kjm,mkt->k", weights, np.maximum(basis, 0.0), prices, passed, optimize=True)
+    of_cost = np.abs(of_cost) + of_limits
     return Missed(h[:, None] * np.einsum("t,kti->ki", weights, np.abs(missed)), h * of_cost)
 
 
-def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> Missed:
+def _prices(phase: PhaseSolution, multipliers: dict[str, Array]) -> Array:
+    """Sizes (N, points, m) of the limits' multipliers, per time."""
+    part, m = phase.part, len(phase.part.functions.path_names)
+    N, points = part.shares.shape
+    path = np.zeros((N, points, m))
+    shared = int(part.scheme.continuous_inputs)
+    path[:, shared:] = multipliers["rows"][part.path].reshape(N, points - shared, m)
+    if shared:
+        path[1:, 0] = path[:-1, -1]
+    states = np.stack(part.unknowns(multipliers["bounds"])[2]).transpose(2, 0, 1)[:, :, _bounded(phase)]
+    return np.asarray(np.abs(np.concatenate([path, states], axis=2)) / (phase.duration * part.shares[:, :, None]))
+
+
+def _by_finer_steps(phase: PhaseSolution, scheme: MultipleShooting, multipliers: dict[str, Array]) -> Missed:
     """Differences (N, nx) by finer integration, and cost errors."""
+    part, none = phase.part, np.zeros((0, phase.part.intervals))
     finer = replace(scheme, substeps=2 * scheme.substeps, tolerance=0.01 * scheme.tolerance)
-    (ends, fine), (_, coarse) = (_shot(phase, one, p) for one in (finer, scheme))
-    of_cost = phase.weight * (fine[:, 0] - coarse[:, 0]) + np.einsum("kji,ki->k", phase.stages.costates, ends)
-    return Missed(np.abs(ends), of_cost)
-
-
-def _shot(phase: PhaseSolution, scheme: MultipleShooting, p: Array) -> tuple[Array, Array]:
-    """Errors of the interval ends (N, nx), and costs (N, 1)."""
-    part, N = phase.part, phase.part.intervals
-    layout = layout_of(part.phase, part.layout.nw, scheme)
-    interval = interval_function(part.phase, part.functions, scheme, layout, len(p))
-    w = signal_along(part.phase, times_of(layout.signals, part.mesh)).T
-    none = np.zeros((0, N))
     nodes = phase.states[:-1].T, none, phase.stages.inputs[:, 0].T, phase.states[1:].T, none
-    found = interval(*nodes, p, phase.times[None, :-1], np.diff(phase.times)[None], w)
-    defects, cost = (np.asarray(value, dtype=float).T for value in found[:2])
-    return defects, cost
+    costs = []
+    for one in (scheme, finer):
+        layout = layout_of(part.phase, part.layout.nw, one)
+        interval = interval_function(part.phase, part.functions, one, layout, len(phase.p))
+        w = signal_along(part.phase, times_of(layout.signals, part.mesh)).T
+        found = interval(*nodes, phase.p, phase.times[None, :-1], np.diff(phase.times)[None], w)
+        ends, cost = (np.asarray(value, dtype=float).T for value in found[:2])
+        costs.append(cost[:, 0])
+    costates = multipliers["rows"][part.defects].reshape(ends.shape)
+    return Missed(np.abs(ends), phase.weight * (costs[1] - costs[0]) + (costates * ends).sum(axis=1))
 
 
 class Excess(NamedTuple):
@@ -106,29 +125,25 @@ class Excess(NamedTuple):
     names: tuple[str, ...]
 
 
-def path_excess(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...], p: Array) -> tuple[Excess, ...]:
-    """Violations of limits between the mesh points of every phase.
+def path_excess(program: NonlinearProgram, phase: PhaseSolution) -> Excess:
+    """Violations of limits between the mesh points of a phase.
 
     Zero where they never are; of discrete dynamics there is nothing between.
     """
-    return tuple(_excess(phase, p, sizes) for phase, sizes in zip(phases, _sizes(program, v, phases)))
-
-
-def _excess(phase: PhaseSolution, p: Array, sizes: Array) -> Excess:
-    """Violations in a phase with limit sizes (m, N)."""
+    sizes = _sizes(program, phase)
     m, N = sizes.shape
     bounded = _bounded(phase)
     names = (*phase.part.functions.path_names, *np.asarray(phase.part.phase.state_names)[bounded].tolist())
     if not m or phase.part.phase.discrete:
         return Excess(np.zeros(m), np.full(m, phase.times[0]), np.zeros(m), np.zeros(N), names)
     places = (np.arange(N * LIMIT_CHECKS) + 0.5) / LIMIT_CHECKS
-    beyond = _beyond(phase, p, places)
+    beyond = _beyond(phase, places)
     relative = beyond.reshape(m, N, LIMIT_CHECKS).max(axis=2) / sizes
     rows, first = _peaks(beyond)
-    value, place, local = _closer(phase, p, rows, places[first])
+    value, place, local = _closer(phase, rows, places[first])
     k = np.minimum(place.astype(int), N - 1)
     of_size = np.where(value > LIMIT_PASSED / 10 * sizes[rows, k], value / np.minimum(sizes[rows, k], local), 0.0)
-    np.maximum.at(relative, (rows, k), np.maximum(of_size, _of_obstacles(phase, p, place, rows, value)))
+    np.maximum.at(relative, (rows, k), np.maximum(of_size, _of_obstacles(phase, place, rows, value)))
     worst = relative.argmax(axis=1)
     seen = beyond.reshape(m, N, LIMIT_CHECKS)[np.arange(m), worst]
     depth, when = np.maximum(seen.max(axis=1), 0.0), worst + (seen.argmax(axis=1) + 0.5) / LIMIT_CHECKS
@@ -152,7 +167,7 @@ def _peaks(beyond: Array) -> tuple[Any, Any]:
     return rows, places
 
 
-def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Array, Array, Array]:
+def _closer(phase: PhaseSolution, rows: Any, place: Array) -> tuple[Array, Array, Array]:
     """Largest violation of `rows` (k,), its place and size.
 
     The size is the largest change of the limit over the extents of states and inputs by its slope, where it is passed;
@@ -161,42 +176,34 @@ def _closer(phase: PhaseSolution, p: Array, rows: Any, place: Array) -> tuple[Ar
     N, count = phase.part.intervals, len(rows)
     steps = np.linspace(-1, 1, LIMIT_CHECKS + 1)
     value, size, width = np.full(count, -np.inf), np.zeros(count), 1 / LIMIT_CHECKS
+    extents = _extents(phase)
     for _ in range(CLOSER_LOOKS if count else 0):
         near = np.clip(place[:, None] + width * steps, 0.0, N)
-        seen = _beyond(phase, p, near.ravel())[rows.repeat(len(steps)), np.arange(near.size)].reshape(near.shape)
+        seen = _beyond(phase, near.ravel())[rows.repeat(len(steps)), np.arange(near.size)].reshape(near.shape)
         slopes = np.zeros(near.shape)
-        passed = seen > 0
-        slopes[passed] = _slopes(phase, p, near[passed], rows.repeat(len(steps)).reshape(near.shape)[passed])
-        size = np.maximum(size, slopes.max(axis=1))
+        passed = (seen > 0) & (rows < len(phase.part.functions.path_names))[:, None]
+        if passed.any():
+            which = rows.repeat(len(steps)).reshape(near.shape)[passed]
+            slopes[passed] = np.abs(_path_slopes(phase, near[passed], which)) @ extents
+        size = np.maximum(size, np.where(np.isfinite(slopes), slopes, 0.0).max(axis=1))
         best = seen.argmax(axis=1)[:, None]
         place, value = (np.take_along_axis(one, best, axis=1)[:, 0] for one in (near, seen))
         width *= 2 / LIMIT_CHECKS
     return np.maximum(value, 0.0), place, np.where(size > 0, size, np.inf)
 
 
-def _slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
-    """Change (n,) of limits `rows` over the extents; zero for bounded states."""
-    found = np.zeros(len(places))
-    own = np.flatnonzero(rows < len(phase.part.functions.path_names))
-    if len(own):
-        extents = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
-        steep = np.abs(_path_slopes(phase, p, places[own], rows[own])) @ extents
-        found[own] = np.where(np.isfinite(steep), steep, 0.0)
-    return found
-
-
-def _path_slopes(phase: PhaseSolution, p: Array, places: Array, rows: Any) -> Array:
+def _path_slopes(phase: PhaseSolution, places: Array, rows: Any) -> Array:
     """Slopes (n, nx + nu) of the violations of path limits `rows` (n,) by states and inputs."""
-    part, functions = phase.part.phase, phase.part.functions
+    functions = phase.part.functions
     x, u, times = _along(phase, places)
     each = np.arange(len(places))
-    slopes = evaluated(functions.path_slopes, part, x, u, times, p).reshape(len(places), -1, len(functions.path_names))
-    value = evaluated(functions.path, part, x, u, times, p)[each, rows]
+    slopes = phase.evaluated(functions.path_slopes, x, u, times).reshape(len(places), -1, len(functions.path_names))
+    value = phase.evaluated(functions.path, x, u, times)[each, rows]
     low, high = (side[rows] for side in functions.path_bounds)
     return slopes[each, :, rows] * np.where(value - high >= low - value, 1.0, -1.0)[:, None]
 
 
-def _of_obstacles(phase: PhaseSolution, p: Array, places: Array, rows: Any, passed: Array) -> Array:
+def _of_obstacles(phase: PhaseSolution, places: Array, rows: Any, passed: Array) -> Array:
     """Relative violations (n,) of obstacles that are thinner than 2^OBSTACLE_DOUBLINGS times the depth.
 
     Depth and thickness are those along the state or input for which the obstacle is thickest beside the depth, so that
@@ -210,13 +217,13 @@ def _of_obstacles(phase: PhaseSolution, p: Array, places: Array, rows: Any, pass
     at = np.hstack([x, u])
     factors = 2.0 ** np.arange(1, OBSTACLE_DOUBLINGS + 1)
     doublings = np.full(len(own), -1)
-    for axis, slope in enumerate(_path_slopes(phase, p, places[own], rows[own]).T):
+    for axis, slope in enumerate(_path_slopes(phase, places[own], rows[own]).T):
         with np.errstate(divide="ignore", over="ignore"):
             ahead = passed[own] / slope
         ahead[~np.isfinite(ahead)] = 0.0
         deeper = at.repeat(len(factors), axis=0)
         deeper[:, axis] += np.outer(ahead, factors - 1).ravel()
-        seen = _path_violations(phase, p, deeper[:, : x.shape[1]], deeper[:, x.shape[1] :], times.repeat(len(factors)))
+        seen = _path_violations(phase, deeper[:, : x.shape[1]], deeper[:, x.shape[1] :], times.repeat(len(factors)))
         inside = seen[rows[own].repeat(len(factors)), np.arange(len(deeper))].reshape(len(own), -1) > 0
         doublings = np.maximum(doublings, np.where(ahead == 0, -1, inside.cumprod(axis=1).sum(axis=1)))
     thin = (doublings >= 0) & (doublings < OBSTACLE_DOUBLINGS)
@@ -243,7 +250,7 @@ def _bounded(phase: PhaseSolution) -> Any:
     return np.flatnonzero(np.isfinite(low) | np.isfinite(high))
 
 
-def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
+def _beyond(phase: PhaseSolution, places: Array) -> Array:
     """Violation (m, n) of each limit at places (n,), counted in intervals."""
     part, scheme = phase.part, phase.part.scheme
     x, u, times = _along(phase, places)
@@ -254,7 +261,7 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
         return of_states
 
     def of_path(inputs: Array) -> Array:
-        return _path_violations(phase, p, x, inputs, times)
+        return _path_violations(phase, x, inputs, times)
 
     passed = of_path(u)
     if isinstance(scheme, Collocation):
@@ -266,35 +273,34 @@ def _beyond(phase: PhaseSolution, p: Array, places: Array) -> Array:
     return np.vstack([passed, of_states])
 
 
-def _path_violations(phase: PhaseSolution, p: Array, x: Array, u: Array, times: Array) -> Array:
-    """Violations (m, n) of the path limits at states, inputs and times; infinite where a limit is no number."""
+def _path_violations(phase: PhaseSolution, x: Array, u: Array, times: Array) -> Array:
+    """Violations (m, n) of path limits; infinite where no number."""
     low, high = (side[:, None] for side in phase.part.functions.path_bounds)
     free = np.isfinite(phase.part.functions.path_prices[0])  # for a price, or as what z is solved from
     free[len(free) - phase.part.phase.algebraics :] = True
-    values = evaluated(phase.part.functions.path, phase.part.phase, x, u, times, p).T
+    values = phase.evaluated(phase.part.functions.path, x, u, times).T
     values = np.maximum(values - high, low - values)
     return np.where(free[:, None], -np.inf, np.where(np.isnan(values), np.inf, values))
 
 
-def _sizes(program: NonlinearProgram, v: Array, phases: tuple[PhaseSolution, ...]) -> list[Array]:
-    """Sizes (m, N) of the limits of every phase."""
-    extents = np.zeros(len(v))
-    found, paths = [], []
-    for part, phase in zip(program.parts, phases):
-        numbers, _ = part.coordinates
-        of_all = np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])
-        extents[part.first : part.last] = of_all[numbers]
-        own = _bounded(phase)
-        scale = np.array([program.scale[part.first : part.last][numbers == i].max() for i in own])
-        size = np.maximum(of_all[own], LEAST_LIMIT_SIZE * scale)
-        found.append(np.tile(size.reshape(-1, 1), (1, part.intervals)))
-        paths.append(0 if part.functions.path is None or part.phase.discrete else part.functions.path.numel_out(0))
-    if not any(paths):
-        return found
-    steep = abs(program.derivatives.jacobian[1](v)[1].sparse().multiply(extents)).tocsr().max(axis=1).toarray().ravel()
-    for k, (part, m) in enumerate(zip(program.parts, paths)):
-        if not m:
-            continue
-        local, scale = (value[part.path].reshape(part.intervals, -1, m) for value in (steep, program.row_scale))
-        found[k] = np.vstack([np.maximum(local.min(axis=1), LEAST_LIMIT_SIZE * scale.min(axis=1)).T, found[k]])
-    return found
+def _sizes(program: NonlinearProgram, phase: PhaseSolution) -> Array:
+    """Sizes (m, N) of the limits of a phase."""
+    part, own, extents = phase.part, _bounded(phase), _extents(phase)
+    scale = np.array([program.scale[part.first : part.last][part.coordinates[0] == i].max() for i in own])
+    size = np.maximum(extents[own], LEAST_LIMIT_SIZE * scale)
+    of_states = np.tile(size.reshape(-1, 1), (1, part.intervals))
+    m, shared = len(part.functions.path_names), int(part.scheme.continuous_inputs)
+    if not m or part.phase.discrete:
+        return of_states
+    stages = phase.stages
+    x, u, t = (values[:, shared:] for values in (stages.states, stages.inputs, stages.times))
+    at = x.reshape(t.size, -1), u.reshape(t.size, u.shape[2]), t.ravel()
+    slopes = phase.evaluated(part.functions.path_slopes, *at).reshape(part.intervals, -1, len(extents), m)
+    local = (np.abs(slopes) * extents[:, None]).max(axis=2).min(axis=1)
+    scale = program.row_scale[part.path].reshape(part.intervals, -1, m).min(axis=1)
+    return np.vstack([np.maximum(local, LEAST_LIMIT_SIZE * scale).T, of_states])
+
+
+def _extents(phase: PhaseSolution) -> Array:
+    """Extents (nx + nu,) of states and inputs along a phase."""
+    return np.concatenate([np.ptp(phase.states, axis=0), np.ptp(phase.stages.inputs, axis=(0, 1))])

@@ -12,13 +12,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_instance
 from invariant_sets import Polytope, maximal_positively_invariant_set
 from mpc.checks import Array, Immutable, as_array, as_count, as_floats, as_rate_limit, as_seconds
 from mpc.exceptions import InputError, NotStabilisableError
 from mpc.linear_mpc import LinearMPC
 from mpc.optimal_control.c_code import write_c
-from mpc.optimal_control.discrete_model import DiscreteModel, steady_solver
-from mpc.optimal_control.functions import Statement, compiled
+from mpc.optimal_control.discrete_model import DiscreteModel
+from mpc.optimal_control.functions import Statement, compiled, symbols_of
 from mpc.optimal_control.loop_phase import LoopPhase, as_loop_phase
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.phase import Phase
@@ -30,7 +31,8 @@ from mpc.rollout import disturbance, spread_signals
 from mpc.sensitivities.along_plan import sensitivity_of
 from mpc.sensitivities.changes import as_changes
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity
-from mpc.tolerances import STEADY
+from mpc.tolerances import SOLVERS, STEADY, TARGET_COST
+from mpc.tracking import sizes_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,7 +137,7 @@ class NonlinearMPC(Immutable):
             self._set(**{name: as_count(name, getattr(self, name))})
         if self.iterations is not None:
             self._set(iterations=as_count("iterations", self.iterations))
-        nw = 0 if self.disturbances == 0 else as_count("disturbances", self.disturbances)
+        nw = as_count("disturbances", self.disturbances, least=0)
         self._set(disturbances=nw)
         sizes = {"x": self.states, "u": self.inputs, "w": nw, "p": len(self.p)}
         self._set(model=DiscreteModel(compiled("step", self.step, sizes, self.states), self.horizon))
@@ -317,13 +319,36 @@ class NonlinearMPC(Immutable):
 
     @cached_property
     def steady_solver(self) -> ca.Function:
-        """Solver for steady states of the model in X and U."""
-        return steady_solver(self.problem, self.model)
+        """Ipopt for steady states nearest to a reference, in X and U.
+
+        Its parameters are C'C, C'r, w and p; its unknowns states and inputs in their sizes, its rows the drift of the
+        states, then those of X and U less their bounds.
+        """
+        law, model = self.problem, self.model
+        size, nx = sizes_of(law), law.nx
+        _, _, w, p = symbols_of(model.step).values()
+        kind = type(w)
+        z, squares, slope = kind.sym("z", len(size)), kind.sym("squares", nx, nx), kind.sym("slope", nx)
+        x, u = ca.vertsplit(z * size, [0, nx, len(size)])
+        cost = ca.bilin(law.Q, x) + ca.bilin(law.R, u) + 2 * ca.dot(x, ca.DM(law.cross) @ u)
+        most = float(sum(np.diag(law.Q) * size[:nx] ** 2) + sum(np.diag(law.R) * size[nx:] ** 2)) or 1.0
+        rows = [
+            (ca.DM(H) @ value - h) / law.row_units[name]
+            for name, value, (H, h) in (("state", x, law.state_rows), ("input", u, law.input_rows))
+        ]
+        drift = (model.step(x, u, w, p) - x) / law.state_extent
+        program = {
+            "x": z, "p": ca.vertcat(ca.vec(squares), slope, w, p), "g": ca.vertcat(drift, *rows),
+            "f": ca.bilin(squares, x) - 2 * ca.dot(slope, x) + TARGET_COST * cost / most,
+        }  # fmt: skip
+        return ca.nlpsol("steady_state", "ipopt", program, {
+            "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.tol": SOLVERS,
+            "ipopt.max_iter": 200, "ipopt.bound_relax_factor": 0.0, "show_eval_warnings": False,
+        })  # fmt: skip
 
     def _check_start(self, start: Any) -> None:
         """Raise unless it is None or a plan of this controller."""
-        if start is not None and not isinstance(start, Plan):
-            raise InputError("start", type(start).__name__, "a Plan of this controller")
+        as_instance("start", start, (Plan, type(None)), "a Plan of this controller")
         if start is not None and (start.states.shape, start.inputs.shape) != (
             (self.horizon + 1, self.states), (self.horizon, self.inputs)
         ):  # fmt: skip

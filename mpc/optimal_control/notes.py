@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -20,6 +21,7 @@ from mpc.tolerances import LEAST_INTERVAL, SHORTEST_DURATION
 
 AWAY = "Give a `guess` away from there, with which the function is finite."
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMIN: "fmin", ca.OP_FMAX: "fmax"}
+ROUGH = ("dynamics", "stage_cost", "path", "terminal_cost", "boundary", "sample_cost")  # functions that may be so
 
 
 def check_at_guess(program: NonlinearProgram) -> None:
@@ -90,48 +92,32 @@ def _first(function: ca.Function | None, entries: Sequence[str], columns: dict[s
     yield f"{values[row, i]:g} in {entries[row]}{phase}{when}, where {where}"
 
 
-def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> tuple[str, ...]:
-    """Notes on shortest durations, jumps, kinks and coarse meshes."""
-    return (*_shortest(program, v), *_rough(program, not solved), *(() if solved else _too_coarse(program)))
-
-
-def _too_coarse(program: NonlinearProgram) -> Iterator[str]:
-    """Meshes with more equations than unknowns."""
+def notes_of(program: NonlinearProgram, v: Array, solved: bool) -> Iterator[str]:
+    """Notes on durations, jumps, kinks and coarse meshes."""
+    for k, part in enumerate(program.parts):
+        if part.duration >= 0 and v[part.duration] <= part.phase.duration[0] * (1 + SHORTEST_DURATION):
+            yield (
+                f"The duration of phase {k + 1} came down to its lower bound {part.phase.duration[0]:g}: without that "
+                "bound it might run to zero."
+            )
+    named = product(enumerate(program.problem.functions), ROUGH)
+    for (k, functions), function in named:
+        name, found = f"{function}{of_phase(program, k)}", operations(getattr(functions, function))
+        jumps = sorted({JUMPS[one] for one in found & JUMPS.keys()})
+        kinks = sorted({KINKS[one] for one in found & KINKS.keys()})
+        if jumps:
+            yield (
+                f"The {name} may jump ({', '.join(jumps)}), where derivatives say nothing: make it "
+                "smooth, such as tanh(x/ε) for sign, or cut the problem into phases where it jumps."
+            )
+        elif kinks and not solved:
+            what = ", ".join(kinks)
+            cure = "round them, such as sqrt(x² + ε²) for fabs; for a cost |u| take u = a − b, a, b ≥ 0, at a + b"
+            yield f"The {name} has kinks ({what}): {cure}."
     free = int((program.lower < program.upper).sum())
     equations = int((program.row_lower == program.row_upper).sum())
-    if equations > free:
+    if equations > free and not solved:
         yield f"The mesh has {equations} equations for {free} free unknowns: take more intervals or a higher degree."
-
-
-def _shortest(program: NonlinearProgram, v: Array) -> Iterator[str]:
-    """Durations at their lower bounds."""
-    for k, part in enumerate(program.parts):
-        if part.duration < 0:
-            continue
-        least, found = part.phase.duration[0], v[part.duration]
-        if found <= least * (1 + SHORTEST_DURATION):
-            yield (
-                f"The duration of phase {k + 1} came down to its lower bound {least:g}: without that bound it might "
-                "run to zero."
-            )
-
-
-def _rough(program: NonlinearProgram, of_kinks: bool) -> Iterator[str]:
-    """Functions with operations that jump or have kinks."""
-    for k, functions in enumerate(program.problem.functions):
-        for function in ("dynamics", "stage_cost", "path", "terminal_cost", "boundary", "sample_cost"):
-            name, found = f"{function}{of_phase(program, k)}", operations(getattr(functions, function))
-            jumps = sorted({JUMPS[one] for one in found & JUMPS.keys()})
-            kinks = sorted({KINKS[one] for one in found & KINKS.keys()})
-            if jumps:
-                yield (
-                    f"The {name} may jump ({', '.join(jumps)}), where derivatives say nothing: make it "
-                    "smooth, such as tanh(x/ε) for sign, or cut the problem into phases where it jumps."
-                )
-            elif kinks and of_kinks:
-                what = ", ".join(kinks)
-                cure = "round them, such as sqrt(x² + ε²) for fabs; for a cost |u| take u = a − b, a, b ≥ 0, at a + b"
-                yield f"The {name} has kinks ({what}): {cure}."
 
 
 def undefined(program: NonlinearProgram, v: Array) -> tuple[str, ...]:

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_instance
 from mpc.checks import Array, as_array
-from mpc.exceptions import InputError
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.nonlinear_mpc import NonlinearMPC
 from mpc.problem import MPCProblem
@@ -54,11 +54,16 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
     mpc: Any
 
     def _disturbed(self) -> NonlinearMPC:
-        """Regulator, checked, of a model with disturbances."""
-        if not isinstance(self.mpc, NonlinearMPC):
-            raise InputError("mpc", type(self.mpc).__name__, "a NonlinearMPC")
-        _ = self.mpc.problem  # which a phase has not
-        return self.mpc if self.mpc.disturbances else _with_additive(self.mpc)
+        """Regulator, checked, of a model that disturbances move."""
+        mpc: NonlinearMPC = as_instance("mpc", self.mpc, NonlinearMPC, "a NonlinearMPC")
+        _ = mpc.problem  # which a phase has not
+        if mpc.disturbances:
+            return mpc
+        step, size = mpc.model.step, mpc.states
+        x, u, none, p = symbols_of(step).values()
+        w = type(x).sym("w", size)
+        moved = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
+        return replace(mpc, step=moved, disturbances=size)
 
     @property
     def problem(self) -> MPCProblem:
@@ -126,12 +131,3 @@ class OffsetFreeNonlinearMPC(OffsetFreeMPC):
         least = np.where(np.arange(solver.numel_out("g")) < nx, 0.0, -np.inf)
         found = solver(x0=0, p=data, lbg=least, ubg=0)
         return np.asarray(found["x"]).ravel() * size if solver.stats()["success"] else otherwise
-
-
-def _with_additive(mpc: NonlinearMPC) -> NonlinearMPC:
-    """Controller with a disturbance added to every next state."""
-    step = mpc.model.step
-    x, u, none, p = symbols_of(step).values()
-    w = type(x).sym("w", mpc.states)
-    disturbed = ca.Function("step", [x, u, w, p], [step(x, u, none, p) + w], ["x", "u", "w", "p"], ["next"])
-    return replace(mpc, step=disturbed, disturbances=mpc.states)

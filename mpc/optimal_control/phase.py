@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.algebraic import check_index
+from ccdtools_ground.door import as_number, as_positive
 from mpc.checks import Array, as_array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import (
@@ -22,7 +23,6 @@ from mpc.optimal_control.bounds import (
     as_end,
     as_guess,
     as_names,
-    as_number,
     as_prices,
     as_samples,
 )
@@ -129,8 +129,7 @@ class Phase:
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         set_(self, "states", as_count("states", self.states))
-        inputs = 0 if self.inputs == 0 and not isinstance(self.inputs, bool) else as_count("inputs", self.inputs)
-        set_(self, "inputs", inputs)
+        set_(self, "inputs", as_count("inputs", self.inputs, least=0))
         set_(self, "algebraics", as_count("algebraics", self.algebraics) if self.algebraic or self.algebraics else 0)
         guess = as_floats("z_guess", self.z_guess)
         guess = np.full(self.algebraics, guess) if guess.ndim == 0 else guess
@@ -140,15 +139,15 @@ class Phase:
         for name in ("start", "end"):
             set_(self, name, as_end(name, getattr(self, name), self.x_bounds))
         set_(self, "duration", as_duration(self.duration, bool(self.discrete)))
-        set_(self, "start_time", as_number("start_time", self.start_time, "a finite number", np.isfinite))
+        set_(self, "start_time", as_number("start_time", self.start_time))
         for name, letter, size in (("state_names", "x", self.states), ("input_names", "u", self.inputs)):
             set_(self, name, as_names(name, getattr(self, name), letter, size))
         if self.duration_guess is not None:
-            as_number("duration_guess", self.duration_guess, "a number > 0", lambda number: number > 0)
+            as_positive("duration_guess", self.duration_guess)
         if self.signal is not None and not callable(self.signal):
-            signal = as_floats("signal", self.signal)
-            if signal.ndim != 2 or len(signal) < 2 or not np.isfinite(signal).all():
-                raise InputError("signal", f"shape {signal.shape}", "(n, nw), finite, n ≥ 2, or a function of time")
+            signal = as_array("signal", self.signal, (None, None))
+            if len(signal) < 2:
+                raise InputError("signal", f"shape {signal.shape}", "(n, nw), n ≥ 2, or a function of time")
             set_(self, "signal", signal)
         if self.signal is not None and self.duration[0] != self.duration[1]:
             cure = "State what is known over time as an expression of t in the dynamics."
@@ -207,10 +206,8 @@ class PhaseFunctions:
             name: None if getattr(phase, name) is None else compiled(name, getattr(phase, name), sizes, rows)
             for name, (sizes, rows) in _columns(phase, self.nw, parameters, looped=looped).items()
         }
-        self.dynamics, self.stage_cost, self.path, self.terminal_cost, self.boundary, self.sample_cost, g = (
-            made.values()
-        )
-        self.algebraic = g
+        self.dynamics, self.stage_cost, self.path, self.terminal_cost, *others = made.values()
+        self.boundary, self.sample_cost, self.algebraic = others
         if self.algebraic is not None:
             _check_index(phase, self.algebraic)
         self.path_bounds, self.path_names = _with_limits(phase, "path", self.path)
@@ -286,15 +283,16 @@ def signal_at(phase: Phase, times: Array) -> Array:
         except Exception as error:  # the function is the user's: whatever it raises is told with what is expected
             reason = brief(" ".join(f"{type(error).__name__}: {error}".split()))
             raise InputError("signal", f"one that stops with {reason}", "a function of times (n,)") from error
-        values = as_floats("signal", given)
-        if values.ndim != 2 or len(values) != len(times) or not np.isfinite(values).all():
-            raise InputError(
-                "signal", f"values of shape {values.shape} at {len(times)} times", f"({len(times)}, nw), finite"
-            )
-        return values
+        return as_array("signal", given, (len(times), None))
     table = np.asarray(phase.signal)
     grid = phase.start_time + phase.duration[0] * np.linspace(0, 1, len(table))
-    return np.array([np.interp(times, grid, column) for column in table.T]).reshape(-1, len(times)).T
+    return interpolated(times, grid, table)
+
+
+def interpolated(at: Array, times: Array, table: Array) -> Array:
+    """Rows (..., m) of a table (n, m) at times (...), linear between."""
+    columns = [np.interp(at, times, column) for column in table.T]
+    return np.stack(columns, axis=-1) if columns else np.zeros((*np.shape(at), 0))
 
 
 def signal_along(phase: Phase, fractions: Array) -> Array:

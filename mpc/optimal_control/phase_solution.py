@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mpc.checks import Array, as_floats
 from mpc.optimal_control.interval import times_of
-from mpc.optimal_control.phase import evaluated, signal_along
+from mpc.optimal_control.phase import evaluated, interpolated, signal_along
 from mpc.optimal_control.program import PhasePart
 from mpc.optimal_control.schemes import Collocation, MultipleShooting
 
@@ -23,8 +24,6 @@ class Stages:
     states: Array  # (N, d, nx)
     inputs: Array  # (N, d, nu)
     rates: Array  # (N, d, nx): dx/dt there; of shooting at both ends of an interval
-    # of collocation: by the multipliers of the dynamics, through the quadrature. Of shooting at the ends
-    costates: Array  # (N, d, nx)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +99,9 @@ class PhaseSolution:
         if isinstance(self.part.scheme, Collocation):
             weights = self.part.scheme.integrals(tau)
             return np.asarray(self.states[k] + h * np.einsum("nj,nji->ni", weights, self.stages.rates[k]))
-        first, last = self.stages.rates[k, 0], self.stages.rates[k, 1]
-        return _hermite(tau[:, None], h, self.states[k], self.states[k + 1], first, last)
+        a, b = tau[:, None], tau[:, None] - 1  # of the cubic that meets states and rates at both ends
+        ends = self.states[k] * (1 + 2 * a) * b**2 + self.states[k + 1] * a**2 * (3 - 2 * a)
+        return np.asarray(ends + h * (self.stages.rates[k, 0] * a * b**2 + self.stages.rates[k, 1] * a**2 * b))
 
     def inputs_within(self, k: Any, tau: Array) -> Array:
         """Inputs and algebraic variables (n, nu + nz) at fractions (n,) of intervals k (n,)."""
@@ -115,11 +115,15 @@ class PhaseSolution:
         """Inputs (n, nu + nz) with z after one Newton step from the polynomials."""
         phase, f, z = self.part.phase, self.part.functions, slice(self._nu, None)
         rows = slice(len(f.path_names) - phase.algebraics, None)
-        at = phase, self.states_within(k, tau), inputs, self.times[k] + tau * np.diff(self.times)[k], self.p
-        slopes = evaluated(f.path_slopes, *at).reshape(len(inputs), -1, len(f.path_names))
+        at = self.states_within(k, tau), inputs, self.times[k] + tau * np.diff(self.times)[k]
+        slopes = self.evaluated(f.path_slopes, *at).reshape(len(inputs), -1, len(f.path_names))
         J = np.nan_to_num(slopes[:, phase.states :, rows][:, z].swapaxes(1, 2))
-        step = np.linalg.pinv(J) @ evaluated(f.path, *at)[:, rows, None]
+        step = np.linalg.pinv(J) @ self.evaluated(f.path, *at)[:, rows, None]
         return np.hstack([inputs[:, : self._nu], inputs[:, z] - step[:, :, 0]])
+
+    def evaluated(self, function: ca.Function, x: Array, u: Array, t: Array) -> Array:
+        """Values (n, m) of a function at n points."""
+        return evaluated(function, self.part.phase, x, u, t, self.p)
 
     def at_fractions(self, at: Array) -> tuple[Array, Array]:
         """States and all inputs at fractions (n,) of the phase."""
@@ -128,8 +132,7 @@ class PhaseSolution:
 
     def costate(self, t: ArrayLike) -> Array:
         """Costates (..., nx) at times (...), linear between the mesh points."""
-        t = as_floats("t", t)
-        return np.stack([np.interp(t, self.times, column) for column in self.costates.T], axis=-1)
+        return interpolated(as_floats("t", t), self.times, self.costates)
 
     def _located(self, t: ArrayLike) -> tuple[Any, Array, tuple[int, ...]]:
         """Interval and fraction of each time, and the shape of the times."""
@@ -144,58 +147,26 @@ def phase_solution(part: PhasePart, v: Array, p: Array, clock: tuple[float, floa
     """Phase solution from the unknowns (n,) of a program."""
     layout, N = part.layout, part.intervals
     start, length = clock
-    nodes, own, states, inputs = part.unknowns(v)
+    nodes, own, *of_points = part.unknowns(v)
     x = nodes[: layout.nx]
     discrete = part.phase.discrete  # in whole steps
     mesh_times = start + (np.arange(N + 1.0) if discrete else length * part.mesh)
     times = mesh_times[:-1, None] if discrete else start + length * times_of(layout.points, part.mesh)
     h = np.ones(N) if discrete else length * np.diff(part.mesh)
     w = signal_along(part.phase, times_of(layout.signals, part.mesh))
-    stage_states = np.stack(states, axis=0).transpose(2, 0, 1)
-    stage_inputs = np.stack(inputs, axis=0).transpose(2, 0, 1)
-    rates = _rates(part, stage_states, stage_inputs, p, times, (mesh_times, x.T))
-    costates = _costates(part, nodes, own, p, mesh_times[:-1], h, w, multipliers, weight)
-    of_stages = _stage_costates(part, multipliers)
-    return PhaseSolution(
-        mesh_times, x.T, costates, Stages(times, stage_states, stage_inputs, rates, of_stages), part, weight, p
-    )  # fmt: skip
-
-
-def _rates(part: PhasePart, states: Array, inputs: Array, p: Array, times: Array, nodes: tuple[Array, Array]) -> Array:
-    """Rates dx/dt (N, d, nx) at the points; for shooting at both ends."""
-    if isinstance(part.scheme, MultipleShooting) and not part.phase.discrete:
-        times, states = (np.stack([known[:-1], known[1:]], axis=1) for known in nodes)
+    stage_states, stage_inputs = (np.stack(values, axis=0).transpose(2, 0, 1) for values in of_points)
+    at, states, inputs = times, stage_states, stage_inputs
+    if isinstance(part.scheme, MultipleShooting) and not discrete:  # at both ends
+        at, states = (np.stack([known[:-1], known[1:]], axis=1) for known in (mesh_times, x.T))
         inputs = np.repeat(inputs, 2, axis=1)
-    N, d, nx = states.shape
-    at = states.reshape(N * d, nx), inputs.reshape(N * d, part.layout.nu)
-    return evaluated(part.functions.dynamics, part.phase, *at, times.ravel(), p).reshape(N, d, nx)
-
-
-def _stage_costates(part: PhasePart, multipliers: Array) -> Array:
-    """Costates (N, d, nx) at the points of every interval."""
-    of_defects = multipliers[part.defects].reshape(part.intervals, -1, part.layout.nx)
-    if not isinstance(part.scheme, Collocation) or part.phase.discrete:
-        return of_defects
-    matrix = part.scheme.matrix
-    after = matrix[np.asarray(part.scheme.points) > 0]
-    return np.asarray(np.einsum("ij,kin->kjn", after / matrix[-1], of_defects))
-
-
-def _costates(part: PhasePart, nodes: Array, own: Array, p: Array, times: Array, h: Array, w: Array, multipliers: Array,
-              weight: float) -> Array:  # fmt: skip
-    """Lagrangian derivatives by the interval ends."""
-    layout, N = part.layout, part.intervals
-    interval = part.interval
-    arguments = [nodes[: layout.nx, :-1], nodes[layout.nx :, :-1], own, nodes[: layout.nx, 1:], nodes[layout.nx :, 1:],
-                 p, times[None], h[None], w.T]  # fmt: skip
-    of_defects = multipliers[part.defects].reshape(N, -1).T
-    of_path = multipliers[part.path].reshape(N, -1).T
-    values = [np.zeros((interval.numel_out(i), N)) for i in range(3)]
-    found = interval.reverse(1)(*arguments, *values, of_defects, weight, of_path)
-    return np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
-
-
-def _hermite(tau: Array, h: Array, x0: Array, x1: Array, f0: Array, f1: Array) -> Array:
-    """Cubic that meets states and rates at both ends."""
-    a, b = tau, tau - 1
-    return x0 * (1 + 2 * a) * b**2 + x1 * a**2 * (3 - 2 * a) + h * (f0 * a * b**2 + f1 * a**2 * b)
+    flat_states, flat_inputs = (values.reshape(at.size, values.shape[2]) for values in (states, inputs))
+    rates = evaluated(part.functions.dynamics, part.phase, flat_states, flat_inputs, at.ravel(), p)
+    # costates are the Lagrangian's derivatives by the interval ends
+    arguments = [x[:, :-1], nodes[layout.nx :, :-1], own, x[:, 1:], nodes[layout.nx :, 1:], p, mesh_times[None, :-1],
+                 h[None], w.T]  # fmt: skip
+    pushes = [multipliers[rows].reshape(N, -1).T for rows in (part.defects, part.path)]
+    values = [np.zeros((part.interval.numel_out(i), N)) for i in range(3)]
+    found = part.interval.reverse(1)(*arguments, *values, pushes[0], weight, pushes[1])
+    costates = np.vstack([np.asarray(found[0], dtype=float).T, -np.asarray(found[3], dtype=float).T[-1:]])
+    stages = Stages(times, stage_states, stage_inputs, rates.reshape(states.shape))
+    return PhaseSolution(mesh_times, x.T, costates, stages, part, weight, p)

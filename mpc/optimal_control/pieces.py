@@ -1,4 +1,4 @@
-"""Pieces of a program: functions at many places, such as the equations of the intervals of a mesh."""
+"""Pieces of a program: functions at many places of a mesh."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Piece:
     @property
     def symbols(self) -> tuple[Any, Any]:
         """z and data, of the kind of the function."""
-        kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
+        kind = kind_of(self.function)
         return kind.sym("z", self.unknowns.shape[0]), kind.sym("data", self.data.shape[0])
 
 
@@ -50,13 +50,20 @@ def kind_of(*functions: ca.Function | None) -> Any:
     return ca.SX if all(function is None or function.is_a("SXFunction") for function in functions) else ca.MX
 
 
-def piece_function(function: Callable[..., Any], kind: Any, sizes: dict[str, int], data: int) -> ca.Function:
-    """Function (z, data) → values, from one of named columns of this kind."""
-    z, given = kind.sym("z", sum(sizes.values())), kind.sym("data", data)
-    cuts = np.cumsum([0, *sizes.values()])
-    columns = {name: z[int(a) : int(b)] for name, a, b in zip(sizes, cuts[:-1], cuts[1:])}
-    value = ca.densify(ca.vertcat(*(ca.vec(kind(part)) for part in function(**columns, data=given))))
-    return ca.Function("piece", [z, given], [value], ["z", "data"], ["value"], {"cse": True})
+def piece_of(values: Callable[..., Any], kind: Any, places: dict[str, Numbers], rows: Numbers, *,
+             factors: Array | None = None, data: Array | None = None) -> Piece:  # fmt: skip
+    """Piece of a function of named unknowns (n, M) or (n, 1) and data."""
+    rows = rows.reshape(len(rows), -1)
+    count = rows.shape[1]
+    data = np.zeros((0, count)) if data is None else data
+    factors = np.ones(len(rows)) if factors is None else factors
+    z, given = kind.sym("z", sum(len(at) for at in places.values())), kind.sym("data", len(data))
+    cuts = np.cumsum([0, *(len(at) for at in places.values())])
+    columns = {name: z[int(a) : int(b)] for name, a, b in zip(places, cuts[:-1], cuts[1:])}
+    value = ca.densify(ca.vertcat(*(ca.vec(kind(part)) for part in values(**columns, data=given))))
+    function = ca.Function("piece", [z, given], [value], ["z", "data"], ["value"], {"cse": True})
+    unknowns = np.vstack([np.broadcast_to(at.T, (count, len(at))).T for at in places.values()])
+    return Piece(function, unknowns, data, rows, factors)
 
 
 def interval_function(phase: Phase, functions: PhaseFunctions, scheme: Scheme, layout: Layout,

@@ -1,4 +1,4 @@
-"""What planning has in common for every statement: time, the plan one sample later, and where to begin."""
+"""Time, shifted plans and beginnings, for every statement."""
 
 from __future__ import annotations
 

@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mpc.checks import Array, as_floats
+from ccdtools_ground.door import as_choice, as_number, as_vector
+from mpc.checks import Array, as_array
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, as_number, middle
+from mpc.optimal_control.bounds import Bounds, as_bounds, as_names, middle
 from mpc.optimal_control.functions import Statement, brief, compiled
 from mpc.optimal_control.phase import Phase, PhaseFunctions
 
@@ -79,19 +80,18 @@ class OptimalControlProblem:
         set_(self, "p_guess", self._as_guess())
         count = len(self.phases)
         usual = np.ones(count) if self.linked else np.full(count, 1 / count)
-        weights = usual if self.weights is None else as_floats("weights", self.weights)
-        if weights.shape != (count,) or not (np.isfinite(weights) & (weights >= 0)).all():
+        weights = as_array("weights", usual if self.weights is None else self.weights, (count,))
+        if (weights < 0).any():
             raise InputError("weights", brief(repr(self.weights)), f"{count} numbers ≥ 0, one a phase")
         if self.risk == "worst" and np.ptp(weights) > 0:
             raise InputError("weights", weights, 'none with risk="worst": the largest cost counts, whatever its weight')
         set_(self, "weights", weights)
-        if self.risk not in RISKS:
-            raise InputError("risk", repr(self.risk), '"sum", "worst" or "spread"')
+        as_choice("risk", self.risk, RISKS)
         if self.risk != "sum" and self.linked and count > 1:
             raise InputError("risk", f'"{self.risk}" of phases that are linked', '"sum", or linked=False')
         if self.risk == "spread" and not weights.any():
             raise InputError("weights", weights, "numbers ≥ 0, not all of them 0")
-        set_(self, "spread", as_number("spread", self.spread, "a number ≥ 0", lambda number: number >= 0))
+        set_(self, "spread", as_number("spread", self.spread, expected="a number ≥ 0", low=0.0))
         sizes = [phase.states for phase in self.phases]
         links = list(self.link) if isinstance(self.link, list | tuple) else [self.link] * (count - 1)
         if any(link is not None for link in links) and not self.linked:
@@ -115,10 +115,7 @@ class OptimalControlProblem:
         low, high = self.p_bounds
         if self.p_guess is None:
             return np.asarray(np.clip(np.nan_to_num(middle(low, high)), low, high))
-        guess = np.atleast_1d(as_floats("p_guess", self.p_guess))
-        if guess.shape != low.shape or not np.isfinite(guess).all():
-            raise InputError("p_guess", brief(repr(self.p_guess)), f"{len(low)} finite numbers")
-        return np.asarray(np.clip(guess, low, high))
+        return np.asarray(np.clip(as_vector("p_guess", self.p_guess, len(low)), low, high))
 
     @property
     def parameters(self) -> int:

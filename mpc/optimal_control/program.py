@@ -16,9 +16,9 @@ from mpc.checks import Array
 from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, at_points, coordinates
 from mpc.optimal_control.phase import Phase, PhaseFunctions
-from mpc.optimal_control.pieces import Numbers, Piece, piece_function
+from mpc.optimal_control.pieces import Numbers, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
-from mpc.optimal_control.schemes import Scheme
+from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.tolerances import COST_ROUNDING, NEGLIGIBLE, VIOLATION_PRICE
 
 
@@ -70,6 +70,17 @@ class PhasePart:
         before = len(self.free) - self.phase.free_duration
         start = self.start + sum(free[i] for i in range(before))
         return start, free[before] if self.phase.free_duration else self.phase.duration[0]
+
+    @property
+    def shares(self) -> Array:
+        """Parts (N, points) of a phase that points stand for in integrals."""
+        lengths, scheme = np.diff(self.mesh)[:, None], self.scheme
+        if self.phase.discrete or not isinstance(scheme, Collocation):
+            return lengths
+        shares = np.asarray(lengths * scheme.matrix[-1])
+        if scheme.points[0] == 0:  # a node belongs to both its intervals
+            shares[:-1, -1] += shares[1:, 0]
+        return shares
 
     @cached_property
     def coordinates(self) -> tuple[Numbers, Array]:
@@ -205,11 +216,7 @@ def with_costs_of_scenarios(program: NonlinearProgram) -> NonlinearProgram:
         return program
     guess, scale = program.guess.copy(), program.scale.copy()
     guess[own] = costs_of_scenarios(program, guess)
-    there = np.clip(scale, program.lower, program.upper)
-    there[own] = 0.0
-    large = np.abs(np.stack([guess[own], costs_of_scenarios(program, there)]))
-    size = np.where(np.isfinite(large), large, 0.0).max(axis=0)
-    scale[own] = np.where(size > 0, size, 1.0)
+    scale[own] = np.where(np.isfinite(guess[own]) & (guess[own] != 0), np.abs(guess[own]), 1.0)
     return replace(program, guess=guess, scale=scale)
 
 
@@ -233,14 +240,12 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
     pieces = [
         replace(piece, factors=np.where(piece.of_cost, 0.0, piece.factors)) for piece in program.derivatives.pieces
     ]
-    weighed = piece_function(
-        lambda above, below, data: [(above + below) / data, above - below], ca.SX, {"above": 1, "below": 1}, 1
-    )
-    places = np.arange(m)
-    pieces.append(
-        Piece(weighed, n + np.vstack([places, m + places]), program.row_scale[None],
-              np.vstack([np.zeros(m, dtype=int), 1 + places]), np.array([1.0, -1.0]))
-    )  # fmt: skip
+    places = np.arange(m)[None]
+    pieces.append(piece_of(
+        lambda above, below, data: [(above + below) / data, above - below], ca.SX,
+        {"above": n + places, "below": n + m + places}, np.vstack([0 * places, 1 + places]),
+        factors=np.array([1.0, -1.0]), data=program.row_scale[None],
+    ))  # fmt: skip
     derivatives = Derivatives(pieces, n + 2 * m, m)
     g = np.asarray(program.derivatives.values(start)[1], dtype=float).ravel()
     g = np.where(np.isfinite(g), g, 0.0)
@@ -257,13 +262,12 @@ def elastic(program: NonlinearProgram, start: Array) -> NonlinearProgram:
 def relaxable(program: NonlinearProgram, rows: NDArray[np.bool_]) -> NonlinearProgram:
     """Program with violations of `rows` (m,) and then a price of each as further unknowns, all held at 0."""
     n, m, sides = len(program.lower), len(program.row_lower), places_of_violations(program, rows)
-    weighed = piece_function(lambda e, price, data: [price * e, e], ca.SX, {"e": 1, "price": 1}, 0)
     pieces, count = list(program.derivatives.pieces), sum(map(len, sides))
     for chosen, first, sign in zip(sides, (n, n + len(sides[0])), (-1.0, 1.0)):
-        own, no_data = first + np.arange(len(chosen)), np.zeros((0, len(chosen)))
-        targets = np.vstack([np.zeros(len(chosen), dtype=int), 1 + chosen])
-        piece = Piece(weighed, np.vstack([own, count + own]), no_data, targets, np.array([1.0, sign]))
-        pieces += [piece] if len(chosen) else []
+        own, targets = first + np.arange(len(chosen))[None], np.vstack([0 * chosen, 1 + chosen])
+        places = {"e": own, "price": count + own}
+        weighed = piece_of(lambda e, price, data: [price * e, e], ca.SX, places, targets, factors=np.array([1.0, sign]))
+        pieces += [weighed] if len(chosen) else []
     none, sizes = np.zeros(2 * count), program.row_scale[np.concatenate(sides)] / VIOLATION_PRICE
     return replace(
         program, derivatives=Derivatives(pieces, n + 2 * count, m), lower=np.append(program.lower, none),

@@ -42,7 +42,7 @@ OPTIMA = (Status.SOLVED, Status.SOFTENED)
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Path of states (N + 1, nx), inputs (N, nu), gains (N, nu, nx), and the program that it came from or ended at."""
+    """Path with its gains (N, nu, nx) and the program that made it."""
 
     states: Array
     inputs: Array
@@ -159,7 +159,13 @@ class QuadraticPlanner:
         """Plan that programs lead to."""
         first, follow = sample.first, sample.first.name == SHIFTED
         if follow and self.iterations is not None:
-            found = self._real_time(sample, self.iterations)
+            programs = self._programs(sample, replace(first, name=REAL_TIME, costates=None))
+            done = list(islice(programs, self.iterations))
+            if not done:
+                return self._plan(sample, first, Status.REPLACED)
+            cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
+            status = Status.FOLLOWED if len(done) == self.iterations else cut_short
+            found = self._plan(sample, _moved(done[-1]), status)
             if found.status is not Status.SOFTENED:  # beyond hard limits there may be nothing to follow
                 return found
         at = self._contracted(sample, replace(first, name=CONVERGING))
@@ -176,14 +182,6 @@ class QuadraticPlanner:
         best = min(plans, key=lambda plan: (plan.status not in OPTIMA, self._total(plan, sample.given, sample.dear)),
                    default=None)  # fmt: skip
         return self._plan(sample, first, Status.REPLACED) if best is None else best
-
-    def _real_time(self, sample: _Sample, iterations: int) -> Plan:
-        """Plan after so many quadratic programs."""
-        done = list(islice(self._programs(sample, replace(sample.first, name=REAL_TIME, costates=None)), iterations))
-        if not done:
-            return self._plan(sample, sample.first, Status.REPLACED)
-        cut_short = Status.LATE if sample.clock.up else Status.INACCURATE
-        return self._plan(sample, _moved(done[-1]), Status.FOLLOWED if len(done) == iterations else cut_short)
 
     def _plan(self, sample: _Sample, at: _Path, otherwise: Status = Status.INACCURATE) -> Plan:
         """Plan that follows a path, SOLVED or SOFTENED where the optimality conditions hold."""
@@ -222,7 +220,7 @@ class QuadraticPlanner:
         return best
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
-        """Paths, each moved by the program at the one before, and the program there, as long as there is time."""
+        """Paths, each moved by the program at the one before, in time."""
         w = disturbance(self.law, sample.given)
         while at.last is None or not sample.clock.up:
             relaxed = at.last is not None and at.last.relaxed

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_share, brief
 from mpc.budgets import LEAST_SECONDS, MESH_SAFETY, MESHES_WITHOUT_GAIN, MOST_PARTS
 from mpc.checks import Array, Flags, as_count, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
@@ -147,13 +146,6 @@ class _Rounds:
         """Part of the cost by which it may be off [-]."""
         return solution.cost_error / _size_of_cost(solution)
 
-    def of_intervals(self, solution: Solution) -> list[Array]:
-        """Errors (N,) of the intervals of every phase, in tolerances: of the cost in shares of all, alike for each."""
-        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
-        fine = not self.of_cost and solution.cost_error <= allowed
-        share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)
-        return [np.maximum(one.cost / share, one.dynamics / self.dynamics) for one in solution.missed]
-
     def _over(self, still: int) -> str:
         """Reason why there is no further round, or ""."""
         if time.perf_counter() >= self.end:
@@ -196,10 +188,13 @@ class _Rounds:
 
     def _meshes(self, solution: Solution) -> list[Array] | None:
         """Finer meshes; None where none are needed."""
+        allowed = self.tolerance * _size_of_cost(solution) if self.of_cost else solution.cost_tolerance
+        fine = not self.of_cost and solution.cost_error <= allowed
+        share = np.inf if fine else allowed / sum(len(one.cost) for one in solution.missed)  # alike for each interval
         meshes = []
-        for k, (phase, error) in enumerate(zip(solution.phases, self.of_intervals(solution))):
-            excess = solution.path_excess[k].intervals / LIMIT_PASSED
-            meshes.append(_finer_mesh(phase, error, excess, self.tolerance))
+        for phase, missed, passed in zip(solution.phases, solution.missed, solution.path_excess):
+            errors = np.maximum(missed.cost / share, missed.dynamics / self.dynamics)  # in tolerances
+            meshes.append(_finer_mesh(phase, errors, passed.intervals / LIMIT_PASSED, self.tolerance))
         same = all(len(mesh) == len(phase.times) for mesh, phase in zip(meshes, solution.phases))
         return None if same else meshes
 
@@ -235,7 +230,8 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     passed = _jumps_over(solution)
     missed = f"{reason}: the mesh misses the {'cost' if of_cost else 'dynamics'} by {worst:.1e}"
     more = ", or for more rounds or time" if reason in (NO_TIME, NO_ROUNDS) else ""
-    ask = f"Ask for {_rounded_up(worst):g}{more}." if asked == run.tolerance else "Take more intervals."
+    digit = 10.0 ** np.floor(np.log10(worst)) if np.isfinite(worst) else 1.0
+    ask = f"Ask for {np.ceil(worst / digit) * digit:g}{more}." if asked == run.tolerance else "Take more intervals."
     if reason.startswith(FINER) or passed:
         ask = "What holds here may hold at the points of the mesh alone: relax limits, or give a guess nearer to them."
     swinging = max(float(np.diff(one.part.mesh) @ _crossings(one)[1]) for one in solution.phases)
@@ -244,12 +240,6 @@ def _ended(solution: Solution, reason: str, run: _Rounds, began: float) -> Solut
     cure = f"This is the optimum on its mesh, but {missed} where {asked:.1e} was asked for. {ask}"
     status = solution.status if passed else OptimalControlStatus.STOPPED
     return replace(found, status=status, message=f"{solution.message}; {missed}", notes=(cure, *solution.notes))
-
-
-def _rounded_up(value: float) -> float:
-    """Value rounded up to one digit."""
-    digit = 10.0 ** np.floor(np.log10(value)) if np.isfinite(value) else 1.0
-    return float(np.ceil(value / digit) * digit)
 
 
 def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: float) -> Array:
@@ -261,18 +251,13 @@ def _finer_mesh(phase: PhaseSolution, errors: Array, excess: Array, tolerance: f
     parts = np.where(errors > 1, np.ceil(asked).astype(int), 1)
     long = steps > JUMP_PLACE * np.sqrt(tolerance)
     parts = np.where(excess > 1, np.maximum(parts, np.clip(np.ceil(np.cbrt(excess)), 2, MOST_PARTS)), parts).astype(int)
-    parts[_jumps(phase) & long] = MOST_PARTS
+    crossing, swinging = _crossings(phase)
+    parts[crossing & ~swinging & long] = MOST_PARTS  # where an input jumps
     parts[steps <= LEAST_INTERVAL] = 1
     if part.phase.discrete:
         return part.mesh
     inner = [left + step * np.arange(n) / n for left, step, n in zip(part.mesh[:-1], steps, parts)]
     return np.append(np.concatenate(inner), 1.0)
-
-
-def _jumps(phase: PhaseSolution) -> Flags:
-    """Intervals (N,) within which an input jumps, which it does not where it swings."""
-    crossing, swinging = _crossings(phase)
-    return crossing & ~swinging
 
 
 def _crossings(phase: PhaseSolution) -> tuple[Flags, Flags]:

@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
 
+from ccdtools_ground.door import as_choice, as_positive, as_share
 from mpc.budgets import HIGHEST_DEGREE
-from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.functions import Statement, wanted
 
 
@@ -116,8 +116,7 @@ class MultipleShooting:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "substeps", as_count("substeps", self.substeps))
-        if self.integrator not in ("rk4", "cvodes"):
-            raise InputError("integrator", repr(self.integrator), '"rk4" or "cvodes"')
+        as_choice("integrator", self.integrator, ("rk4", "cvodes"))
         object.__setattr__(self, "tolerance", as_share("tolerance", self.tolerance))
 
     order = 4
@@ -168,10 +167,7 @@ def sampled(dynamics: Statement, dt: float, *, parts: int = 4) -> Callable[..., 
     if "x" not in names:
         raise InputError("dynamics", f"a function of {', '.join(names) or 'nothing'}", "one of x at least")
     count = as_count("parts", parts)
-    h = float(as_array("dt", dt, ())) / count
-    if h <= 0.0:
-        raise InputError("dt", dt, "a positive number")
-
+    h = as_positive("dt", dt) / count
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     own = inspect.Signature([inspect.Parameter(name, kind) for name in names])
 

@@ -124,7 +124,7 @@ class Solution:
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:
         """Violations of limits between mesh points; see `Excess`."""
-        return path_excess(self.program, self.unknowns, self.phases, self.p)
+        return tuple(path_excess(self.program, phase) for phase in self.phases)
 
     @property
     def excess(self) -> float:
@@ -134,7 +134,7 @@ class Solution:
     @cached_property
     def missed(self) -> tuple[Missed, ...]:
         """Errors between mesh points; see `mesh_errors`."""
-        return tuple(mesh_errors(phase, self.p) for phase in self.phases)
+        return tuple(mesh_errors(phase, self.multipliers) for phase in self.phases)
 
     @property
     def errors(self) -> tuple[Array, ...]:
@@ -156,7 +156,7 @@ class Solution:
         status = OptimalControlStatus.SOLVED
         if not self.excess <= LIMIT_PASSED:
             status = OptimalControlStatus.LIMITS_PASSED
-        elif not (self.mesh_error <= COARSE_MESH and self._cost_is_fine):
+        elif not (self.mesh_error <= COARSE_MESH and self.cost_error <= self.cost_tolerance):
             status = OptimalControlStatus.COARSE
         return replace(self, status=status) if self.solved_on_mesh else self
 
@@ -165,11 +165,6 @@ class Solution:
         """Estimated error of the cost that SOLVED accepts."""
         size = max(self.cost_size, self.program.cost_scale)
         return max(COST_ERROR * abs(self.cost), COST_ROUNDING * size)
-
-    @property
-    def _cost_is_fine(self) -> bool:
-        """Whether the mesh hardly changes the cost."""
-        return self.cost_error <= self.cost_tolerance
 
     def _missed(self) -> list[str]:
         """Limits exceeded and errors made between the points, in words."""
@@ -182,7 +177,7 @@ class Solution:
         ]
         if self.mesh_error > COARSE_MESH:
             said.append(f"The dynamics are missed by {self.mesh_error:.1e} of the extent of a state.")
-        if not self._cost_is_fine:
+        if not self.cost_error <= self.cost_tolerance:
             said.append(f"The cost may be off by about {self.cost_error:.2g}.")
         return said
 

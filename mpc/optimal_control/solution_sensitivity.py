@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 
 from mpc.checks import Array
 from mpc.optimal_control.descriptions import describe_row, describe_unknown
-from mpc.optimal_control.program import NonlinearProgram, PhasePart
+from mpc.optimal_control.program import NonlinearProgram
 from mpc.sensitivities.plan_sensitivity import SensitivityStatus
 from mpc.tolerances import AT_BOUND, BARRIER_BLUR, LEAST_CURVATURE, ROUNDED_SUM, SAME_HYPERPLANE_DIGITS
 
@@ -75,7 +75,13 @@ def solution_sensitivity(
     held = _held(program)
     if not solved:
         return _none(program, held, SensitivityStatus.UNSOLVED, ())
-    gradient, W, J, rows = _derivatives(program, v, multipliers["rows"])
+    size, of_cost = program.scale, program.cost_scale
+    hessian = program.derivatives.hessian(v, 1.0, multipliers["rows"]).sparse()  # its upper triangle
+    W = csc_matrix(hessian + triu(hessian, 1).T).multiply(size[:, None]).multiply(size).tocsc() / of_cost
+    found = program.derivatives.stationarity(v, multipliers["rows"])
+    rows, gradient = (np.asarray(value, dtype=float).ravel() for value in found[:2])
+    jacobian = csc_matrix(program.derivatives.jacobian[1](v)[1].sparse())
+    J = jacobian.multiply(size).multiply(1 / program.row_scale[:, None]).tocsr()
     softness = np.abs(W.diagonal())
     softness = 1 / np.maximum(softness, LEAST_CURVATURE * softness.max(initial=np.finfo(float).tiny))
     on_rows, weak_rows = _acting(
@@ -93,20 +99,19 @@ def solution_sensitivity(
     of_rows = of_rows[_once_each(of_rows)]
     K = bmat([[W[free][:, free], of_rows[:, free].T], [of_rows[:, free], None]], format="csc")
     right = -np.vstack([W[free][:, held].toarray(), of_rows[:, held].toarray()])
-    found = _solved(K, right)
+    by = _solved(K, right)
     weak = [describe_row(program, int(i), v) for i in np.flatnonzero(weak_rows)]
     weak += [describe_unknown(program, int(i), v) for i in np.setdiff1d(np.flatnonzero(weak_bounds), held)]
-    if found is None:
+    if by is None:
         return _none(program, held, SensitivityStatus.SINGULAR, tuple(weak))
     moves = np.zeros((len(v), len(held)))
     moves[held, np.arange(len(held))] = 1.0
-    moves[free] = found[: len(free)]
-    curvature = (W @ moves)[held] + (of_rows[:, held].T @ found[len(free) :])
-    unit = program.cost_scale / program.scale[held]
+    moves[free] = by[: len(free)]
+    curvature = (W @ moves)[held] + (of_rows[:, held].T @ by[len(free) :])
+    unit = of_cost / size[held]
     status = SensitivityStatus.ONE_SIDED if weak else SensitivityStatus.SMOOTH
-    moves = moves * program.scale[:, None] / program.scale[held]
-    return _packed(program, held, status, gradient[held] * unit, curvature * unit[:, None] / program.scale[held], moves,
-                   tuple(weak))  # fmt: skip
+    moves = moves * size[:, None] / size[held]
+    return _packed(program, held, status, gradient[held], curvature * unit[:, None] / size[held], moves, tuple(weak))
 
 
 def _held(program: NonlinearProgram) -> NDArray[np.int64]:
@@ -114,18 +119,6 @@ def _held(program: NonlinearProgram) -> NDArray[np.int64]:
     first = program.parts[0].first + np.arange(program.parts[0].layout.nx)
     given = first[program.lower[first] == program.upper[first]]
     return np.concatenate([np.arange(program.parameters.start, program.parameters.stop), given])
-
-
-def _derivatives(program: NonlinearProgram, v: Array, multipliers: Array) -> tuple[Array, Any, Any, Array]:
-    """Scaled Lagrangian gradient and Hessian, row Jacobian, and rows."""
-    hessian = program.derivatives.hessian(v, 1.0, multipliers).sparse()  # its upper triangle
-    rows, jacobian = program.derivatives.jacobian[1](v)
-    gradient = program.derivatives.stationarity(v, multipliers)[1]
-    size, of_cost = program.scale, program.cost_scale
-    W = csc_matrix(hessian + triu(hessian, 1).T).multiply(size[:, None]).multiply(size) / of_cost
-    J = csc_matrix(jacobian.sparse()).multiply(size).multiply(1 / program.row_scale[:, None])
-    slope, values = (np.asarray(value, dtype=float).ravel() for value in (gradient, rows))
-    return slope * size / of_cost, W.tocsc(), J.tocsr(), values
 
 
 def _acting(low: Array, high: Array, multiplier: Array, softness: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -175,23 +168,13 @@ def _packed(program: NonlinearProgram, held: NDArray[np.int64], status: Sensitiv
     by_start = np.full(part.layout.nx, np.nan)
     by_start[held[count:] - part.first] = gradient[count:]
     moves = np.hstack([moves[:, :count], start])
-    phases = [
-        PhaseSensitivity(*(one for move in _along(own, moves) for one in np.split(move, [count], axis=2)))
-        for own in program.parts
-    ]
+    phases = []
+    for own in program.parts:
+        nodes, _, _, inputs = own.unknowns(np.arange(float(len(moves))))
+        places = nodes[: own.layout.nx].T, np.stack(inputs, axis=0).transpose(2, 0, 1).reshape(-1, own.layout.nu)
+        both = (np.split(moves[at.astype(int)], [count], axis=2) for at in places)
+        phases.append(PhaseSensitivity(*(one for moved in both for one in moved)))
     return SolutionSensitivity(status, gradient[:count], by_start, curvature[:count, :count], tuple(phases), weak)
-
-
-def _along(part: PhasePart, moves: Array) -> tuple[Array, Array]:
-    """Moves of states (N + 1, nx, m) and inputs (n, nu, m) of a phase."""
-    layout = part.layout
-    states = np.empty((part.intervals + 1, layout.nx, moves.shape[1]))
-    inputs = np.empty((part.intervals * len(layout.points), layout.nu, moves.shape[1]))
-    for i, move in enumerate(moves.T):
-        nodes, _, _, values = part.unknowns(move)
-        states[:, :, i] = nodes[: layout.nx].T
-        inputs[:, :, i] = np.stack(values, axis=0).transpose(2, 0, 1).reshape(-1, layout.nu)
-    return states, inputs
 
 
 def _none(

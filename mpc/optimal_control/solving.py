@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_instance, as_share, brief
 from mpc.budgets import LEAST_SECONDS, USUAL_ITERATIONS
 from mpc.checks import Array, as_count, as_floats, as_seconds
 from mpc.exceptions import InputError
-from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.descriptions import contradiction, violated
 from mpc.optimal_control.interval import placed
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once
@@ -66,18 +65,16 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     Solution
         With a status: only what passes a check of its own is called SOLVED.
     """
-    if isinstance(program, OptimalControlProblem | Phase):
-        program = build(program)
-    if not isinstance(program, NonlinearProgram):
-        raise InputError("program", type(program).__name__, "what `build` returns, an OptimalControlProblem or a Phase")
+    given = build(program) if isinstance(program, OptimalControlProblem | Phase) else program
+    expected = "what `build` returns, an OptimalControlProblem or a Phase"
+    built: NonlinearProgram = as_instance("program", given, NonlinearProgram, expected)
     settings = as_settings(tolerance, max_iterations, time_limit, options)
-    if start is not None and not isinstance(start, Solution):
-        raise InputError("start", type(start).__name__, "a Solution")
+    as_instance("start", start, (Solution, type(None)), "a Solution, or None")
     if p is not None:
-        program = _held(program, p)
-    run = Run(program, settings)
-    guess, multipliers = (program.guess, None) if start is None else _from_solution(program, start)
-    found = run.solved(np.clip(guess, program.lower, program.upper), multipliers, warm=start is not None)
+        built = _held(built, p)
+    run = Run(built, settings)
+    guess, multipliers = (built.guess, None) if start is None else _from_solution(built, start)
+    found = run.solved(np.clip(guess, built.lower, built.upper), multipliers, warm=start is not None)
     if found.ended and not found.iterations and start is None:
         found = run.elsewhere(found)
     return run.judged(found)
@@ -207,7 +204,7 @@ class Run:
             phase_solution(part, v, p, clock, multipliers["rows"], float(weight))
             for part, clock, weight in zip(program.parts, program.times(v), weights)
         )  # fmt: skip
-        notes = notes_of(program, v, status is OptimalControlStatus.SOLVED)
+        notes = tuple(notes_of(program, v, status is OptimalControlStatus.SOLVED))
         return Solution(
             program=program, unknowns=v, cost=cost, cost_size=self.cost_size, p=p, phases=phases, status=status,
             residuals=found.residuals, conflicts=conflicts, notes=notes, multipliers=multipliers,
@@ -235,7 +232,7 @@ def status_of(found: Found) -> OptimalControlStatus:
 
 
 def _from_solution(program: NonlinearProgram, start: Solution) -> tuple[Array, dict[str, Array] | None]:
-    """Unknowns (n,) of a program from a solution on any mesh, and its multipliers if it is on the same."""
+    """Unknowns (n,) from a solution on any mesh; multipliers from the same."""
     fits = len(start.phases) == len(program.parts) and len(start.p) == program.problem.parameters
     sizes = [(one.states.shape[1], one.part.layout.nu) for one in start.phases]
     if not fits or sizes != [(part.layout.nx, part.layout.nu) for part in program.parts]:

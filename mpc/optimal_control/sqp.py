@@ -239,7 +239,9 @@ class Sequential:
         if "x_ref" in given or "u_ref" in given:
             slopes.append(self._slopes(states - error, inputs - effort))
             lost_cost = rounding_of_cost(self.problem, given)
-        by_state, by_input = (np.concatenate(parts) for parts in zip(*(_apart(*pair) for pair in slopes)))
+        # what states cost and what inputs cost, apart
+        by_state = np.concatenate([np.stack([of_states, 0 * of_states]) for of_states, _ in slopes])
+        by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
         own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(-1, self.n)
         left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(self.n)
         return _Program(plan, (states, inputs), along, given, bend, blocks, roots, own, other, left, lost_cost)
@@ -369,11 +371,6 @@ def _roots(blocks: Array) -> Array:
     scaled = blocks * unit[:, :, None] * unit[:, None, :]
     lower = np.linalg.cholesky(scaled + ROUNDED_SUM * np.eye(scaled.shape[1]))
     return np.asarray(np.linalg.inv(lower).transpose(0, 2, 1) * unit[:, :, None])
-
-
-def _apart(by_state: Array, by_input: Array) -> tuple[Array, Array]:
-    """Slopes (2, N + 1, nx) and (2, N, nu) of what states and what inputs cost."""
-    return np.stack([by_state, 0 * by_state]), np.stack([0 * by_input, by_input])
 
 
 def _times(roots: Array, rows: Array) -> Array:

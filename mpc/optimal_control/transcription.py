@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ccdtools_ground.door import brief
+from ccdtools_ground.door import as_instance
 from mpc.checks import Array, as_count, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.algebraic import collocated, eliminated
@@ -17,7 +17,7 @@ from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.interval import Layout, first_duration, layout_of, phase_unknowns, size_of, times_of
 from mpc.optimal_control.notes import check_at_guess
 from mpc.optimal_control.phase import Phase, signal_along
-from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_function
+from mpc.optimal_control.pieces import Numbers, Piece, interval_function, kind_of, piece_of
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, PhasePart, Rows, with_costs_of_scenarios, with_sizes_of_rows
 from mpc.optimal_control.schemes import Collocation, MultipleShooting, Radau, Scheme
@@ -45,26 +45,21 @@ def build(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, 
     """
     if isinstance(problem, Phase):
         problem = OptimalControlProblem(problem)
-    if not isinstance(problem, OptimalControlProblem):
-        raise InputError("problem", type(problem).__name__, "an OptimalControlProblem or a Phase")
+    as_instance("problem", problem, OptimalControlProblem, "an OptimalControlProblem or a Phase")
     scheme = Radau(3) if scheme is None else scheme
-    if not isinstance(scheme, Collocation | MultipleShooting):
-        raise InputError(
-            "scheme", type(scheme).__name__, "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
-        )
+    expected = "Radau(), Trapezoidal(), HermiteSimpson() or MultipleShooting()"
+    as_instance("scheme", scheme, (Collocation, MultipleShooting), expected)
     if any(phase.algebraic is not None for phase in problem.phases):
-        problem = replace(problem, phases=[_without_z(phase, scheme, problem.parameters) for phase in problem.phases])
+        unknown = isinstance(scheme, Collocation)  # z at the points; else an expression
+        stated = [
+            phase if phase.algebraic is None
+            else (collocated if unknown and not phase.discrete else eliminated)(phase, problem.parameters)
+            for phase in problem.phases
+        ]  # fmt: skip
+        problem = replace(problem, phases=stated)
     program = _Assembly(problem, scheme, _as_meshes(problem, intervals, meshes)).program()
     check_at_guess(program)
     return with_sizes_of_rows(with_costs_of_scenarios(program))
-
-
-def _without_z(phase: Phase, scheme: Scheme, parameters: int) -> Phase:
-    """Phase without algebraic equations: z is unknown at the points of collocation, else an expression."""
-    if phase.algebraic is None:
-        return phase
-    unknown = isinstance(scheme, Collocation) and not phase.discrete
-    return collocated(phase, parameters) if unknown else eliminated(phase, parameters)
 
 
 class _Assembly:
@@ -88,7 +83,12 @@ class _Assembly:
             self._unknown(*phase_unknowns(phase, functions, p_guess, layout, mesh))
             for phase, functions, layout, mesh in zip(problem.phases, problem.functions, layouts, self.meshes)
         ]
-        durations = [self._duration(phase) for phase in problem.phases]
+        durations = [-1] * len(problem.phases)
+        for k, phase in enumerate(problem.phases):
+            if phase.free_duration:
+                low, high = phase.duration
+                guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
+                durations[k] = self._unknown(np.array([low]), np.array([high]), guess, guess)
         low, high = problem.p_bounds
         first = self._unknown(low, high, p_guess)
         self.p = first + np.arange(problem.parameters)
@@ -128,14 +128,6 @@ class _Assembly:
         self.unknowns.append((lower, upper, guess, size))
         return first
 
-    def _duration(self, phase: Phase) -> int:
-        """Append a free duration; return its place, or −1."""
-        if not phase.free_duration:
-            return -1
-        low, high = phase.duration
-        guess = np.array([first_duration(phase)])  # its size, too: bounds of durations are often far away
-        return self._unknown(np.array([low]), np.array([high]), guess, guess)
-
     def _rows(self, name: str, phase: int, entries: Sequence[str], fractions: Any, low: Any, high: Any,
               scale: Any) -> slice:  # fmt: skip
         """Append constraints `entries` at fractions of a phase; return their places."""
@@ -152,14 +144,7 @@ class _Assembly:
     def _piece(self, values: Callable[..., Any], places: dict[str, Numbers], rows: Numbers, *functions: Any,
                factors: Array | None = None, data: Array | None = None) -> None:  # fmt: skip
         """Append values that `functions` make of unknowns to rows of [f; g]."""
-        rows = rows.reshape(len(rows), -1)
-        count = rows.shape[1]
-        data = np.zeros((0, count)) if data is None else data
-        factors = np.ones(len(rows)) if factors is None else factors
-        each = [np.broadcast_to(at.T, (count, len(at))).T for at in places.values()]
-        sizes = {name: len(at) for name, at in places.items()}
-        function = piece_function(values, kind_of(*functions), sizes, len(data))
-        self.pieces.append(Piece(function, np.vstack(each), data, rows, factors))
+        self.pieces.append(piece_of(values, kind_of(*functions), places, rows, factors=factors, data=data))
 
     def _costs_of_scenarios(self) -> slice:
         """Append the unknown costs of scenarios that are not summed, and their spread where it counts.
@@ -225,7 +210,7 @@ class _Assembly:
         data = np.vstack([part.mesh[:-1], np.diff(part.mesh), signals])
         self._piece(values, places, rows, part.interval, factors=factors, data=data)
         if part.functions.path is not None:
-            every, shares = np.arange(len(part.functions.path_names)), _shares(part)
+            every, shares = np.arange(len(part.functions.path_names)), part.shares
             kept = shares[:, layout.points[0] == 0 :] if shares.shape[1] > 1 else shares
             self._soften(part, part.path, every, kept.ravel(), target, weight)
 
@@ -241,7 +226,7 @@ class _Assembly:
             node = part.last - layout.node
             inputs = node - layout.nu + np.arange(layout.nu)
         else:
-            fraction, share = 0.0, _shares(part)[0, 0] if layout.points[0] == 0 else 0.0
+            fraction, share = 0.0, part.shares[0, 0] if layout.points[0] == 0 else 0.0
             node = part.first
             inputs = node + layout.nx + np.arange(layout.node_inputs)
             if not layout.node_inputs:
@@ -345,17 +330,6 @@ class _Assembly:
             self._piece(lambda p, data: [function(p) for function in stated], {"p": self.p}, targets, *stated)
 
 
-def _shares(part: PhasePart) -> Array:
-    """Parts (N, points) of a phase that the points with path limits stand for in an integral."""
-    lengths, scheme = np.diff(part.mesh)[:, None], part.scheme
-    if part.phase.discrete or not isinstance(scheme, Collocation):
-        return lengths
-    shares = np.asarray(lengths * scheme.matrix[-1])
-    if scheme.points[0] == 0:  # a node belongs to both its intervals
-        shares[:-1, -1] += shares[1:, 0]
-    return shares
-
-
 def _numbers(rows: slice) -> Numbers:
     """Numbers of constraints in [f; g]."""
     return 1 + np.arange(rows.start, rows.stop)
@@ -365,12 +339,12 @@ def _as_meshes(problem: OptimalControlProblem, intervals: Any, meshes: Any) -> l
     """Mesh fractions of every phase."""
     count = len(problem.phases)
     if meshes is None:
-        each = [intervals] * count if np.ndim(intervals) == 0 else list(intervals)
+        several = getattr(intervals, "ndim", hasattr(intervals, "__len__"))
+        each = list(intervals) if several else [intervals] * count
         if len(each) != count:
             raise InputError("intervals", f"{len(each)} numbers", f"{count}, one a phase")
         meshes = [np.linspace(0, 1, as_count("intervals", n) + 1) for n in each]
-    if not isinstance(meshes, list | tuple | np.ndarray):
-        raise InputError("meshes", brief(repr(meshes)), "a list of meshes, one a phase")
+    as_instance("meshes", meshes, (list, tuple, np.ndarray), "a list of meshes, one a phase")
     if len(meshes) != count:
         raise InputError("meshes", f"{len(meshes)} of them", f"{count}, one a phase")
     checked = []

@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from mpc.checks import Array, Flags
 from mpc.plan import Plan, Status
 from mpc.problem import MPCProblem
-from mpc.rollout import Given
+from mpc.rollout import Given, relative_violations
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.linearised import Conditions, Linearised, Point
 from mpc.sensitivities.plan_sensitivity import LocalProgram, PlanSensitivity, SensitivityStatus, null_directions
@@ -25,7 +25,10 @@ def sensitivity_of(
     if plan.status is not Status.SOLVED:
         return conditions.none(plan, SensitivityStatus.UNSOLVED)
     with np.errstate(over="ignore", invalid="ignore"):
-        point = Linearised(conditions, Point.from_plan(problem, plan)).with_multipliers()
+        soft = problem.soft is not None
+        slacks = relative_violations(problem, plan.states, problem.price_units) if soft else np.zeros(0)
+        first = Point(np.array(plan.inputs), np.array(plan.states), slacks, None, np.zeros(0, dtype=bool))
+        point = Linearised(conditions, first).with_multipliers()
         last = NEAR_OPTIMUM
         for _ in range(8):
             step = NewtonStep.at(Linearised(conditions, point))

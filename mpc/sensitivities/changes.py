@@ -99,17 +99,15 @@ def _unit_changes(limits: Limits, bounds: dict[str, Array], dB: Array) -> dict[s
         if largest == 0:
             continue
         step = np.cbrt(EPS) / largest
-        up, down = (_moved(limits, moves, dB[:, :, j], part).reaches() for part in (step, -step))
+        reaches = []
+        for part in (step, -step):
+            sets = {kind: (H, h + part * moves[kind]) for kind, (H, h) in limits.sets.items()}
+            rate = None if limits.rate is None else limits.rate + part * moves["rate"]
+            reaches.append(Limits(limits.B + part * dB[:, :, j], sets, rate, limits.horizon).reaches())
+        up, down = reaches
         for kind in SOFTENED:
             change[kind][:, j] += np.where(own[kind], 0.0, (up[kind] - down[kind]) / (2 * step))
     return change
-
-
-def _moved(limits: Limits, moves: dict[str, Array], dB: Array, part: float) -> Limits:
-    """Limits after a part of a move."""
-    sets = {kind: (H, h + part * moves[kind]) for kind, (H, h) in limits.sets.items()}
-    rate = None if limits.rate is None else limits.rate + part * moves["rate"]
-    return Limits(limits.B + part * dB, sets, rate, limits.horizon)
 
 
 class PlanModel(NamedTuple):

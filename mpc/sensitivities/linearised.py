@@ -14,7 +14,7 @@ from mpc.feedback import block_lengths, feedback_along
 from mpc.parametric_qp import places
 from mpc.plan import Plan
 from mpc.problem import MPCProblem
-from mpc.rollout import Given, deviations, relative_violations
+from mpc.rollout import Given, deviations
 from mpc.sensitivities.changes import SOFTENED, Changes, PlanModel
 from mpc.sensitivities.plan_sensitivity import PlanSensitivity, SensitivityStatus
 from mpc.tolerances import KKT_REPORTED
@@ -29,14 +29,6 @@ class Point:
     slacks: Array
     multipliers: Array | None
     acting: Flags
-
-    @classmethod
-    def from_plan(cls, problem: MPCProblem, plan: Plan) -> Point:
-        """Point of a plan without multipliers."""
-        slacks = np.zeros(0)
-        if problem.soft is not None:
-            slacks = relative_violations(problem, plan.states, problem.price_units)
-        return cls(np.array(plan.inputs), np.array(plan.states), slacks, None, np.zeros(0, dtype=bool))
 
 
 class Conditions:
@@ -153,13 +145,16 @@ class Linearised:
             H[slacks.start - self.free.start :, slacks] = 2 * problem.soft[1] * np.eye(problem.horizon)
         return H
 
-    def _pushes(self) -> tuple[Array, Array]:
-        """Slopes by states (N + 1, nx) and inputs (N, nu) from limits."""
+    def _costates(self, A: Array, B: Array) -> Array:
+        """Costates λ (N, nx) of each next state.
+
+        Along the feedback, where there is one, they do not lose their digits to an unstable model: at an optimum the
+        slope by the inputs, which it adds, is zero.
+        """
         problem = self.conditions.problem
-        on_states = np.zeros((problem.horizon + 1, problem.nx))
-        on_inputs = np.zeros((problem.horizon, problem.nu))
+        nx, sets = problem.nx, problem.limits.sets
+        on_states, on_inputs = np.zeros((problem.horizon + 1, nx)), np.zeros((problem.horizon, problem.nu))
         both = np.vstack([np.eye(problem.nu), -np.eye(problem.nu)])
-        sets = problem.limits.sets
         for i in np.flatnonzero(self.multipliers):
             kind, step, row = self.labels[i]
             if kind == "rate":
@@ -169,17 +164,6 @@ class Linearised:
             elif kind in sets:
                 pushed = on_inputs if kind == "input" else on_states
                 pushed[step] += self.multipliers[i] * sets[kind][0][row]
-        return on_states, on_inputs
-
-    def _costates(self, A: Array, B: Array) -> Array:
-        """Costates λ (N, nx) of each next state.
-
-        Along the feedback, where there is one, they do not lose their digits to an unstable model: at an optimum the
-        slope by the inputs, which it adds, is zero.
-        """
-        problem = self.conditions.problem
-        nx = problem.nx
-        on_states, on_inputs = self._pushes()
         costates = np.empty((problem.horizon, nx))
         closing = self.feedback if problem.blocks is None else None
         now = self.end_slope + on_states[-1]

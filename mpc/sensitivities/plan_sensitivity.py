@@ -165,18 +165,11 @@ class PlanSensitivity:
             N = len(self.plan.inputs)
             return Rates(np.nan, np.full((N, nu), np.nan), np.full((N + 1, nx), np.nan))
         move = np.concatenate([theta, rate])
-        cost = float(self.cost_by_state @ parts[0] + self.cost_by_parameters @ parts[1] + self._cost_by_last @ parts[2])
-        return Rates(cost, self.local.inputs @ move, self.local.states @ move)
-
-    @property
-    def _cost_by_last(self) -> Array:
-        """Derivative ∂J*/∂u_prev (nu,)."""
-        worth = np.zeros(self.inputs_by_last_input.shape[-1])
+        cost = float(self.cost_by_state @ parts[0] + self.cost_by_parameters @ parts[1])
         for label, multiplier in self.active.items():
             if label.kind == "rate" and label.step == 0:
-                up = label.row < len(worth)
-                worth[label.row % len(worth)] += -multiplier if up else multiplier
-        return worth
+                cost += float(parts[2][label.row % last]) * (-multiplier if label.row < last else multiplier)
+        return Rates(cost, self.local.inputs @ move, self.local.states @ move)
 
 
 def null_directions(rows: Array) -> Array:

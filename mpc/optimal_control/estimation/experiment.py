@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools_ground.door import brief, frozen
-from mpc.checks import Array, Flags, as_floats
+from mpc.checks import Array, Flags, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.tolerances import LEAST_INTERVAL
 
@@ -46,10 +46,10 @@ class Experiment:
     guess: Any = None
 
     def __post_init__(self) -> None:
-        times, outputs = as_floats("times", self.times), as_floats("outputs", self.outputs)
+        times, outputs = as_array("times", self.times, (None,)), as_floats("outputs", self.outputs)
         outputs = outputs[:, None] if outputs.ndim == 1 else outputs
-        n = len(times) if times.ndim else 0
-        if times.ndim != 1 or n < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        n = len(times)
+        if n < 2 or (np.diff(times) <= 0).any():
             raise InputError("times", brief(str(times.tolist())), "at least two finite times that rise")
         if outputs.ndim != 2 or len(outputs) != n or not outputs.shape[1]:
             raise InputError("outputs", f"shape {outputs.shape}", f"({n}, ny), one row a time")
@@ -58,22 +58,17 @@ class Experiment:
         if np.isnan(outputs).all():
             raise InputError("outputs", "nothing but NaN", "at least one measured value")
         set_ = object.__setattr__
-        set_(self, "times", frozen(times))
+        set_(self, "times", times)
         set_(self, "outputs", frozen(outputs))
         if self.inputs is not None and not callable(self.inputs):
             inputs = as_floats("inputs", self.inputs)
             inputs = inputs[:, None] if inputs.ndim == 1 else inputs
-            if inputs.ndim != 2 or len(inputs) != n or not inputs.shape[1]:
-                raise InputError("inputs", f"shape {inputs.shape}", f"({n}, nu), one row a time")
             if not np.isfinite(inputs).all():
                 cure = "Fill gaps: what was applied is known, or state it as a function of time."
                 raise InputError("inputs", "numbers that are not finite", "finite ones", cure)
-            set_(self, "inputs", frozen(inputs))
+            set_(self, "inputs", as_array("inputs", inputs, (n, "nu")))
         if self.guess is not None:
-            guess = as_floats("guess", self.guess)
-            if guess.ndim != 2 or len(guess) != n or not np.isfinite(guess).all():
-                raise InputError("guess", f"shape {guess.shape}", f"({n}, nx), finite, one row a time")
-            set_(self, "guess", frozen(guess))
+            set_(self, "guess", as_array("guess", self.guess, (n, None)))
 
     @property
     def measured(self) -> Flags:

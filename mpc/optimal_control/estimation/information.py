@@ -103,7 +103,11 @@ def information(solution: Solution, residual: ca.Function) -> Information:
         rows = np.vstack([rows, moves[inputs] * np.sqrt(curvature[inputs])[:, None]])
         Q, _ = np.linalg.qr(rows[:, count:])
         rows = rows[:, :count] - Q @ (Q.T @ rows[:, :count])
-    acting = _acting(solution, moves[:, :count] * units @ np.linalg.pinv(rows * units, rcond=TOLD_APART))
+    spread = moves[:, :count] * units @ np.linalg.pinv(rows * units, rcond=TOLD_APART)  # by unit noise
+    push = solution.multipliers["bounds"]
+    room = np.where(push > 0, program.upper - v, v - program.lower)
+    # held by a bound is what would move further without it
+    acting = np.flatnonzero(free & (np.abs(push) * np.square(spread).sum(axis=1) > room))
     acting = np.intersect1d(acting, unknowns) if len(inputs) else acting
     held = moves[acting, :count] * units / program.scale[acting, None]
     directions = null_space(held, rcond=NEGLIGIBLE) if len(held) else np.eye(count)
@@ -151,17 +155,6 @@ def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array
     places = part.first + part.layout.column * at[:, None] + np.arange(part.layout.nx)
     t = part.phase.start_time + times
     return solution.unknowns[places], signal_at(part.phase, t), t, known, places
-
-
-def _acting(solution: Solution, spread: Array) -> NDArray[np.int64]:
-    """Unknowns held by a bound: without it they would move by more than their distance from it.
-
-    Rows of `spread` (n, m) are their deviations at unit noise, squares summed.
-    """
-    program, v = solution.program, solution.unknowns
-    push = solution.multipliers["bounds"]
-    room = np.where(push > 0, program.upper - v, v - program.lower)
-    return np.flatnonzero((program.lower < program.upper) & (np.abs(push) * np.square(spread).sum(axis=1) > room))
 
 
 def _names(program: NonlinearProgram, unknowns: NDArray[np.int64], firsts: list[NDArray[np.int64]]) -> tuple[str, ...]:

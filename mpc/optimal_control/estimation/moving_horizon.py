@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
+from ccdtools_ground.door import as_share
 from ccdtools_ground.outcome import Outcome
-from mpc.checks import Array, as_array, as_count, as_floats, as_weight
-from mpc.exceptions import InputError, NotConvexError
-from mpc.optimal_control.bounds import as_bounds, as_share
+from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.exceptions import InputError
+from mpc.optimal_control.bounds import as_bounds
 from mpc.optimal_control.estimation.parameter_estimation import as_covariance, moved_by_noise
 from mpc.optimal_control.estimation.window import NoisyModel, Window, WindowProgram
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
@@ -127,13 +128,14 @@ class MovingHorizonEstimator:
         set_ = object.__setattr__
         for name in ("states", "window"):
             set_(self, name, as_count(name, getattr(self, name)))
-        set_(self, "inputs", 0 if self.inputs == 0 else as_count("inputs", self.inputs))
+        set_(self, "inputs", as_count("inputs", self.inputs, least=0))
         nx = self.states
         set_(self, "x0", as_array("x0", np.zeros(nx) if self.x0 is None else self.x0, (nx,)))
         set_(self, "p", as_array("p", self.p, (None,)))
-        set_(self, "P0", _as_semidefinite("P0", self.P0, nx))
+        set_(self, "P0", as_covariance("P0", self.P0, nx, singular=True))
         count = len(self.p)
-        set_(self, "P_p", _as_semidefinite("P_p", np.zeros(count) if self.P_p is None else self.P_p, count))
+        given = np.zeros(count) if self.P_p is None else self.P_p
+        set_(self, "P_p", as_covariance("P_p", given, count, singular=True))
         drift = as_array("p_drift", np.zeros(count) if self.p_drift is None else self.p_drift, (count,))
         if (drift < 0).any():
             raise InputError("p_drift", drift, "variances ≥ 0")
@@ -253,11 +255,3 @@ class MovingHorizonEstimator:
         windows, status = zip(*runs)
         z, P = (np.stack(part) for part in zip(*((window.course[-1], window.last) for window in windows)))
         return MovingHorizonBelief(z[:, :nx], P[:, :nx, :nx], z[:, nx:], status, windows)
-
-
-def _as_semidefinite(name: str, value: Any, size: int) -> Array:
-    """Positive semidefinite covariance (size, size), also from variances (size,)."""
-    try:
-        return as_weight(name, np.atleast_1d(as_floats(name, value)), size)
-    except NotConvexError as error:
-        raise InputError(name, str(error), f"a covariance ({size}, {size}), or variances ({size},)") from None

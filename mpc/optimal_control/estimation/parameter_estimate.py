@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 from scipy.stats import norm, t
 
+from ccdtools_ground.door import as_share
 from ccdtools_ground.outcome import Outcome
 from mpc.checks import Array
-from mpc.optimal_control.bounds import as_share
 from mpc.optimal_control.estimation.experiment import Experiment
 from mpc.optimal_control.estimation.information import Information, samples_of
 from mpc.optimal_control.solution import OptimalControlStatus, Solution

@@ -9,15 +9,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccdtools_ground.door import as_weight
 from mpc.budgets import GUESSED_STEPS
-from mpc.checks import Array, as_array, as_count, as_weight
-from mpc.exceptions import InputError, NotConvexError
+from mpc.checks import Array, as_array, as_count, as_floats
+from mpc.exceptions import InputError
 from mpc.optimal_control.bounds import INF, Bounds, as_bounds, as_end, as_names, middle
 from mpc.optimal_control.estimation.experiment import Experiment, as_experiments, whitened
 from mpc.optimal_control.estimation.information import information
 from mpc.optimal_control.estimation.parameter_estimate import ParameterEstimate, estimate_of
 from mpc.optimal_control.functions import Statement, compiled, symbols_of
-from mpc.optimal_control.phase import Phase
+from mpc.optimal_control.phase import Phase, interpolated
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.refinement import refine
 from mpc.tolerances import NEGLIGIBLE
@@ -77,7 +78,9 @@ def estimate_parameters(
     given = as_experiments(experiments)
     states = as_count("states", states)
     bounds = as_bounds("p_bounds", p_bounds, None)
-    ny, nu = given[0].outputs.shape[1], signal_width(given)
+    one = given[0]
+    nu = 0 if one.signal is None else np.atleast_2d(np.asarray(one.signal(one.times[:1]))).shape[1]
+    ny = one.outputs.shape[1]
     if disturbance is not None and noise is None:
         raise InputError("noise", "nothing", "the noise of the outputs, which a disturbance is weighed against")
     density = np.zeros((0, 0)) if disturbance is None else as_covariance("disturbance", disturbance, None)
@@ -85,7 +88,10 @@ def estimate_parameters(
     f = moved_by_noise("dynamics", compiled("dynamics", dynamics, sizes, states))
     h = compiled("output", output, {name: sizes[name] for name in "xupt"}, ny)
     covariance = np.eye(ny) if noise is None else as_covariance("noise", noise, ny)
-    residual = _residual(h, ny)
+    s = symbols_of(h)
+    y = type(s["x"]).sym("y", ny * (1 + ny))  # rows of `whitened`
+    value = ca.densify(ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny]))
+    residual = ca.Function("residual", [*s.values(), y], [value], ["x", "w", "p", "t", "y"], ["value"])
     guess = np.zeros(len(bounds[0])) if p_guess is None else as_array("p_guess", p_guess, (len(bounds[0]),))
     phases = [
         _phase(one, f, residual, density, (as_bounds("x_bounds", x_bounds, states), bounds, guess), covariance,
@@ -101,13 +107,12 @@ def estimate_parameters(
     return estimate_of(solution, given, h, known, noise is not None)
 
 
-def as_covariance(name: str, value: ArrayLike, size: int | None) -> Array:
-    """Positive definite covariance (size, size), also from variances (size,)."""
-    size = len(np.atleast_1d(np.asarray(value))) if size is None else size
-    try:
-        full = as_weight(name, np.atleast_1d(np.asarray(value)), size)
-    except NotConvexError as error:
-        raise InputError(name, str(error), f"a covariance ({size}, {size}), or variances ({size},)") from None
+def as_covariance(name: str, value: ArrayLike, size: int | None, *, singular: bool = False) -> Array:
+    """Covariance (size, size), checked, also from variances (size,)."""
+    given = np.atleast_1d(as_floats(name, value))
+    full = as_weight(name, np.diag(given) if given.ndim == 1 else given, size)
+    if singular:
+        return full
     deviation = np.sqrt(np.diag(full))
     if not (deviation > 0).all() or np.linalg.eigvalsh(full / deviation / deviation[:, None])[0] < NEGLIGIBLE**2:
         raise InputError(name, "a singular matrix", "a positive definite one", "Give what is exact a small variance.")
@@ -122,25 +127,6 @@ def moved_by_noise(name: str, function: ca.Function) -> ca.Function:
         got = f"a function that does not depend on {', '.join(f'w[{i}]' for i in idle)}"
         raise InputError(name, got, "one that does, as w has a covariance", "Name an argument w, and add it.")
     return function
-
-
-def signal_width(given: Sequence[Experiment]) -> int:
-    """Number of inputs of experiments."""
-    one = given[0]
-    if one.signal is None:
-        return 0
-    return int(np.atleast_2d(np.asarray(one.signal(one.times[:1]))).shape[1])
-
-
-def _residual(h: ca.Function, ny: int) -> ca.Function:
-    """Function (x, w, p, t, y) → whitened residual (ny,).
-
-    w are the inputs, y rows of `whitened`.
-    """
-    s = symbols_of(h)
-    y = type(s["x"]).sym("y", ny * (1 + ny))
-    value = ca.mtimes(ca.reshape(y[ny:], ny, ny), h(*s.values()) - y[:ny])
-    return ca.Function("residual", [*s.values(), y], [ca.densify(value)], ["x", "w", "p", "t", "y"], ["value"])
 
 
 def _phase(one: Experiment, f: ca.Function, residual: ca.Function, density: Array, limits: tuple[Any, ...],
@@ -183,7 +169,7 @@ def _states_seen(one: Experiment, residual: ca.Function, samples: Array, p: Arra
         slopes = H.reshape(len(x), x.shape[1], -1).transpose(0, 2, 1)
         x = np.clip(x - (np.linalg.pinv(slopes, rcond=NEGLIGIBLE) @ r[:, :, None])[:, :, 0], *bounds)
     seen = one.measured.any(axis=1)
-    return np.stack([np.interp(times, times[seen], column[seen]) for column in x.T], axis=1)
+    return interpolated(times, times[seen], x[seen])
 
 
 def _check_count(problem: OptimalControlProblem, given: Sequence[Experiment], of_noise: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +15,7 @@ from mpc.optimal_control.derivatives import Derivatives
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.functions import symbols_of
 from mpc.optimal_control.ipopt import WARM, Settings, once
-from mpc.optimal_control.pieces import Piece, kind_of, piece_function
+from mpc.optimal_control.pieces import kind_of, piece_of
 from mpc.optimal_control.program import SizedProgram
 from mpc.tolerances import KKT_REPORTED
 
@@ -128,13 +127,13 @@ class WindowProgram:
                  "spread": self.at["spread"][:, None]}  # fmt: skip
         width = nz + int(kept.sum())
         rows = (1 + nz + np.arange(steps * width)).reshape(steps, width).T
-        none = np.zeros((0, samples), dtype=int)
         pieces = [
-            _piece(arrival, kind, first, 1 + np.arange(nz)[:, None]),
-            _piece(sample, kind_of(model.h), {"z": z, "u": u, "y": y}, none),
+            piece_of(arrival, kind, first, np.arange(1 + nz)[:, None]),
+            piece_of(sample, kind_of(model.h), {"z": z, "u": u, "y": y}, np.zeros((1, samples), dtype=int)),
         ]
         if steps:
-            pieces.append(_piece(step, kind, {"z": z[:, :-1], "after": z[:, 1:], "v": v, "u": u[:, 1:]}, rows))
+            places = {"z": z[:, :-1], "after": z[:, 1:], "v": v, "u": u[:, 1:]}
+            pieces.append(piece_of(step, kind, places, np.vstack([np.zeros((1, steps), dtype=int), rows])))
         count, equations = int(cuts[-1]), int(nz + rows.size)
         size = np.ones(count)
         size[self.at["z"]] = np.tile(model.sizes, samples)
@@ -167,11 +166,3 @@ class WindowProgram:
         found = once(replace(self.program, lower=low, upper=high), guess, None, settings)
         good = found.ended and found.residuals.worst <= KKT_REPORTED
         return found.v[at["z"]].reshape(window.course.shape), bool(good)
-
-
-def _piece(values: Callable[..., Any], kind: Any, places: dict[str, Any], rows: Any) -> Piece:
-    """Piece of a cost, and rows (k, M) of equations."""
-    count = rows.shape[1]
-    function = piece_function(values, kind, {name: len(at) for name, at in places.items()}, 0)
-    targets = np.vstack([np.zeros((1, count), dtype=int), rows])
-    return Piece(function, np.vstack(list(places.values())), np.zeros((0, count)), targets, np.ones(len(targets)))

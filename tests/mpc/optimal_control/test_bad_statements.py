@@ -43,11 +43,11 @@ GOOD = {"dynamics": lambda x, u: ca.vertcat(x[1], u), "states": 2, "inputs": 1, 
         ({"duration": (0, 3)}, "duration", "(0, 3)"),
         ({"duration": 2.5, "discrete": True}, "duration", "2.5"),
         ({"signal": [[1.0], [2.0]], "duration": (1, 2)}, "signal", "free"),
-        ({"state_names": ["a"]}, "state_names", "1 names"),
+        ({"state_names": ["a"]}, "state_names", "('a',), expected 2 names"),
         ({"state_names": "ab"}, "state_names", "'ab'"),
         ({"duration": (1, 3), "duration_guess": np.nan}, "duration_guess", "nan"),
         ({"guess": 3}, "guess", "3"),
-        ({"guess": ([0, 1], [[0, np.nan], [1, 0]], [[0], [0]])}, "guess", "not finite"),
+        ({"guess": ([0, 1], [[0, np.nan], [1, 0]], [[0], [0]])}, "guess", "nan at index (0, 1)"),
         ({"signal": lambda t: 1 / 0}, "signal", "ZeroDivisionError"),
     ],
 )
@@ -56,6 +56,13 @@ def test_a_bad_phase_is_refused_where_it_is_stated(change, argument, got):
         build(Phase(**(GOOD | change)))
     assert caught.value.argument == argument
     assert got in str(caught.value)
+
+
+@pytest.mark.parametrize("intervals", [[np.ones(2), np.ones(3)], [np.ones(2, dtype=int)], [2.0], np.array(4.0), "ab"])
+def test_intervals_that_are_no_whole_numbers_are_refused_by_name(intervals):
+    with pytest.raises(InputError, match=r"^intervals: got .* expected") as caught:
+        build(Phase(**GOOD), intervals=intervals)
+    assert caught.value.argument == "intervals"
 
 
 def test_an_integrator_that_stops_at_the_guess_is_told_in_words():
@@ -150,7 +157,7 @@ def test_a_casadi_function_states_a_phase_as_well():
         ({"boundary": lambda x0, x: x0 - ca.vertcat(x, x)}, "boundary", "x0 (2 rows)"),
         ({"terminal_cost": lambda x, u: u}, "terminal_cost", "'u'"),
         ({"path": lambda x: x[0], "path_bounds": ([0, 0], 1)}, "path_bounds, lower", "[0, 0]"),
-        ({"path": lambda x: x[0], "path_names": ["a", "b"]}, "path_names", "2 names"),
+        ({"path": lambda x: x[0], "path_names": ["a", "b"]}, "path_names", "('a', 'b'), expected 1 name"),
         ({"path": lambda x: x, "path_names": ["a", "a"]}, "path_names", "'a' twice"),
         ({"path_bounds": (0, 1)}, "path_bounds", "function `path`"),
         ({"boundary_names": ["closed"]}, "boundary_names", "function `boundary`"),
@@ -173,8 +180,8 @@ def test_what_is_known_of_a_phase_alone_is_told_when_it_is_stated(change, argume
         ({"phases": [Phase(**GOOD), Phase(**(GOOD | {"path": lambda p: p @ p}))]}, "path of phase 2", "product of 3x1"),
         ({"phases": Phase(**(GOOD | {"stage_cost": lambda u, p: u * p[0:2]}))}, "stage_cost", "2 rows"),
         ({"p_cost": lambda p: p[7]}, "p_cost", "index 7"),
-        ({"p_constraints": lambda p: p[0], "p_constraint_names": ["a", "b"]}, "p_constraint_names", "2 names"),
-        ({"p_names": ["mass"]}, "p_names", "1 names"),
+        ({"p_constraints": lambda p: p[0], "p_constraint_names": ["a", "b"]}, "p_constraint_names", "expected 1 name"),
+        ({"p_names": ["mass"]}, "p_names", "('mass',), expected 3 names"),
         ({"phases": [Phase(**GOOD)] * 2, "link": lambda x: x[4]}, "link", "index 4"),
         ({"phases": [Phase(**GOOD)] * 2, "link": lambda x: x, "linked": False}, "link", "side by side"),
         ({"phases": [Phase(**GOOD)] * 2, "linked": False, "risk": "worst", "weights": [1, 0]}, "weights", "largest"),

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from classical_problems import CLASSICAL
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from trajectory_verdicts import coarse, field, judged_field, judged_mesh
@@ -96,6 +97,13 @@ def test_a_mesh_too_coarse_for_fast_dynamics_is_not_solved_and_says_what_the_cos
     assert 0.3 < said < 3
     assert fine.solved == (fine.cost_error <= 0.003 * fine.cost)
     assert "±" in repr(fine)
+
+
+@pytest.mark.parametrize(("name", "true"), [("Bryson-Denham", 4.0), ("Rayleigh with a mixed limit", 44.8044447)])
+def test_limits_passed_between_points_of_high_degree_count_in_the_error_of_the_cost(name, true):
+    for intervals in (20, 40):
+        found = solve(build(CLASSICAL[name].phase, Radau(5), intervals))
+        assert 0.1 < found.cost_error / abs(found.cost - true) < 10
 
 
 def test_a_cost_off_by_its_quadrature_alone_is_said():
