@@ -15,11 +15,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ccdtools_ground.errors import InputError
+from ccdtools_ground.errors import InputError, NotConvexError
 from ccdtools_ground.tolerances import WEIGHT_ROUNDING
 
 Array = np.ndarray
 T = TypeVar("T")
+_OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
 KINDS: dict[Any, type] = {"Array": float, "Indices": np.int64, "Ints": np.int64, "Mask": np.bool_}  # of array fields
 
 
@@ -142,25 +143,75 @@ def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "
     return frozen(as_finite(argument, array))
 
 
-def as_weight(argument: str, value: Any, size: int | None = None) -> Array:
-    """Read-only symmetric positive semidefinite matrix; a number is 1 × 1."""
-    M = np.atleast_2d(as_floats(argument, value))
-    n = len(M) if size is None else size
-    if M.shape != (n, n):
-        raise InputError(argument, f"shape {M.shape}", "a square matrix" if size is None else f"({n}, {n})")
-    as_finite(argument, M)
-    gap, smallest = weight_faults(M)
+def as_weight(name: str, value: Any, size: int | None = None) -> Array:
+    """Read-only semidefinite weight; a number or vector is its diagonal."""
+    raw = as_floats(name, value)
+    full = raw * np.eye(size or 1) if raw.ndim == 0 else np.diag(raw) if raw.ndim == 1 else raw
+    n = len(full) if size is None else size
+    weight = as_array(name, full, (n, n))
+    gap, smallest = weight_faults(weight)
     if gap > WEIGHT_ROUNDING:
-        raise InputError(argument, "a matrix that is not symmetric", f"{argument} = {argument}ᵀ")
+        off = float(np.abs(weight - weight.T).max())
+        raise NotConvexError(
+            f"{name}: got max |{name} - {name}'| = {off:.3g}, expected a symmetric matrix. Pass ({name} + {name}')/2.",
+            name,
+        )
     if smallest < -WEIGHT_ROUNDING:
-        got = f"smallest eigenvalue {smallest:.3g} at a unit diagonal"
-        raise InputError(argument, got, "a positive semidefinite matrix")
-    return frozen((M + M.T) / 2)
+        raise NotConvexError(
+            f"{name}: got a negative direction (scaled eigenvalue {smallest:.3g}), expected {name} ⪰ 0.", name, smallest
+        )
+    return frozen((weight + weight.T) / 2)
+
+
+def as_cross_weight(value: Any, Q: Array, R: Array) -> Array | None:
+    """Read-only cross weight S (nx, nu) of 2 x'Su; None for None.
+
+    Q and R are weights that `as_weight` has checked. [Q S; S' R] is positive semidefinite.
+    """
+    if value is None:
+        return None
+    S = as_array("S", value, (len(Q), len(R)))
+    d = np.sqrt(np.abs(np.concatenate([np.diag(Q), np.diag(R)])))
+    dx, du = np.split(d, [len(Q)])
+    stray = (S != 0) & ((dx == 0)[:, None] | (du == 0))  # no scale says how small these would have to be
+    if stray.any():
+        i, j = (int(k) for k in np.argwhere(stray)[0])
+        free = f"Q[{i}, {i}]" if dx[i] == 0 else f"R[{j}, {j}]"
+        raise NotConvexError(
+            f"S: got {S[i, j]:.3g} at index {(i, j)} where {free} = 0, expected [Q S; S' R] ⪰ 0. {_OUTPUTS}", "S"
+        )
+    d[d == 0] = np.inf
+    smallest = float(np.linalg.eigvalsh(np.block([[Q, S], [S.T, R]]) / d / d[:, None])[0])
+    if smallest < -WEIGHT_ROUNDING:
+        raise NotConvexError(
+            f"S: got a stage cost [Q S; S' R] with a negative direction (scaled eigenvalue {smallest:.3g}), expected "
+            f"[Q S; S' R] ⪰ 0. {_OUTPUTS}", "S", smallest,
+        )  # fmt: skip
+    return S
+
+
+def as_pair(A: Any, B: Any) -> tuple[Array, Array]:
+    """Arrays (A, B); A may be a discrete-time `control.StateSpace` without B."""
+    if B is None:
+        if not (hasattr(A, "A") and hasattr(A, "B")):
+            raise InputError("B", "nothing", "A and B, or a discrete-time control.StateSpace in place of both")
+        if not getattr(A, "dt", None):
+            raise InputError("A", f"a StateSpace with dt = {getattr(A, 'dt', None)}", "a discrete-time system")
+        B = A.B
+        A = A.A
+    A = as_array("A", A, (None, None))
+    if A.shape[0] != A.shape[1] or A.shape[0] == 0:
+        raise InputError("A", f"shape {A.shape}", "a square matrix")
+    B = as_array("B", B, (A.shape[0], None))
+    if B.shape[1] == 0:
+        raise InputError("B", f"shape {B.shape}", "at least one input")
+    return A, B
 
 
 def as_number(argument: str, value: Any, *, expected: str = "a finite number", low: float = -math.inf,
               high: float = math.inf, strict: bool = False) -> float:  # fmt: skip
     """Finite number between `low` and `high`; `strict` excludes both ends."""
+    value = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
     real = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
     number = math.nan
     with contextlib.suppress(OverflowError):  # of an int beyond doubles

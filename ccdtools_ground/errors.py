@@ -45,3 +45,24 @@ class InputError(InvariantSetsError, MPCError, LearningError, ValueError):
         if self.expected is None:
             return self.argument
         return f"{self.argument}: got {self.got}, expected {self.expected}." + (f" {self.cure}" if self.cure else "")
+
+
+class NotConvexError(InputError):
+    """Weight or condensed Hessian that is not (semi)definite as required.
+
+    Attributes
+    ----------
+    argument : str
+        The weight, or "Hessian".
+    eigenvalue : float or None
+        Its smallest eigenvalue after scaling to a unit diagonal [-], where that is the trouble.
+    """
+
+    def __init__(self, message: str, argument: str = "", eigenvalue: float | None = None) -> None:
+        super().__init__(argument, message)
+        self.args = (message, argument, eigenvalue)
+        self.message = message
+        self.eigenvalue = eigenvalue
+
+    def __str__(self) -> str:
+        return self.message

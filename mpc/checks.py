@@ -10,68 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccdtools_ground import door
-from ccdtools_ground.door import (
-    Immutable as Immutable,
-    as_array as as_array,
-    as_floats as as_floats,
-    frozen,
-    shown,
-    weight_faults,
-)
-from ccdtools_ground.tolerances import WEIGHT_ROUNDING
-from mpc.exceptions import InputError, NotConvexError
+from ccdtools_ground.door import Immutable as Immutable, as_array as as_array, as_floats as as_floats, shown
+from mpc.exceptions import InputError
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 as_count = partial(door.as_count, most=2**31 - 1)  # an int of the solvers
-_OUTPUTS = "Outputs y = Cx + Du with a weight W ⪰ 0 have Q = C'WC, S = C'WD and R = D'WD."
-
-
-def as_weight(name: str, value: ArrayLike, n: int) -> Array:
-    """Read-only semidefinite weight (n, n); a number or vector is its diagonal."""
-    raw = as_floats(name, value)
-    full = raw * np.eye(n) if raw.ndim == 0 else np.diag(raw) if raw.ndim == 1 else raw
-    weight = as_array(name, full, (n, n))
-    gap, smallest = weight_faults(weight)
-    if gap > WEIGHT_ROUNDING:
-        off = float(np.abs(weight - weight.T).max())
-        raise NotConvexError(
-            f"{name}: got max |{name} - {name}'| = {off:.3g}, expected a symmetric matrix. Pass ({name} + {name}')/2.",
-            name,
-        )
-    if smallest < -WEIGHT_ROUNDING:
-        raise NotConvexError(
-            f"{name}: got a negative direction (scaled eigenvalue {smallest:.3g}), expected {name} ⪰ 0.", name, smallest
-        )
-    return frozen((weight + weight.T) / 2)
-
-
-def as_cross_weight(value: ArrayLike | None, Q: Array, R: Array) -> Array | None:
-    """Read-only cross weight S (nx, nu) of 2 x'Su; None for None.
-
-    Q and R are weights that `as_weight` has checked. [Q S; S' R] is positive semidefinite.
-    """
-    if value is None:
-        return None
-    S = as_array("S", value, (len(Q), len(R)))
-    d = np.sqrt(np.abs(np.concatenate([np.diag(Q), np.diag(R)])))
-    dx, du = np.split(d, [len(Q)])
-    stray = (S != 0) & ((dx == 0)[:, None] | (du == 0))  # no scale says how small these would have to be
-    if stray.any():
-        i, j = (int(k) for k in np.argwhere(stray)[0])
-        free = f"Q[{i}, {i}]" if dx[i] == 0 else f"R[{j}, {j}]"
-        raise NotConvexError(
-            f"S: got {S[i, j]:.3g} at index {(i, j)} where {free} = 0, expected [Q S; S' R] ⪰ 0. {_OUTPUTS}", "S"
-        )
-    d[d == 0] = np.inf
-    smallest = float(np.linalg.eigvalsh(np.block([[Q, S], [S.T, R]]) / d / d[:, None])[0])
-    if smallest < -WEIGHT_ROUNDING:
-        raise NotConvexError(
-            f"S: got a stage cost [Q S; S' R] with a negative direction (scaled eigenvalue {smallest:.3g}), expected "
-            f"[Q S; S' R] ⪰ 0. {_OUTPUTS}", "S", smallest,
-        )  # fmt: skip
-    return S
 
 
 def as_seconds(name: str, value: Any) -> float:
@@ -147,24 +92,6 @@ def as_halfspaces(name: str, value: Any, n: int) -> tuple[Array, Array]:
         H = np.vstack([H, Heq, -Heq])
         h = np.concatenate([h, heq, -heq])
     return H, h
-
-
-def as_pair(A: Any, B: ArrayLike | None) -> tuple[Array, Array]:
-    """Arrays (A, B); A may be a discrete-time `control.StateSpace` without B."""
-    if B is None:
-        if not (hasattr(A, "A") and hasattr(A, "B")):
-            raise InputError("B", "nothing", "A and B, or a discrete-time control.StateSpace in place of both")
-        if not getattr(A, "dt", None):
-            raise InputError("A", f"a StateSpace with dt = {getattr(A, 'dt', None)}", "a discrete-time system")
-        B = A.B
-        A = A.A
-    A = as_array("A", A, (None, None))
-    if A.shape[0] != A.shape[1] or A.shape[0] == 0:
-        raise InputError("A", f"shape {A.shape}", "a square matrix")
-    B = as_array("B", B, (A.shape[0], None))
-    if B.shape[1] == 0:
-        raise InputError("B", f"shape {B.shape}", "at least one input")
-    return A, B
 
 
 def _bound(name: str, value: Any, n: int) -> Array:

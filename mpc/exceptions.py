@@ -2,30 +2,9 @@
 
 from __future__ import annotations
 
-from ccdtools_ground.errors import InputError, MPCError
+from ccdtools_ground.errors import InputError, MPCError, NotConvexError
 
 __all__ = ["InfeasibleError", "InputError", "MPCError", "NotConvexError", "NotStabilisableError"]
-
-
-class NotConvexError(MPCError, ValueError):
-    """Weight or condensed Hessian that is not (semi)definite as required.
-
-    Attributes
-    ----------
-    argument : str
-        The weight, or "Hessian".
-    eigenvalue : float or None
-        Its smallest eigenvalue after scaling to a unit diagonal [-], where that is the trouble.
-    """
-
-    def __init__(self, message: str, argument: str = "", eigenvalue: float | None = None) -> None:
-        super().__init__(message, argument, eigenvalue)
-        self.message = message
-        self.argument = argument
-        self.eigenvalue = eigenvalue
-
-    def __str__(self) -> str:
-        return self.message
 
 
 class InfeasibleError(MPCError):

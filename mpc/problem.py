@@ -10,21 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccdtools_ground.door import frozen
-from mpc.checks import (
-    Array,
-    Immutable,
-    as_array,
-    as_blocks,
-    as_count,
-    as_cross_weight,
-    as_halfspaces,
-    as_pair,
-    as_rate_limit,
-    as_set,
-    as_soft,
-    as_weight,
-)
+from ccdtools_ground.door import as_cross_weight, as_pair, as_weight, frozen
+from mpc.checks import Array, Immutable, as_array, as_blocks, as_count, as_halfspaces, as_rate_limit, as_set, as_soft
 from mpc.exceptions import InfeasibleError, InputError
 from mpc.halfspaces import Limits, along_axes, first_positive, is_empty
 from mpc.riccati import lqr

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgWarning, matrix_balance, solve_discrete_are
 
+from ccdtools_ground.door import as_cross_weight, as_pair, as_weight
 from ccdtools_ground.tolerances import WEIGHT_ROUNDING
-from mpc.checks import Array, as_cross_weight, as_pair, as_weight
+from mpc.checks import Array
 from mpc.exceptions import NotStabilisableError
 from mpc.tolerances import EPS, NEAR_CIRCLE, REACH, RICCATI, ROUNDED_SUM, SETTLED_MARGIN
 

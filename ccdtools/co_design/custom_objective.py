@@ -13,7 +13,7 @@ from ccdtools.co_design.objective import Objective, Weights, is_semidefinite
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import as_symbolic
 from ccdtools.plants.plant import Plant
-from ccdtools_ground.door import as_array, as_floats, as_instance, as_weight
+from ccdtools_ground.door import as_instance, as_weight
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -144,8 +144,8 @@ def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any)
     as_instance("plant", plant, Plant, "a ccdtools.Plant")
     if plant.ny == 0:
         raise InputError("plant", "one without outputs", "Plant(…, outputs=[…])")
-    W = _as_matrix("weights", weights, plant.ny)
-    given = _as_matrix("R", R, plant.nu)
+    W = as_weight("weights", weights, plant.ny)
+    given = as_weight("R", R, plant.nu)
     observe = plant.output
 
     def stage_cost(x: Any, u: Any, p: Any) -> Any:
@@ -154,13 +154,3 @@ def output_objective(plant: Plant, *, weights: Any, R: Any = 0.0, **others: Any)
         return y.T @ W @ y + u.T @ given @ u
 
     return CustomObjective(stage_cost, **others)
-
-
-def _as_matrix(argument: str, value: Any, size: int) -> Array:
-    """Weight (size, size) from a matrix, diagonal or number."""
-    array = as_floats(argument, value)
-    if array.ndim == 0:
-        array = np.full(size, float(array))
-    if array.ndim == 1:
-        array = np.diag(as_array(argument, array, (size,)))
-    return as_weight(argument, array, size)

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_vector
-from mpc.checks import as_weight
+from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_vector, as_weight
 from mpc.exceptions import NotConvexError
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import schur, solve_triangular
 
+from ccdtools_ground.door import Immutable, as_array, as_cross_weight, as_floats, as_pair, as_weight
 from ccdtools_ground.tolerances import WEIGHT_ROUNDING
-from mpc.checks import Array, Immutable, as_array, as_cross_weight, as_floats, as_pair, as_weight
+from mpc.checks import Array
 from mpc.exceptions import InputError
 from mpc.riccati import cost_units, lqr
 

@@ -51,11 +51,11 @@ def test_a_semidefinite_state_weight_is_allowed():
 @pytest.mark.parametrize(
     ("Q", "R", "message"),
     [
-        (np.ones((2, 3)), [[1]], r"Q: got shape \(2, 3\), expected a square matrix"),
+        (np.ones((2, 3)), [[1]], r"Q: got shape \(2, 3\), expected \(2, 2\)"),
         ([[np.nan]], [[1]], "Q: got (nan|-?inf) at index"),
-        ([[1, 1], [0, 1]], [[1]], "Q: got a matrix that is not symmetric, expected Q = Qᵀ"),
-        ([[-1]], [[1]], "Q: got smallest eigenvalue -1 at a unit diagonal, expected a positive semidefinite matrix"),
-        ([[1]], [[-1]], "R: got smallest eigenvalue -1 at a unit diagonal, expected a positive semidefinite matrix"),
+        ([[1, 1], [0, 1]], [[1]], r"Q: got max \|Q - Q'\| = 1, expected a symmetric matrix"),
+        ([[-1]], [[1]], r"Q: got a negative direction \(scaled eigenvalue -1\), expected Q ⪰ 0"),
+        ([[1]], [[-1]], r"R: got a negative direction \(scaled eigenvalue -1\), expected R ⪰ 0"),
         ([[1]], np.ones((1, 2)), "R: got shape"),
     ],
 )
