@@ -129,6 +129,7 @@ class Settling:
         for name, lqr in self._linear_laws(result.design):
             if not (isinstance(result.controller, LinearFeedback) and np.array_equal(result.controller.K, lqr.K)):
                 found.append(self._baseline(name, lqr, result.design, loop, None))
+        found += self._constant(result.design, loop)
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
@@ -142,6 +143,17 @@ class Settling:
             others = [one for one in self._references if one.name != result.method]
             found += [self._nested(other, start, loop) for other in others for start in starts]
         return [one for one in found if one is not None]
+
+    def _constant(self, design: Array, loop: ClosedLoopReturns) -> list[Baseline]:
+        """Best of the lower, middle and upper inputs held, if it returns more: the tangent knows no product with u."""
+        if isinstance(self.problem.model, LinearModel):
+            return []
+        no_gain = np.zeros((self.problem.model.nu, self.problem.model.nx))
+        low, high = self.problem.input_bounds_at(design)
+        held = (LinearFeedback(no_gain, offset=u) for u in (low, (low + high) / 2, high))
+        tried = [self._baseline("a constant input of the same design", law, design, loop, None) for law in held]
+        better = [one for one in tried if one is not None and one.gain.mean > 0]
+        return sorted(better, key=lambda one: one.gain.mean)[-1:]
 
     def _mpc(self, design: Array) -> Any:
         """MPC of the tangent, or of the model where LQR is no expert."""
