@@ -152,14 +152,11 @@ def as_weight(name: str, value: Any, size: int | None = None) -> Array:
     gap, smallest = weight_faults(weight)
     if gap > WEIGHT_ROUNDING:
         off = float(np.abs(weight - weight.T).max())
-        raise NotConvexError(
-            f"{name}: got max |{name} - {name}'| = {off:.3g}, expected a symmetric matrix. Pass ({name} + {name}')/2.",
-            name,
-        )
+        got, cure = f"max |{name} - {name}'| = {off:.3g}", f"Pass ({name} + {name}')/2."
+        raise NotConvexError(name, got, "a symmetric matrix", cure)
     if smallest < -WEIGHT_ROUNDING:
-        raise NotConvexError(
-            f"{name}: got a negative direction (scaled eigenvalue {smallest:.3g}), expected {name} ⪰ 0.", name, smallest
-        )
+        got = f"a negative direction (scaled eigenvalue {smallest:.3g})"
+        raise NotConvexError(name, got, f"{name} ⪰ 0", eigenvalue=smallest)
     return frozen((weight + weight.T) / 2)
 
 
@@ -177,16 +174,12 @@ def as_cross_weight(value: Any, Q: Array, R: Array) -> Array | None:
     if stray.any():
         i, j = (int(k) for k in np.argwhere(stray)[0])
         free = f"Q[{i}, {i}]" if dx[i] == 0 else f"R[{j}, {j}]"
-        raise NotConvexError(
-            f"S: got {S[i, j]:.3g} at index {(i, j)} where {free} = 0, expected [Q S; S' R] ⪰ 0. {_OUTPUTS}", "S"
-        )
+        raise NotConvexError("S", f"{S[i, j]:.3g} at index {(i, j)} where {free} = 0", "[Q S; S' R] ⪰ 0", _OUTPUTS)
     d[d == 0] = np.inf
     smallest = float(np.linalg.eigvalsh(np.block([[Q, S], [S.T, R]]) / d / d[:, None])[0])
     if smallest < -WEIGHT_ROUNDING:
-        raise NotConvexError(
-            f"S: got a stage cost [Q S; S' R] with a negative direction (scaled eigenvalue {smallest:.3g}), expected "
-            f"[Q S; S' R] ⪰ 0. {_OUTPUTS}", "S", smallest,
-        )  # fmt: skip
+        got = f"a stage cost [Q S; S' R] with a negative direction (scaled eigenvalue {smallest:.3g})"
+        raise NotConvexError("S", got, "[Q S; S' R] ⪰ 0", _OUTPUTS, smallest)
     return S
 
 

@@ -58,11 +58,9 @@ class NotConvexError(InputError):
         Its smallest eigenvalue after scaling to a unit diagonal [-], where that is the trouble.
     """
 
-    def __init__(self, message: str, argument: str = "", eigenvalue: float | None = None) -> None:
-        super().__init__(argument, message)
-        self.args = (message, argument, eigenvalue)
-        self.message = message
+    def __init__(
+        self, argument: str, got: object, expected: object, cure: str = "", eigenvalue: float | None = None
+    ) -> None:
+        super().__init__(argument, got, expected, cure)
+        self.args = (argument, got, expected, cure, eigenvalue)
         self.eigenvalue = eigenvalue
-
-    def __str__(self) -> str:
-        return self.message

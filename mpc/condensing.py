@@ -174,10 +174,6 @@ def _check_convex(H: Array) -> None:
     scaled = H / d / d[:, None] if d.all() and np.isfinite(H).all() else None
     smallest = -np.inf if scaled is None else float(np.linalg.eigvalsh(scaled)[0])
     if smallest < ROUNDED_SUM:
-        raise NotConvexError(
-            f"the condensed Hessian is not positive definite: got a scaled smallest eigenvalue of {smallest:.3g}, "
-            f"expected > {ROUNDED_SUM:.0e}; some input is free of cost. Make R positive definite, or let Q and P see "
-            "every input.",
-            "Hessian",
-            smallest,
-        )
+        got = f"a condensed one with the smallest scaled eigenvalue {smallest:.3g}; some input is free of cost"
+        cure = "Make R positive definite, or let Q and P see every input."
+        raise NotConvexError("Hessian", got, f"a positive definite one, above {ROUNDED_SUM:.0e}", cure, smallest)

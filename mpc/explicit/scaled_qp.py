@@ -198,10 +198,8 @@ def _unit_hessian(problem: ParametricQP) -> tuple[Array, Array]:
     H = problem.H * np.outer(size, size)
     smallest = float(np.linalg.eigvalsh(H)[0]) if (diagonal > 0).all() else -1.0
     if not smallest >= ROUNDED_SUM:
-        raise NotConvexError(
-            f"the Hessian H has the smallest scaled eigenvalue {smallest:.3g}, expected > {ROUNDED_SUM:g}: "
-            "add a cost on every variable.", "H", smallest,
-        )  # fmt: skip
+        got = f"a Hessian H with the smallest scaled eigenvalue {smallest:.3g}"
+        raise NotConvexError("H", got, f"one above {ROUNDED_SUM:g}", "Add a cost on every variable.", smallest)
     return size, np.asarray(np.linalg.cholesky(H), dtype=np.float64)
 
 

@@ -124,8 +124,9 @@ class Sequential:
         A, B = (np.tile(matrix, (N, 1, 1)) for matrix in (problem.A, problem.B))
         rest = np.zeros((N + 1, problem.nx)), np.zeros((N, problem.nu))
         if self._program(rest, (A, B, rest[0][1:], rest[0][0]), {}, np.zeros_like(self._weights)) is None:
-            got = "the Hessian along the model at rest is not positive definite; some input is free of cost."
-            raise NotConvexError(f"{got} Make R positive definite, or let Q and P see every input.", "Hessian", 0.0)
+            got = "one along the model at rest that is not positive definite; some input is free of cost"
+            cure = "Make R positive definite, or let Q and P see every input."
+            raise NotConvexError("Hessian", got, "a positive definite one", cure, 0.0)
 
     def step(
         self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,

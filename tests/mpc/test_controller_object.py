@@ -32,7 +32,7 @@ def test_copies_answer_like_the_original(extra):
     "error",
     [
         InputError("x", "1", "2", "Pass 2."),
-        NotConvexError("Q: got -1, expected Q ⪰ 0.", "Q", -1.0),
+        NotConvexError("Q", "-1", "Q ⪰ 0", eigenvalue=-1.0),
         NotStabilisableError("(A, B): got 1.1, expected less.", 1.1 + 0j),
     ],
     ids=lambda e: type(e).__name__,

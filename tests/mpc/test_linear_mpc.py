@@ -285,7 +285,7 @@ def empty_interval():
         ({"U": box([np.nan])}, InputError, r"U.b: got nan at index \(0,\), expected finite"),
         ({"U": empty_interval()}, InputError, "U: got an empty set"),
         ({"P": -np.eye(2)}, NotConvexError, "P: got a negative direction"),
-        ({"Q": [0, 0], "R": [0], "P": np.zeros((2, 2))}, NotConvexError, "condensed Hessian is not positive"),
+        ({"Q": [0, 0], "R": [0], "P": np.zeros((2, 2))}, NotConvexError, "Hessian: got a condensed one with the"),
         ({"blocks": (3, 3)}, InputError, "sum to the horizon 10"),
         ({"blocks": (np.nan, 10)}, InputError, "sum to the horizon 10"),
         ({"blocks": (2.5, 7.5)}, InputError, "sum to the horizon 10"),

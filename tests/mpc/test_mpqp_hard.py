@@ -184,7 +184,7 @@ def test_objects_that_are_no_problem_are_refused():
     for theta_set in (None, "X", 3, [[0, 1]], box([1.0])):
         with pytest.raises(InputError, match="theta_set"):
             solve_mpqp(mpc.build(), theta_set)
-    with pytest.raises(NotConvexError, match="Hessian H has the smallest scaled eigenvalue"):
+    with pytest.raises(NotConvexError, match="H: got a Hessian H with the smallest scaled eigenvalue"):
         solve_mpqp(replace(mpc.build(), H=-mpc.build().H), mpc.X)
 
 

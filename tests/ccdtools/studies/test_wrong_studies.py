@@ -68,7 +68,7 @@ WRONG = [
     ("study_with(paper_networks=32)", "paper_networks: got 32"),
     ("study_with(paper_networks=(0,))", "paper_networks: got 0"),
     ("study_with(quantile_weight=np.eye(3))", "quantile_weight: got shape (3, 3), expected (2, 2)"),
-    ("study_with(quantile_weight=-np.eye(2))", "quantile_weight: got smallest eigenvalue -1"),
+    ("study_with(quantile_weight=-np.eye(2))", "quantile_weight: got a negative direction (scaled eigenvalue -1)"),
     # Limits and starts
     ("study_with(X=Polytope.from_bounds([-1], [1]))", "X: got"),
     ("study_with(U=Polytope.from_bounds([-1, -1], [1, 1]))", "U: got"),
