@@ -146,8 +146,9 @@ def as_vector(argument: str, value: Any, size: int | None = None, *, of: str = "
 def as_weight(name: str, value: Any, size: int | None = None) -> Array:
     """Read-only semidefinite weight; a number or vector is its diagonal."""
     raw = as_floats(name, value)
-    full = raw * np.eye(size or 1) if raw.ndim == 0 else np.diag(raw) if raw.ndim == 1 else raw
-    n = len(full) if size is None else size
+    diagonal = np.full(size or 1, raw) if raw.ndim == 0 else raw
+    full = np.diag(diagonal) if diagonal.ndim == 1 else diagonal
+    n = max(len(full), 1) if size is None else size
     weight = as_array(name, full, (n, n))
     gap, smallest = weight_faults(weight)
     if gap > WEIGHT_ROUNDING:

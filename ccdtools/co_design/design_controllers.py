@@ -113,6 +113,7 @@ def nonlinear_mpc(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     X, U = problem.kept_by_mpc(p), problem.input_limits(p)
+    iterations = None if iterations is None else as_count("iterations", iterations)
     if as_choice("cost", cost, ("weights", "objective")) == "objective" and own_cost(problem):
         return NonlinearMPC(_phase(problem, p, as_count("horizon", horizon), X), p=p)
     return NonlinearMPC(

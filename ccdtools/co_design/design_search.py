@@ -119,7 +119,8 @@ class DesignCost(ABC):
                 ends.append((at[i], values(at)))
             (high, above), (low, below) = ends
             slopes[:, i] = (above - below) / (high - low)
-        return slopes
+        held = allowed.whole & ~np.isfinite(slopes)  # a neighbour without a controller
+        return np.where(held, 0.0, slopes)
 
     def measured(self, v: Array) -> tuple[float, float]:
         """Cost at a point without slope or history, and violation of the limits."""

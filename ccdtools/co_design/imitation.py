@@ -22,27 +22,31 @@ from mpc import MPCError
 
 EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
     "LQR": saturated_lqr,
-    "MPC by the weights of LQR": long_mpc,
-    "MPC of the objective": lambda problem, p: long_mpc(problem, p, cost="objective"),
+    "nonlinear MPC": long_mpc,
+    "economic MPC": lambda problem, p: long_mpc(problem, p, cost="objective"),
 }
 
 
-def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, runs: int = 4) -> str:
-    """Name of the expert with the best loops at a design (np,); one that keeps more runs is better."""
+def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, runs: int = 4) -> str | None:
+    """Name of the expert with the best loops at a design (np,), of which one that keeps more runs is better.
+
+    None where none keeps a run.
+    """
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     worth = {}
     for name in EXPERTS if own_cost(problem) else [*EXPERTS][:2]:
         with suppress(MPCError, InputError):
             loops = loops_of(problem, EXPERTS[name](problem, design), design, x0, w)
-            worth[name] = (loops.kept.sum(), np.nan_to_num(loops.rewards.sum(axis=0).mean(), nan=-np.inf))
-    return max(worth, key=lambda name: worth[name], default="LQR")
+            if loops.kept.any():
+                worth[name] = (loops.kept.sum(), loops.rewards[:, loops.kept].sum(axis=0).mean())
+    return max(worth, key=lambda name: worth[name], default=None)
 
 
 def planned_start(
     problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True,
     shares: Sequence[float] = (0.5, 0.75), runs: int = 16,
-) -> ActorCritic:  # fmt: skip
-    """Agent that imitates the best expert, in loops that both drive.
+) -> ActorCritic | None:  # fmt: skip
+    """Agent that imitates the best expert, in loops that both drive; None where none keeps a run.
 
     A policy that only saw the expert's own loops does not know what to do after its own errors. So in rounds at the
     design it drives the given shares of the samples itself, drawn by chance, and the expert, who goes on from there,
@@ -64,21 +68,28 @@ def planned_start(
     """
     drawn = problem.design.latin_hypercube(3, rng) if all_over else np.empty((0, problem.design.dim))
     designs = [design, *map(problem.design.project, drawn)]
-    expert = EXPERTS[best_expert(problem, design, rng)]
+    name = best_expert(problem, design, rng)
+    if name is None:
+        return None
+    expert, at_first = EXPERTS[name], EXPERTS[name](problem, design)
     data: list[tuple[Array, Array, Array]] = []
     for p in designs:
         with suppress(MPCError, InputError):
             data.append(_shared(problem, expert(problem, p), None, p, 0.0, -(-runs // len(designs)), rng))
+    if not any(len(part[0]) for part in data):
+        return None
     agents = [_imitating_all(problem, data, rng)]
     for share in shares:
         driver = LearnedPolicy(agents[-1], design)
-        data.append(_shared(problem, expert(problem, design), driver, design, share, runs // 2, rng))
+        data.append(_shared(problem, at_first, driver, design, share, runs // 2, rng))
         agents.append(_imitating_all(problem, data, rng))
-    returns = [
-        closed_loop_returns(problem, LearnedPolicy(agent, design), design, copy.deepcopy(rng), runs=64).summary.mean
-        for agent in agents
-    ]
-    return agents[int(np.argmax(returns))]
+    return max(agents, key=lambda agent: _worth(problem, agent, design, rng))
+
+
+def _worth(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> tuple[float, ...]:
+    """Share of runs that an agent keeps, then its mean return, on common runs."""
+    loops = closed_loop_returns(problem, LearnedPolicy(agent, design), design, copy.deepcopy(rng), runs=64)
+    return -loops.lost_share, float(np.nan_to_num(loops.summary.mean, nan=-np.inf))
 
 
 def _imitating_all(
@@ -104,6 +115,7 @@ def _shared(
 ) -> tuple[Array, Array, Array]:
     """Observations, inputs and values of a law, of whose samples a driver takes a share; then values are unknown."""
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
+    law = copy.copy(law)  # without the plans of other runs
 
     def applied(x: Array, u: Array) -> Array:
         """Inputs of the one or the other, run by run."""

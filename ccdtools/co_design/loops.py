@@ -50,8 +50,9 @@ def loops_of(
     step, x = problem.model.stepper(p, batch=len(x0)), x0
     states, inputs, rewards = [], [], []
     for k in range(problem.steps):
-        u = np.asarray(law(np.nan_to_num(x)))
-        moved = np.clip(u if applied is None else applied(x, u), *problem.input_bounds_at(p))
+        seen = np.where((np.abs(x) <= problem.limit).all(axis=1, keepdims=True), x, 0.0)  # of a lost run nothing
+        u = np.asarray(law(seen))
+        moved = np.clip(u if applied is None else applied(seen, u), *problem.input_bounds_at(p))
         after = np.asarray(step(x, moved, w[:, k]))
         states.append(x)
         inputs.append(u)

@@ -133,9 +133,9 @@ class Settling:
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
-                planned = self._mpc(result.design)
+                name, planned = self._mpc(result.design)
                 found.append(
-                    self._baseline(f"MPC of the same design{self._behind}", planned, result.design, loop, None, runs)
+                    self._baseline(f"{name} of the same design{self._behind}", planned, result.design, loop, None, runs)
                 )
         if self.designing:
             space = self.problem.design
@@ -151,19 +151,23 @@ class Settling:
         no_gain = np.zeros((self.problem.model.nu, self.problem.model.nx))
         low, high = self.problem.input_bounds_at(design)
         held = (LinearFeedback(no_gain, offset=u) for u in (low, (low + high) / 2, high))
-        tried = [self._baseline("a constant input of the same design", law, design, loop, None) for law in held]
+        tried = [
+            self._baseline(f"a constant input of the same design{self._behind}", law, design, loop, None)
+            for law in held
+        ]
         better = [one for one in tried if one is not None and one.gain.mean > 0]
         return sorted(better, key=lambda one: one.gain.mean)[-1:]
 
-    def _mpc(self, design: Array) -> Any:
-        """MPC of the tangent, or of the model where LQR is no expert."""
+    def _mpc(self, design: Array) -> tuple[str, Any]:
+        """MPC of the tangent, or, where LQR is no expert, that of the model which is better than LQR."""
         from ccdtools.co_design.imitation import EXPERTS, best_expert  # loaded where a policy is judged
         from ccdtools.co_design.loops import lqr_is_expert
 
-        if lqr_is_expert(self.problem, design, copy.deepcopy(self.scenarios)):
-            return linear_mpc(self.problem, design)
-        name = best_expert(self.problem, design, copy.deepcopy(self.scenarios))
-        return EXPERTS[name](self.problem, design)
+        if not lqr_is_expert(self.problem, design, copy.deepcopy(self.scenarios)):
+            name = best_expert(self.problem, design, copy.deepcopy(self.scenarios))
+            if name not in (None, "LQR"):
+                return name, EXPERTS[name](self.problem, design)
+        return "MPC", linear_mpc(self.problem, design)
 
     def _linear_laws(self, design: Array) -> Iterator[tuple[str, LinearFeedback]]:
         """LQR of the tangent at rest, if any, and of a better secant."""

@@ -152,7 +152,9 @@ class QuadraticPlanner:
         """Plan one sample later, with the linear law's last input."""
         error, effort = deviations(np.zeros_like(plan.states), np.zeros_like(plan.inputs), given)
         end = plan.states[-1]
-        u = self._admissible(-effort[-1] - self._gains[-1] @ (end + error[-1]), plan.inputs[-1])
+        with np.errstate(over="ignore", invalid="ignore"):  # of a model that escaped
+            wanted = finite(-effort[-1] - self._gains[-1] @ (end + error[-1]))
+        u = self._admissible(wanted, plan.inputs[-1])
         return shifted(plan, u, finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p)))
 
     def _found(self, sample: _Sample) -> Plan:

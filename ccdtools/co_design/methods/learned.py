@@ -17,10 +17,9 @@ from ccdtools.co_design.ascent import Ascent, Task
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.co_design.design_controllers import saturated_lqr
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
 from ccdtools.co_design.expert import expert_dataset
-from ccdtools.co_design.imitation import imitating, planned_start
+from ccdtools.co_design.imitation import EXPERTS, best_expert, imitating, planned_start
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
@@ -56,7 +55,7 @@ class Learned:
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
         is made, or, where LQR brings nothing to rest, as in a swing-up, MPC of the model; and beside one that is far
-        worse than saturated LQR at the first design, too: a policy that saturates wherever it is has no gradient. The
+        worse than this expert at the first design, too: a policy that saturates wherever it is has no gradient. The
         best end is handed out.
     config : CoDesignConfig
     judge : CoDesignProblem, optional
@@ -153,7 +152,9 @@ def _first_agent(
         return warm_start_of_outputs(problem, known, rng)
     if task.moves_policy and not lqr_is_expert(problem, design, copy.deepcopy(rng)):
         at("first policy that imitates MPC of the model")
-        return planned_start(problem, design, rng, all_over=task.designing)
+        planned = planned_start(problem, design, rng, all_over=task.designing)
+        if planned is not None:
+            return planned
     return warm_start(problem, rng, progress=progress)
 
 
@@ -164,15 +165,18 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
-    """True if a policy loses runs that LQR keeps, or a fifth of its return."""
-    drawn = copy.deepcopy(rng)
+    """True if a policy loses runs that LQR, or the expert in its place, keeps, or a fifth of its return."""
+    near = lqr_is_expert(problem, design, copy.deepcopy(rng))
+    name = "LQR" if near else best_expert(problem, design, copy.deepcopy(rng))
+    if name is None:
+        return False
     try:
-        lqr = saturated_lqr(problem, design)
+        expert = EXPERTS[name](problem, design)
     except MPCError:
         return False
     own, other = (
-        closed_loop_returns(problem, controller, design, copy.deepcopy(drawn), runs=64)
-        for controller in (LearnedPolicy(agent, design), lqr)
+        closed_loop_returns(problem, controller, design, copy.deepcopy(rng), runs=64 if name == "LQR" else 8)
+        for controller in (LearnedPolicy(agent, design), expert)
     )
     if own.lost.any() or other.lost.any():
         return own.lost_share > other.lost_share
