@@ -28,9 +28,9 @@ EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
 
 
 def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, runs: int = 4) -> str | None:
-    """Name of the expert with the best loops at a design (np,), of which one that keeps more runs is better.
+    """Name of the best expert at a design (np,).
 
-    None where none keeps a run.
+    One that keeps more runs is better, then one that returns more; None where none keeps a run.
     """
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     worth = {}
@@ -46,7 +46,9 @@ def planned_start(
     problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True,
     shares: Sequence[float] = (0.5, 0.75), runs: int = 16,
 ) -> ActorCritic | None:  # fmt: skip
-    """Agent that imitates the best expert, in loops that both drive; None where none keeps a run.
+    """Agent that imitates the best expert, in loops that both drive.
+
+    None where no expert keeps a run.
 
     A policy that only saw the expert's own loops does not know what to do after its own errors. So in rounds at the
     design it drives the given shares of the samples itself, drawn by chance, and the expert, who goes on from there,
@@ -87,7 +89,7 @@ def planned_start(
 
 
 def _worth(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> tuple[float, ...]:
-    """Share of runs that an agent keeps, then its mean return, on common runs."""
+    """Less the share of lost runs, and the mean return."""
     loops = closed_loop_returns(problem, LearnedPolicy(agent, design), design, copy.deepcopy(rng), runs=64)
     return -loops.lost_share, float(np.nan_to_num(loops.summary.mean, nan=-np.inf))
 
@@ -95,7 +97,8 @@ def _worth(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.
 def _imitating_all(
     problem: CoDesignProblem, data: list[tuple[Array, Array, Array]], rng: np.random.Generator
 ) -> ActorCritic:
-    """Agent that imitates the samples of all rounds, longer than one of LQR: near its bounds MPC switches."""
+    """Agent that imitates the samples of all rounds."""
+    # longer than one of LQR, as MPC switches near its bounds
     seen, inputs, values = (np.concatenate(part) for part in zip(*data))
     return imitating(problem, seen, inputs, values, rng, config=CloningConfig(steps=4 * CloningConfig.steps))
 
@@ -113,7 +116,10 @@ def imitating(
 def _shared(
     problem: CoDesignProblem, law: Law, driver: Law | None, p: Array, share: float, runs: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Observations, inputs and values of a law, of whose samples a driver takes a share; then values are unknown."""
+    """Observations, inputs and values of a law.
+
+    Where a driver takes a share of the samples values are unknown.
+    """
     x0, w = problem.scenarios.sample(runs, problem.steps, rng)
     law = copy.copy(law)  # without the plans of other runs
 

@@ -145,7 +145,10 @@ class Settling:
         return [one for one in found if one is not None]
 
     def _constant(self, design: Array, loop: ClosedLoopReturns) -> list[Baseline]:
-        """Best of the lower, middle and upper inputs held, if it returns more: the tangent knows no product with u."""
+        """Best constant inputs, if they return more.
+
+        The tangent knows of no product of an input with a state.
+        """
         if isinstance(self.problem.model, LinearModel):
             return []
         no_gain = np.zeros((self.problem.model.nu, self.problem.model.nx))
@@ -159,7 +162,10 @@ class Settling:
         return sorted(better, key=lambda one: one.gain.mean)[-1:]
 
     def _mpc(self, design: Array) -> tuple[str, Any]:
-        """MPC of the tangent, or, where LQR is no expert, that of the model which is better than LQR."""
+        """Name and MPC that a policy is held against.
+
+        It is that of the tangent, or, where LQR is no expert, the one of the model that is better than LQR.
+        """
         from ccdtools.co_design.imitation import EXPERTS, best_expert  # loaded where a policy is judged
         from ccdtools.co_design.loops import lqr_is_expert
 

@@ -144,7 +144,7 @@ class Learned:
 def _first_agent(
     task: Task, known: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool
 ) -> ActorCritic:
-    """Agent that imitates LQG, saturated LQR, or, where LQR is no expert, MPC of the model."""
+    """Agent that imitates LQG, LQR or MPC of the model."""
     problem = task.problem
     if problem.hidden:
         from ccdtools.co_design.output_history import warm_start_of_outputs
@@ -165,7 +165,10 @@ def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: 
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:
-    """True if a policy loses runs that LQR, or the expert in its place, keeps, or a fifth of its return."""
+    """True if a policy is far worse than the expert.
+
+    It loses runs that LQR, or what stands in its place, keeps, or a fifth of its return.
+    """
     near = lqr_is_expert(problem, design, copy.deepcopy(rng))
     name = "LQR" if near else best_expert(problem, design, copy.deepcopy(rng))
     if name is None:
