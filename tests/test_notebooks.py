@@ -125,7 +125,7 @@ def test_a_log_gives_a_guarantee_with_the_price_and_coverage_of_its_notebook(tmp
         for line, sd in zip(held, (0.8, 0.27), strict=True):  # of the part of 1440 samples, which calibrate [%]
             level, found = (float(share) for share in re.findall(r"([\d.]+)%", line))
             assert abs(found - level) < 4 * sd
-        prices, left = ([float(line.split(after)[1].split()[0].rstrip("%")) for line in lines if after in line]
+        prices, left = ([float(line.split(after)[1].split()[0].rstrip("%;")) for line in lines if after in line]
                         for after in ("at a return of ", "volume left of X_fea: "))  # fmt: skip
         assert 0 < prices[0] < prices[1]
         assert 100 > left[0] > left[1]
