@@ -83,10 +83,10 @@ CASES: dict[str, tuple[Callable[[], CoDesignProblem], list[list[float]]]] = {
 
 def rows(problem: CoDesignProblem, designs: list[list[float]]) -> Iterator[str]:
     """Returns at each design."""
-    began = time.process_time()
-    agent = planned_start(problem, np.array(designs[0]), np.random.default_rng(0))
-    seconds = time.process_time() - began
     for p in designs:
+        began = time.process_time()
+        agent = planned_start(problem, np.array(p), np.random.default_rng(0))
+        seconds = time.process_time() - began
         mpc: Any = EXPERTS[best_expert(problem, np.array(p), np.random.default_rng(1))](problem, p)
         policy = LearnedPolicy(agent, p)
         found = {}
