@@ -45,8 +45,8 @@ from ccdtools import (
 from ccdtools.co_design import kalman_filter
 from ccdtools.controllers import Observed
 from ccdtools.plants.library import dc_servo, mass_chain, pendulum_on_cart, two_tanks
-from ccdtools.studies import generations_on_sensors
-from ccdtools.twin import fit_outputs
+from ccdtools.studies import fitted_generations
+from ccdtools.twin import fit_plant
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def fits(seeds: int, noise: str) -> None:
             rng = np.random.default_rng(seed)
             x0, w = problem.scenarios.sample(runs, 100, rng)
             log = deploy(case.real, law, p, w, x0=x0, output=problem.measurement, rng=rng)
-            found.append(fit_outputs(problem, log, plant=case.wide, noise="known" if "known" in case.name else noise))
+            found.append(fit_plant(problem, log, plant=case.wide, noise="known" if "known" in case.name else noise))
         took = (time.process_time() - began) / seeds
         statuses = sorted({one.status.name for one in found})
         for i, name in enumerate(found[0].names[: len(case.truth)]):
@@ -254,7 +254,7 @@ def pairs_named(seeds: int, noise: str) -> int:
         rng = np.random.default_rng(seed)
         x0, w = case.problem.scenarios.sample(60, 100, rng)
         log = deploy(case.real, law, p, w, x0=x0, output=case.problem.measurement, rng=rng)
-        fit = fit_outputs(case.problem, log, plant=wide, noise=noise)
+        fit = fit_plant(case.problem, log, plant=wide, noise=noise)
         named += fit.status.name == "OPEN" and [set(one) for one in fit.open] == [{"one", "other"}]
     return named
 
@@ -302,7 +302,7 @@ def generations(seeds: int, noise: str) -> None:
         real = RealPlant(case.real, Gaussian(case.spread), case.start, 60, 100)
         shares = []
         for seed in range(seeds):
-            first, second = generations_on_sensors(
+            first, second = fitted_generations(
                 problem, real, method=Nested("lqg"), plant=case.wide, noise=noise, rng=np.random.default_rng(seed)
             )
             best = second

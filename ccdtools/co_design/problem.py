@@ -453,6 +453,6 @@ def as_seen_problem(value: Any) -> CoDesignProblem:
     """`value`, if it is a problem whose states are seen; else an `InputError`."""
     problem: CoDesignProblem = as_instance("problem", value, CoDesignProblem, "a CoDesignProblem")
     if problem.measurement is not None or problem.hidden:
-        cure = "Errors along estimates are those of the filter, too: redesign on what `fit_outputs` tells."
+        cure = "Errors along estimates are those of the filter, too: redesign on what `fit_plant` tells."
         raise InputError("problem", "one with sensors, or hidden states", "one whose states are seen", cure)
     return problem

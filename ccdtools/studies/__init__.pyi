@@ -1,9 +1,6 @@
+from ccdtools.studies.by_fit import FittedGeneration as FittedGeneration, fitted_generations as fitted_generations
 from ccdtools.studies.generations import Generations as Generations
 from ccdtools.studies.loading import load_study as load_study
-from ccdtools.studies.on_sensors import (
-    SensorGeneration as SensorGeneration,
-    generations_on_sensors as generations_on_sensors,
-)
 from ccdtools.studies.options import study_names as study_names
 from ccdtools.studies.presets import StudyConfig as StudyConfig, configuration as configuration
 from ccdtools.studies.real_plant import RealPlant as RealPlant

@@ -6,7 +6,7 @@ from ccdtools.twin.free_running import free_running_bands as free_running_bands
 from ccdtools.twin.identified import identified_lqr as identified_lqr, identified_plant as identified_plant
 from ccdtools.twin.log_drift import drift_of_log as drift_of_log
 from ccdtools.twin.online import OnlineConfig as OnlineConfig
-from ccdtools.twin.output_fit import OutputFit as OutputFit, OutputLog as OutputLog, fit_outputs as fit_outputs
+from ccdtools.twin.plant_fit import OutputLog as OutputLog, PlantFit as PlantFit, fit_plant as fit_plant
 from ccdtools.twin.replay import replay_problem as replay_problem, updated_problem as updated_problem
 from ccdtools.twin.tightened import RobustMPC as RobustMPC, robust_mpc as robust_mpc
 from ccdtools.twin.trial import TrialConfig as TrialConfig, switchback_on as switchback_on

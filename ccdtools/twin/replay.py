@@ -19,7 +19,7 @@ from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count, as_generator, as_instance, shown
 
 if TYPE_CHECKING:
-    from ccdtools.twin.output_fit import OutputFit
+    from ccdtools.twin.plant_fit import PlantFit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,22 +148,22 @@ def replay_problem(
 
 
 def updated_problem(
-    problem: CoDesignProblem, twin: DigitalTwin | OutputFit, window: int | None = None, *, warm_up: int = 0,
+    problem: CoDesignProblem, twin: DigitalTwin | PlantFit, window: int | None = None, *, warm_up: int = 0,
     starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
     """Problem on the nominal model plus median, with the logged rest replayed.
 
     Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.
-    With sensors, by `fit_outputs`: the problem with its model at the likeliest parameters, and a constant part of w.
+    With sensors, by `fit_plant`: the problem with its model at the likeliest parameters, and a constant part of w.
 
     Raises
     ------
     InputError
-        If the twin has learned nothing yet, the problem has sensors but the twin is no `OutputFit`, that leaves
+        If the twin has learned nothing yet, the problem has sensors but the twin is no `PlantFit`, that leaves
         something open or was not solved, or no logged run is as long as `window` and `warm_up`.
     """
-    if hasattr(twin, "updated"):  # an OutputFit, whose import takes long
+    if hasattr(twin, "updated"):  # an PlantFit, whose import takes long
         return twin.updated(as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem"))
     as_seen_problem(problem)
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")

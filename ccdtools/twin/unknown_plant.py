@@ -58,8 +58,8 @@ class UnknownPlant:
 
     def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
         """Problem with the unknown entries at values (m,)."""
-        if problem.measurement is None or set(self.plant.design.names) != {*problem.design.names, *self.free}:
-            expected = "a problem with sensors and the design of the one that was fitted"
+        if set(self.plant.design.names) != {*problem.design.names, *self.free}:
+            expected = "a problem with the design of the one that was fitted"
             raise InputError("problem", f"a design of {', '.join(problem.design.names) or 'nothing'}", expected)
         cut = len(values) - self.constants
         symbols = dict(zip(self.plant.design.names, elements(self.plant.p)))
@@ -69,7 +69,7 @@ class UnknownPlant:
         own = self.plant
         plant = replace(own, p=p, dynamics=put(own.dynamics), outputs=put(own.outputs), design=problem.design)
         sensors, scenarios, constant = problem.measurement, problem.scenarios, values[cut:]
-        if isinstance(sensors.output, Plant):
+        if sensors is not None and isinstance(sensors.output, Plant):
             sensors = replace(sensors, output=plant)
         if constant.any():
             if not isinstance(scenarios, FixedStart | RandomStarts):
@@ -98,10 +98,10 @@ def stated_plant(problem: CoDesignProblem, plant: Plant) -> UnknownPlant:
     sizes = [(one.nx, one.nu, one.nw) for one in (plant, model)]
     if sizes[0] != sizes[1]:
         raise InputError("plant", f"(nx, nu, nw) = {sizes[0]}", f"{sizes[1]}, as of the problem's model")
-    C = problem.measurement.output
+    C = None if problem.measurement is None else problem.measurement.output
     if isinstance(C, Plant) and plant.ny != C.ny:
         raise InputError("plant", f"{plant.ny} outputs", f"{C.ny}, as many as the problem measures")
-    if not isinstance(C, Plant):
+    if isinstance(C, np.ndarray):
         plant = replace(plant, outputs=ca.DM(C) @ plant.x, output_names=(), output_limits=None)
     return UnknownPlant(plant, free)
 
@@ -128,7 +128,7 @@ def changed_plant(problem: CoDesignProblem, p: Array) -> UnknownPlant:
     design = ca.SX.sym("p", box.dim)
     rates = model.plant.right_hand_side if sampled else model.step
     dynamics = rates(x, u, w + ca.reshape(theta, model.nw, -1) @ ca.vertcat(x, u, 1), design)
-    C = problem.measurement.output
+    C = np.zeros((0, model.nx)) if problem.measurement is None else problem.measurement.output
     outputs = C.output(x, u, design) if isinstance(C, Plant) else ca.DM(C) @ x
     space = DesignSpace((*box.names, *free), np.r_[box.lower, -units], np.r_[box.upper, units])
     continuous = sampled and model.plant.continuous

@@ -130,6 +130,10 @@ class Learned:
         result = _result(task, ascents, agent, design, found)
         return replace(result, output_history=self.history) if problem.hidden else result
 
+    def following(self, agent: ActorCritic) -> Learned:
+        """The same, from an agent on."""
+        return replace(self, agent=agent)
+
     def instead(self, result: CoDesignResult) -> Learned | None:
         """PPO, from where a climb ended whose policy its gradient led to no optimum; else None."""
         known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY

@@ -19,7 +19,7 @@ from ccdtools import (
     discretise,
 )
 from ccdtools.statistics import PairedDifference
-from ccdtools.studies import generations_on_sensors, on_sensors
+from ccdtools.studies import by_fit, fitted_generations
 
 
 def test_what_is_worse_on_the_real_plant_goes_out_of_service(monkeypatch):
@@ -31,15 +31,15 @@ def test_what_is_worse_on_the_real_plant_goes_out_of_service(monkeypatch):
         objective=QuadraticObjective(np.eye(2), [[0.1]]), scenarios=FixedStart([1.0, 0.0], Gaussian([0.3])),
         measurement=Measurement([[1.0, 0.0]], noise=[0.1]),
     )  # fmt: skip
-    designed = on_sensors.codesign
+    designed = by_fit.codesign
 
     def passive_at_last(problem, **options):
         found = designed(problem, **options)
         return found if options["design"] is None else SimpleNamespace(design=found.design, controller=Passive(1))
 
-    monkeypatch.setattr(on_sensors, "codesign", passive_at_last)
-    monkeypatch.setattr(on_sensors, "_predicted", lambda *_: PairedDifference(1.0, (0.5, 1.5)))
-    first, second = generations_on_sensors(
+    monkeypatch.setattr(by_fit, "codesign", passive_at_last)
+    monkeypatch.setattr(by_fit, "_predicted", lambda *_: PairedDifference(1.0, (0.5, 1.5)))
+    first, second = fitted_generations(
         problem, RealPlant(plant, Gaussian([0.3]), [1.0, 0.0], 40, 50), method=Nested("lqg", starts=1),
         rng=np.random.default_rng(0), noise="known",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Generations of a problem with sensors."""
+"""Generations by fits of the plant to what was logged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.stats import t
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
-from ccdtools.co_design.codesign import codesign
+from ccdtools.co_design.codesign import as_method, codesign
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.exceptions import InputError
 from ccdtools.plants.plant import Plant
@@ -20,38 +20,41 @@ from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.studies.budgets import REAL_RUNS
 from ccdtools.studies.real_plant import RealPlant
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.output_fit import FitStatus, OutputFit, fit_outputs
+from ccdtools.twin.plant_fit import FitStatus, PlantFit, fit_plant
 from ccdtools.twin.unknown_plant import stated_plant
 from ccdtools_ground.door import as_choice, as_count, as_generator, as_instance, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SensorGeneration:
-    """Generation on sensors, and what it gained.
+class FittedGeneration:
+    """Generation, and what it gained.
 
     Attributes
     ----------
     design : (np,) array
     controller : callable
-        Of outputs, as deployed.
+        As deployed; of outputs where the problem has sensors.
     log : Trajectory
         Of the deployment, with its outputs.
-    fit : OutputFit or None
+    fit : PlantFit or None
         What all former logs told; None of the first generation.
     predicted, gain : PairedDifference or None
         Return of the redesign above what was deployed before: on the plant of the fit, with what is not known of it in
         the interval; and on fresh common runs of the real plant, None where no redesign was tried there.
     accepted : bool
         Whether its design is in service for the first time.
+    agent : ActorCritic or None
+        Networks of a learned policy.
     """
 
     design: Array
     controller: Any
     log: Trajectory
-    fit: OutputFit | None = None
+    fit: PlantFit | None = None
     predicted: PairedDifference | None = None
     gain: PairedDifference | None = None
     accepted: bool = True
+    agent: Any = None
 
     def __str__(self) -> str:
         """Decision and gain in a sentence."""
@@ -64,21 +67,21 @@ class SensorGeneration:
         return f"redesign {place}, predicted {said[0]}" + (f", measured {said[-1]}" if self.gain else "")
 
 
-def generations_on_sensors(
+def fitted_generations(
     problem: CoDesignProblem, real: RealPlant, *, method: Any = "nested", generations: int = 2,
     design: ArrayLike | None = None, plant: Plant | None = None, noise: str = "fitted", draws: int = 20,
     rng: np.random.Generator,
-) -> tuple[SensorGeneration, ...]:  # fmt: skip
-    """Generations of a problem with sensors on a real plant.
+) -> tuple[FittedGeneration, ...]:  # fmt: skip
+    """Generations of a problem on a real plant.
 
-    Each is deployed and its outputs logged. The plant that all logs tell (`fit_outputs`) is designed for again, and the
-    redesign tried on the real plant if a gain is predicted whose interval lies above 0. It stays in service unless it
-    is worse there beyond chance, or loses more runs.
+    Each is deployed, and its outputs logged, or its states where the problem has no sensors. The plant that all logs
+    tell (`fit_plant`) is designed for again, a learned policy from the one in service on, and the redesign tried on the
+    real plant if a gain is predicted whose interval lies above 0. It stays in service unless it is worse there beyond
+    chance, or loses more runs.
 
     Parameters
     ----------
     problem : CoDesignProblem
-        With a `measurement`.
     real : RealPlant
         Its own outputs are measured where the problem's are those of a Plant.
     method : str or Method
@@ -86,18 +89,19 @@ def generations_on_sensors(
     design : (np,) array_like, optional
         Where the first search starts.
     plant, noise
-        Of `fit_outputs`.
+        Of `fit_plant`.
     draws : int
         Plants drawn from what is known of the parameters, for the interval of a prediction.
 
     Raises
     ------
     InputError
-        As `fit_outputs`, `codesign` and `deploy`; also without a measurement.
+        As `fit_plant`, `codesign` and `deploy`; or if runs start where the filter of the sensors takes another start
+        for known.
 
     Examples
     --------
-    >>> for one in generations_on_sensors(problem, real, method=Nested("lqg"), rng=rng):  # doctest: +SKIP
+    >>> for one in fitted_generations(problem, real, method=Nested("lqg"), rng=rng):  # doctest: +SKIP
     ...     print(one)
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -106,16 +110,15 @@ def generations_on_sensors(
     as_count("generations", generations)
     as_choice("noise", noise, ("fitted", "known"))
     as_generator("rng", rng)
+    by = as_method(method)
     sensors = problem.measurement
-    if sensors is None:
-        raise InputError("problem", "one without sensors", "CoDesignProblem(measurement=…); a Study sees the states")
     if plant is not None:
         stated_plant(problem, plant)
     start = problem.scenarios
-    if isinstance(start, FixedStart) and not np.array_equal(real.x0, start.x0):
+    if sensors is not None and isinstance(start, FixedStart) and not np.array_equal(real.x0, start.x0):
         cure = "State where it may start: RandomStarts(Gaussian(…), disturbance)."
         raise InputError("real.x0", shown(real.x0), f"{shown(start.x0)}, the start that the filter knows", cure)
-    if isinstance(sensors.output, Plant) and isinstance(real.plant, Plant) and real.plant.ny:
+    if isinstance(getattr(sensors, "output", None), Plant) and isinstance(real.plant, Plant) and real.plant.ny:
         sensors = replace(sensors, output=real.plant)
 
     def driven(one: Any, runs: int, seed: int) -> Trajectory:
@@ -125,19 +128,21 @@ def generations_on_sensors(
         scenario = Scenario(real.plant, real.x0, w, output=sensors, seed=int(own.integers(2**31)))
         return scenario.run(one.controller, design=one.design, limit=problem.limit)
 
-    def logged(one: Any, *rest: Any, accepted: bool = False) -> SensorGeneration:
+    def logged(one: Any, *rest: Any, accepted: bool = False) -> FittedGeneration:
         """Generation of what is deployed."""
         log = driven(one, real.runs, int(rng.integers(2**31)))
-        return replace(SensorGeneration(one.design, one.controller, log, *rest), accepted=accepted)
+        made = FittedGeneration(one.design, one.controller, log, *rest)
+        return replace(made, accepted=accepted, agent=getattr(one, "agent", None))
 
-    found = [logged(codesign(problem, method=method, design=design, rng=rng), accepted=True)]
+    found = [logged(codesign(problem, method=by, design=design, rng=rng), accepted=True)]
     for _ in range(1, generations):
         before = found[-1]
-        fit = fit_outputs(problem, [one.log for one in found], plant=plant, noise=noise)
+        fit = fit_plant(problem, [one.log for one in found], plant=plant, noise=noise)
         if fit.status not in (FitStatus.SOLVED, FitStatus.AT_BOUND):
             found.append(logged(before, fit))
             continue
-        again = codesign(fit.updated(problem), method=method, design=before.design, rng=rng)
+        going_on: Any = by.following(before.agent) if hasattr(by, "following") else by
+        again = codesign(fit.updated(problem), method=going_on, design=before.design, rng=rng)
         predicted = _predicted(problem, fit, again, before, draws, rng)
         if not predicted.ci95[0] > 0:
             found.append(logged(before, fit, predicted))
@@ -152,7 +157,7 @@ def generations_on_sensors(
 
 
 def _predicted(
-    problem: CoDesignProblem, fit: OutputFit, one: Any, other: Any, draws: int, rng: np.random.Generator
+    problem: CoDesignProblem, fit: PlantFit, one: Any, other: Any, draws: int, rng: np.random.Generator
 ) -> PairedDifference:  # fmt: skip
     """Gain of one over another on a fit's plant.
 

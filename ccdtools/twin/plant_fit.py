@@ -1,7 +1,8 @@
-"""Plant that logged outputs tell, by their innovations."""
+"""Plant that logs tell, by prediction errors."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,8 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory
+from ccdtools.twin.residuals import residuals
+from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
 from ccdtools_ground.door import as_choice, as_count, as_finite, as_floats, as_generator, as_instance, as_share, shown
 from ccdtools_ground.outcome import Outcome
@@ -72,8 +75,8 @@ class OutputLog(Immutable):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OutputFit(Immutable):
-    """Parameters that a log of outputs tells.
+class PlantFit(Immutable):
+    """Parameters that logs tell.
 
     Attributes
     ----------
@@ -101,7 +104,7 @@ class OutputFit(Immutable):
     def __repr__(self) -> str:
         rows = zip(self.names, self.values, self.deviations)
         said = ", ".join(f"{name}={value:.6g}±{deviation:.2g}" for name, value, deviation in rows)
-        return f"OutputFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g})"
+        return f"PlantFit({said}, status={self.status.name}, innovation_variance={self.innovation_variance:.4g})"
 
     @property
     def deviations(self) -> Array:
@@ -139,38 +142,40 @@ class OutputFit(Immutable):
         return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
 
 
-def fit_outputs(
+def fit_plant(
     problem: CoDesignProblem, logs: Any, *, plant: Plant | None = None, noise: str = "fitted"
-) -> OutputFit:  # fmt: skip
-    """Likeliest parameters of a plant, by logged outputs.
+) -> PlantFit:  # fmt: skip
+    """Likeliest parameters of a plant, by logged outputs or states.
 
-    Prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so inputs that
-    follow the errors of the filter in the loop mislead nothing. Without a `plant` a change of the nominal model is
-    fitted that enters where w does: w + Θx x + Θu u + θ in its place, at every design.
+    With sensors prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so
+    inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the one-step errors of
+    the model, each state's weighed by their size; intervals are robust to their correlation and scatter. Without a `plant` a change of the nominal model is fitted
+    that enters where w does: w + Θx x + Θu u + θ in its place, at every design.
 
     Parameters
     ----------
     problem : CoDesignProblem
-        Gives model, sensors, and mean and covariance of starts and disturbance, which counts as white. A start that is
-        stated as known and was another one misleads the fit.
+        Gives model, sensors if there are any, and mean and covariance of starts and disturbance, which counts as white.
+        A start that is stated as known and was another one misleads a fit to outputs.
     logs : Trajectory or OutputLog, or a sequence of them
-        Runs that diverged are left out.
+        Runs that diverged are left out. States are logged by a Trajectory.
     plant : Plant, optional
         With the problem's design and unknown entries besides, such as a mass or a gain, within their bounds.
     noise : {"fitted", "known"}
-        Whether factors of the variances of w and of the sensors are fitted besides, or both are as the problem states.
-        Where they are not, "known" noise misleads the other parameters, often without a trace in the innovations.
+        Of outputs, whether factors of the variances of w and of the sensors are fitted besides, or both are as the
+        problem states. Where they are not, "known" noise misleads the other parameters, often without a trace in the
+        innovations.
 
     Returns
     -------
-    OutputFit
+    PlantFit
         Never SOLVED where the log leaves a combination open, but for factors of noise alone, or a bound holds one.
 
     Raises
     ------
     InputError
-        If the problem has no sensors, or a function as outputs; a log is of other sizes or designs, or has fewer
-        measured values than there are unknowns.
+        If the problem has a function as outputs; a log is of other sizes or designs, or has fewer measured values than
+        there are unknowns.
 
     References
     ----------
@@ -179,41 +184,55 @@ def fit_outputs(
 
     Examples
     --------
-    >>> log = deploy(real, law, design, w, x0=x0, output=problem.measurement, rng=rng)  # doctest: +SKIP
-    >>> fit = fit_outputs(problem, log)  # doctest: +SKIP
+    >>> log = deploy(real, law, design, w, x0=x0)  # doctest: +SKIP
+    >>> fit = fit_plant(problem, log, plant=plant)  # doctest: +SKIP
+    >>> again = codesign(updated_problem(problem, fit), method="nested", rng=rng)  # doctest: +SKIP
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     as_model("problem.model", problem.model)
-    if not isinstance(getattr(problem.measurement, "output", None), Plant | np.ndarray):
+    output = None if problem.measurement is None else problem.measurement.output
+    if not isinstance(output, Plant | np.ndarray | None):
         expected = "Measurement(output, noise=…) of a matrix or a Plant, which can be differentiated"
         raise InputError("problem.measurement", shown(problem.measurement), expected)
     several = list(logs) if isinstance(logs, list | tuple) else [logs]
     if not several:
         raise InputError("logs", shown(logs), "at least one log")
-    given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
-    scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted"
-    unknown = changed_plant(problem, given[-1].design) if plant is None else stated_plant(problem, plant)
+    scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
+    if output is None:
+        errors = [residuals(problem.model, log) for log in several]  # which checks the logs
+        p, measured = errors[-1].p, sum(log.e_next.size for log in errors)
+    else:
+        given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
+        p, measured = given[-1].design, sum(int(np.isfinite(log.outputs).sum()) for log in given)
+    unknown = changed_plant(problem, p) if plant is None else stated_plant(problem, plant)
     names = unknown.free + NOISE * scaled
-    measured = sum(int(np.isfinite(log.outputs).sum()) for log in given)
     if measured < len(names):
         got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
-    found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
     with np.errstate(all="ignore"):  # a filter may diverge
-        z = found.largest()
+        if output is None:
+            found, z = _of_states(problem, unknown, several)
+        else:
+            found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
+            z = found.largest()
         values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
     slopes = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
     known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
     open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(NOISE))
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
     status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
-    return OutputFit(names, values, known.covariance(1.0), status, open_, squares / measured, unknown)
+    covariance = known.covariance(1.0)
+    if output is None:
+        told = np.isfinite(covariance).all(axis=1)
+        scores = np.concatenate([part.scores(values) for part in found.parts])[:, told]
+        covariance[np.ix_(told, told)] = covariance[told][:, told] @ (scores.T @ scores) @ covariance[told][:, told]
+    return PlantFit(names, values, covariance, status, open_, squares / measured, unknown)
 
 
 class _Likelihood:
     """Likelihood of parameters, in units from their guess."""
 
-    def __init__(self, unknown: UnknownPlant, parts: list[Innovations], scaled: bool) -> None:
+    def __init__(self, unknown: UnknownPlant, parts: Sequence[Innovations | StateErrors], scaled: bool) -> None:
         (lower, upper), none = unknown.bounds, np.zeros(2 * scaled)
         self.parts = parts
         self.guess = np.concatenate([(lower + upper) / 2, none])
@@ -265,6 +284,27 @@ class _Likelihood:
         _, told, modes = np.linalg.svd(rows[:, free])
         step = (modes[: len(told)] @ slope[free])[told > TOLD] / told[told > TOLD]
         return float(step @ step)
+
+
+def _of_states(
+    problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
+) -> tuple[_Likelihood, Array]:
+    """Criterion of one-step errors, and where it is least.
+
+    Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
+    states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.
+    """
+    mean = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1))
+    steps = [unknown.functions(problem, log.design)[0] for log in logs]
+    kept = [(log.states[~log.diverged], log.inputs[~log.diverged]) for log in logs]
+    size = problem.state_scale
+    for _ in range(rounds):
+        parts = [StateErrors.of(step, mean, size, *log) for step, log in zip(steps, kept)]
+        found = _Likelihood(unknown, parts, scaled=False)
+        z = found.largest()
+        e = size * np.concatenate([part.errors(found.values(z))[0] for part in parts])
+        size = np.sqrt((e**2).mean(axis=0) + (NEGLIGIBLE * problem.state_scale) ** 2)
+    return found, z
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:

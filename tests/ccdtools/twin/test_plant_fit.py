@@ -1,4 +1,4 @@
-"""Plants that logged outputs and inputs tell, without their states."""
+"""Plants that logged outputs, or states, and inputs tell."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from ccdtools import (
 )
 from ccdtools.co_design import kalman_filter
 from ccdtools.controllers import Observed
-from ccdtools.twin import OutputLog, fit_outputs, updated_problem
+from ccdtools.twin import OutputLog, fit_plant, updated_problem
 
 BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])
 P = np.array([2.0])
@@ -75,7 +75,7 @@ def without_states(log):
 )
 def test_a_weak_or_strong_actuator_is_found_with_its_sign_where_smoothed_states_had_the_other(noise, gain, push):
     problem, real = stated(noise), spring(gain, push)
-    fit = fit_outputs(problem, without_states(logged(problem, real)))
+    fit = fit_plant(problem, without_states(logged(problem, real)))
     assert fit.names == (
         "w1 by x1",
         "w1 by x2",
@@ -88,7 +88,7 @@ def test_a_weak_or_strong_actuator_is_found_with_its_sign_where_smoothed_states_
     away = (fit.values - [0, 0, gain - 1, push, 0, 0]) / fit.deviations
     assert np.abs(away).max() < 3.5
     assert (gain - 1) * fit.values[2] > 0
-    known = fit_outputs(problem, logged(problem, real), noise="known")
+    known = fit_plant(problem, logged(problem, real), noise="known")
     assert known.names == fit.names[:4]
     assert np.abs((known.values[:4] - [0, 0, gain - 1, push]) / known.deviations).max() < 3.5
     assert ((gain - 1) * known.intervals()[2] > 0).all()
@@ -127,7 +127,7 @@ def test_it_is_the_likeliest_by_a_filter_and_an_optimiser_of_ones_own():
         x, u, w, p, after, DesignSpace(["k", "by u", "by x"], [0.5, -2, -2], [4, 2, 2]), dt=DT, continuous=False
     )
     log = logged(problem, spring(0.6))
-    fit = fit_outputs(problem, log, plant=plant, noise="known")
+    fit = fit_plant(problem, log, plant=plant, noise="known")
     best = minimize(
         lambda v: by_hand(log, *v), [-0.3, 0.1], method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-6}
     )
@@ -139,7 +139,7 @@ def test_it_is_the_likeliest_by_a_filter_and_an_optimiser_of_ones_own():
 
 
 def test_units_change_nothing():
-    fits = [fit_outputs(one, logged(one, spring(0.5, unit=unit)))
+    fits = [fit_plant(one, logged(one, spring(0.5, unit=unit)))
             for unit in (1.0, 1e3) for one in [stated(unit=unit)]]  # fmt: skip
     factors = np.array([1e-3, 1e-3, 1, 1, 1, 1])
     assert (np.abs(fits[1].values - factors * fits[0].values) < 0.01 * fits[1].deviations).all()
@@ -151,13 +151,13 @@ def test_what_a_sensor_missed_tells_nothing():
     log = logged(problem, spring(0.5))
     outputs = np.array(log.outputs)
     outputs[:, STEPS // 2 :] = np.nan
-    gaps = fit_outputs(problem, OutputLog(outputs, log.inputs, P))
-    half = fit_outputs(problem, OutputLog(outputs[:, : STEPS // 2], log.inputs[:, : STEPS // 2], P))
+    gaps = fit_plant(problem, OutputLog(outputs, log.inputs, P))
+    half = fit_plant(problem, OutputLog(outputs[:, : STEPS // 2], log.inputs[:, : STEPS // 2], P))
     assert (np.abs(gaps.values - half.values) < 0.01 * half.deviations).all()
     assert gaps.innovation_variance == pytest.approx(half.innovation_variance, rel=1e-4)
     outputs = np.array(log.outputs)
     outputs[::2, 10:30] = np.nan
-    some = fit_outputs(problem, OutputLog(outputs, log.inputs, P))
+    some = fit_plant(problem, OutputLog(outputs, log.inputs, P))
     assert some.status.name == "SOLVED"
     assert half.deviations[2] > 1.2 * some.deviations[2]
 
@@ -165,13 +165,13 @@ def test_what_a_sensor_missed_tells_nothing():
 def test_logs_of_several_designs_are_one_plant():
     problem = stated()
     log = logged(problem, spring(0.5))
-    single = fit_outputs(problem, log)
+    single = fit_plant(problem, log)
     other = np.array([3.0])
     law = Observed(saturated_lqr(problem, other), kalman_filter(problem, other))
     rng = np.random.default_rng(5)
     w = Gaussian([0.3]).sample(RUNS, STEPS, rng)
     second = deploy(spring(0.5), law, other, w, x0=START, output=problem.measurement, rng=rng)
-    both = fit_outputs(problem, [log, second])
+    both = fit_plant(problem, [log, second])
     assert both.deviations[2] < 0.9 * single.deviations[2]
     assert abs(both.values[2] + 0.5) < 3.5 * both.deviations[2]
 
@@ -185,7 +185,7 @@ def test_mass_and_gain_of_a_stated_plant_with_an_accelerometer():
     rng = np.random.default_rng(0)
     w = Gaussian([0.3]).sample(RUNS, STEPS, rng)
     log = deploy(real, law, P, w, x0=START, output=replace(problem.measurement, output=real), rng=rng)
-    fit = fit_outputs(problem, log, plant=plant)
+    fit = fit_plant(problem, log, plant=plant)
     assert fit.status.name == "SOLVED"
     assert (np.abs(fit.values[:2] - [1.4, 0.7]) < 3.5 * fit.deviations[:2]).all()
     updated = updated_problem(problem, fit)
@@ -196,7 +196,7 @@ def test_mass_and_gain_of_a_stated_plant_with_an_accelerometer():
 
 def test_a_push_becomes_a_part_of_the_disturbance():
     problem = stated()
-    fit = fit_outputs(problem, logged(problem, spring(push=0.2)))
+    fit = fit_plant(problem, logged(problem, spring(push=0.2)))
     w = updated_problem(problem, fit).scenarios.sample(200, STEPS, np.random.default_rng(0))[1]
     assert w.mean() == pytest.approx(fit.values[3], abs=0.01)
     assert fit.values[3] == pytest.approx(0.2, abs=4 * fit.deviations[3])
@@ -217,7 +217,7 @@ def test_a_nonlinear_plant_by_the_extended_filter():
     x0, w = problem.scenarios.sample(20, STEPS, np.random.default_rng(3))
     log = logged(problem, pendulum(0.6), x0=x0, w=w)
     assert np.abs(log.states[..., 0]).max() > 1
-    fit = fit_outputs(problem, log)
+    fit = fit_plant(problem, log)
     assert fit.status.name == "SOLVED"
     assert (np.abs(fit.values[:4] - [0, 0, -0.4, 0]) < 3.5 * fit.deviations[:4]).all()
     assert fit.intervals()[2, 1] < 0
@@ -226,13 +226,13 @@ def test_a_nonlinear_plant_by_the_extended_filter():
 def test_noise_that_differs_from_what_is_stated_is_fitted():
     problem = stated()
     log = logged(stated(noise=0.1), spring(0.7))
-    fit = fit_outputs(problem, log)
+    fit = fit_plant(problem, log)
     assert fit.names[-2:] == ("log factor of the variance of w", "log factor of the variance of the sensors")
     assert fit.innovation_variance == pytest.approx(1, abs=0.02)
     assert fit.values[-1] == pytest.approx(np.log(4), abs=3.5 * fit.deviations[-1])
     assert (np.abs(fit.values[:4] - [0, 0, -0.3, 0]) < 3.5 * fit.deviations[:4]).all()
     assert updated_problem(problem, fit).model.matrices(P)[1].shape == (2, 1)
-    assert fit_outputs(problem, log, noise="known").innovation_variance > 1.3
+    assert fit_plant(problem, log, noise="known").innovation_variance > 1.3
 
 
 @pytest.mark.check
@@ -246,7 +246,7 @@ def test_a_disturbance_smaller_than_stated_misleads_nothing_on_an_unstable_plant
         objective=QuadraticObjective(np.eye(2), [[0.1]]), measurement=Measurement([[1.0, 0.0]], noise=[0.01]),
         scenarios=FixedStart([0.3, 0.0], Gaussian([0.5])),
     )  # fmt: skip
-    fit = fit_outputs(problem, logged(problem, inverted(0.7)))
+    fit = fit_plant(problem, logged(problem, inverted(0.7)))
     assert fit.status.name == "SOLVED"
     assert (np.abs(fit.values - [0, 0, -0.3, 0, 2 * np.log(0.6), 0]) < 3.5 * fit.deviations).all()
 
@@ -256,7 +256,7 @@ def test_a_disturbance_smaller_than_stated_misleads_nothing_on_an_unstable_plant
 
 def test_without_inputs_nothing_is_told_of_their_gain():
     problem = stated()
-    fit = fit_outputs(
+    fit = fit_plant(
         problem, logged(problem, spring(0.5), law=Observed(LinearFeedback([[0.0, 0.0]]), kalman_filter(problem, P)))
     )
     assert fit.status.name == "OPEN"
@@ -270,7 +270,7 @@ def test_without_inputs_nothing_is_told_of_their_gain():
 
 def test_two_gains_in_a_row_cannot_be_told_apart():
     problem = stated()
-    fit = fit_outputs(problem, logged(problem, spring(0.5)), plant=spring(names=("gain", "second")))
+    fit = fit_plant(problem, logged(problem, spring(0.5)), plant=spring(names=("gain", "second")))
     assert fit.status.name == "OPEN"
     assert [set(one) for one in fit.open] == [{"gain", "second"}]
     assert np.prod(fit.values[:2]) == pytest.approx(0.5, abs=0.2)
@@ -280,7 +280,7 @@ def test_a_bound_that_holds_a_parameter_is_said():
     plant = spring(names=("gain",))
     narrow = replace(plant, design=DesignSpace(["k", "gain"], [0.5, 0.8], [4.0, 1.2]))
     problem = stated()
-    fit = fit_outputs(problem, logged(problem, spring(0.4)), plant=narrow)
+    fit = fit_plant(problem, logged(problem, spring(0.4)), plant=narrow)
     assert fit.status.name == "AT_BOUND"
     assert fit.values[0] == pytest.approx(0.8, abs=1e-5)
 
@@ -314,31 +314,31 @@ def test_a_log_that_cannot_be_meant_is_named(log, change, words):
         name: change.get(name, np.array)(np.array(getattr(log, name))) for name in ("outputs", "inputs", "design")
     }
     with pytest.raises(InputError, match=words):
-        fit_outputs(stated(), OutputLog(**columns))
+        fit_plant(stated(), OutputLog(**columns))
 
 
 def test_wrong_problems_plants_and_kinds_are_named(log):
     problem = stated()
     function = Measurement(lambda x: x[:, :1], noise=[0.1])
     cases = [
-        (lambda: fit_outputs(replace(problem, measurement=None), log), "problem.measurement"),
-        (lambda: fit_outputs(replace(problem, measurement=function), log), "matrix or a Plant"),
-        (lambda: fit_outputs(problem, []), "at least one log"),
-        (lambda: fit_outputs(problem, log.states), r"logs\[0\]: .*OutputLog"),
-        (lambda: fit_outputs(problem, replace(log, outputs=None)), r"logs\[0\]: .*OutputLog"),
-        (lambda: fit_outputs(problem, replace(log, diverged_at=np.zeros(RUNS, dtype=int))), "all diverged"),
-        (lambda: fit_outputs(problem, log, plant=spring()), "what is unknown besides"),
-        (lambda: fit_outputs(problem, log, plant=3), "plant"),
+        (lambda: fit_plant(replace(problem, measurement=None), OutputLog(log.outputs, log.inputs, P)), "a Trajectory"),
+        (lambda: fit_plant(replace(problem, measurement=function), log), "matrix or a Plant"),
+        (lambda: fit_plant(problem, []), "at least one log"),
+        (lambda: fit_plant(problem, log.states), r"logs\[0\]: .*OutputLog"),
+        (lambda: fit_plant(problem, replace(log, outputs=None)), r"logs\[0\]: .*OutputLog"),
+        (lambda: fit_plant(problem, replace(log, diverged_at=np.zeros(RUNS, dtype=int))), "all diverged"),
+        (lambda: fit_plant(problem, log, plant=spring()), "what is unknown besides"),
+        (lambda: fit_plant(problem, log, plant=3), "plant"),
     ]  # fmt: skip
     for call, words in cases:
         with pytest.raises(InputError, match=words):
             call()
 
 
-def cubic(*names):
+def cubic(*names, c=0.0):
     """Mass on a spring that may soften and run away."""
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 1 + len(names))
-    c = p[1] if names else 0.0
+    c = p[1] if names else c
     box = DesignSpace(["k", *names], [0.5] + [-1.0] * len(names), [4.0] + [20.0] * len(names))
     rates = [x[1], -p[0] * x[0] + c * x[0] ** 3 - 0.3 * x[1] + u + w]
     return Plant(x, u, w, p, rates, box, dt=DT, substeps=2)
@@ -347,7 +347,7 @@ def cubic(*names):
 def test_a_filter_that_diverges_is_a_status_and_what_is_not_known_cannot_be_drawn():
     problem = stated(noise=0.3, X=(-6, 6), scenarios=RandomStarts(Gaussian([1.5, 1.5]), Gaussian([0.5])))
     x0 = problem.scenarios.sample(RUNS, STEPS, np.random.default_rng(3))[0]
-    found = fit_outputs(problem, logged(problem, cubic(), x0=x0), plant=cubic("c"))
+    found = fit_plant(problem, logged(problem, cubic(), x0=x0), plant=cubic("c"))
     assert found.status.name == "UNSOLVED"
     for call, words in [
         (lambda: found.drawn(problem, 3, np.random.default_rng(0)), "UNSOLVED"),
@@ -361,11 +361,13 @@ def test_a_disturbance_that_is_none_leaves_its_noise_open_and_the_plant_known():
     problem = stated(scenarios=RandomStarts(Gaussian([0.5, 0.5]), Gaussian([0.0])))
     x0 = problem.scenarios.sample(RUNS, STEPS, np.random.default_rng(3))[0]
     log = logged(problem, spring(0.5), x0=x0, w=np.zeros((RUNS, STEPS, 1)))
-    found = fit_outputs(problem, log, plant=spring(names=("gain",)))
+    found = fit_plant(problem, log, plant=spring(names=("gain",)))
     assert found.values[0] == pytest.approx(0.5, abs=0.05)
     assert len(found.drawn(problem, 3, np.random.default_rng(0))) == 3
-    with pytest.raises(InputError, match="a problem with sensors"):
-        found.updated(replace(problem, measurement=None))
+    seen = found.updated(replace(problem, measurement=None))
+    assert seen.measurement is None
+    with pytest.raises(InputError, match="the design of the one that was fitted"):
+        found.updated(replace(problem, model=discretise(cubic("c"))))
 
 
 def test_a_loop_logs_what_its_sensors_told_and_one_of_the_state_nothing():
@@ -376,3 +378,73 @@ def test_a_loop_logs_what_its_sensors_told_and_one_of_the_state_nothing():
     assert log.outputs.shape == (RUNS, STEPS, 1)
     assert (log.outputs - log.states[:, :-1, :1]).std() == pytest.approx(0.05, rel=0.1)
     assert deploy(spring(), saturated_lqr(problem, P), P, w, x0=START).outputs is None
+
+
+def seen(real, seed=0, unit=1.0, runs=RUNS, law=None):
+    """Problem whose states are known, and a log of LQR on a real plant."""
+    problem = stated(unit=unit, measurement=None)
+    w = Gaussian([0.3]).sample(runs, STEPS, np.random.default_rng(seed))
+    law = saturated_lqr(problem, P) if law is None else law
+    return problem, deploy(real, law, P, w, x0=unit * np.array(START))
+
+
+def test_of_states_a_gain_is_the_least_squares_solution_in_any_unit():
+    found = []
+    for unit in (1.0, 1e4):
+        problem, log = seen(spring(0.5, unit=unit), unit=unit)
+        found.append(fit_plant(problem, log, plant=spring(unit=unit, names=("gain",))))
+        x, u, after = (part.reshape(-1, part.shape[2]) for part in (log.states[:, :-1], log.inputs, log.states[:, 1:]))
+        A, B, E = problem.model.matrices(P)
+        along = E[:, 0] / (E.T @ E)[0, 0]  # noise and input enter alike
+        error, moved = (after - x @ A.T) @ along, u[:, 0] * (B.T @ along)[0]
+        exact = error @ moved / (moved @ moved)
+        deviation = (error - exact * moved).std() / np.sqrt(moved @ moved)
+        assert found[-1].status.name == "SOLVED"
+        assert found[-1].values[0] == pytest.approx(exact, rel=1e-3)  # the mean of w is that of a sample
+        assert found[-1].deviations[0] == pytest.approx(deviation, rel=0.08)
+    assert found[0].values[0] == pytest.approx(found[1].values[0], rel=1e-9)
+
+
+def test_of_states_intervals_hold_the_truth_as_often_as_they_say():
+    held = sum(
+        bool(low <= 0.5 <= high)
+        for seed in range(60)
+        for low, high in fit_plant(*seen(spring(0.5), seed, runs=4), plant=spring(names=("gain",))).intervals()
+    )
+    assert 51 <= held <= 60
+
+
+def test_of_states_a_nonlinear_entry_is_found_and_designs_of_all_kinds_use_it():
+    problem, log = seen(cubic(c=2.0))
+    found = fit_plant(problem, log, plant=cubic("c"))
+    assert found.status.name == "SOLVED"
+    assert found.values[0] == pytest.approx(2.0, abs=3 * found.deviations[0])
+    weaker = updated_problem(problem, fit_plant(*seen(spring(0.5)), plant=spring(names=("gain",))))
+    B = weaker.model.matrices(P)[1]
+    np.testing.assert_allclose(B, 0.5 * problem.model.matrices(P)[1], rtol=0.1)
+    assert abs(saturated_lqr(weaker, P).K).max() != abs(saturated_lqr(problem, P).K).max()
+
+
+def test_of_states_a_loop_without_excitation_leaves_open_what_its_law_hides():
+    problem, log = seen(spring(0.5))
+    found = fit_plant(problem, log)
+    assert found.status.name == "OPEN"
+    assert {"w1 by x1", "w1 by x2", "w1 by u1"} == {name for one in found.open for name in one}
+    rng, lqr = np.random.default_rng(1), saturated_lqr(problem, P)
+    law = lambda x: lqr(x) + rng.normal(0, 0.5, (len(x), 1))  # noqa: E731
+    found = fit_plant(*seen(spring(0.5), law=law))
+    assert found.status.name == "SOLVED"
+    assert found.values[2] == pytest.approx(-0.5, abs=4 * found.deviations[2])
+
+
+def test_of_states_wrong_logs_are_named():
+    problem, log = seen(spring())
+    for given, words in [
+        (log.states, "a Trajectory"),
+        ([], "at least one log"),
+        (replace(log, dt=2 * DT), "dt"),
+        (replace(log, diverged_at=np.zeros(RUNS, dtype=int)), "all diverged"),
+        (replace(log, states=np.where(np.arange(STEPS + 1)[:, None] == 5, np.nan, log.states)), "log.states"),
+    ]:
+        with pytest.raises(InputError, match=words):
+            fit_plant(problem, given, plant=spring(names=("gain",)))

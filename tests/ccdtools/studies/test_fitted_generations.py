@@ -1,4 +1,4 @@
-"""Generations whose logs hold outputs and inputs alone."""
+"""Generations whose logs hold outputs, or states, and inputs."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ from ccdtools import (
     Scenario,
     discretise,
 )
-from ccdtools.studies import generations_on_sensors
+from ccdtools.studies import fitted_generations
 
 BOX = DesignSpace(["k"], [0.5], [4.0], ["N/m"])
 
@@ -49,7 +49,7 @@ def real(gain):
 
 def run(problem, gain, method=None, seed=0, **options):
     method = Nested("lqg", starts=1) if method is None else method
-    return generations_on_sensors(problem, real(gain), method=method, rng=np.random.default_rng(seed), **options)
+    return fitted_generations(problem, real(gain), method=method, rng=np.random.default_rng(seed), **options)
 
 
 def returned(one, runs=1500):
@@ -114,11 +114,36 @@ def test_mpc_and_a_policy_of_outputs_are_redesigned_too():
         assert second.gain.ci95[0] > 0
 
 
-def test_a_problem_without_sensors_and_another_kind_of_plant_are_named():
-    with pytest.raises(InputError, match="a Study sees the states"):
-        run(replace(stated(), measurement=None), 1.0)
+def wide():
+    """The spring with an actuator whose gain is unknown."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    space = DesignSpace(["k", "gain"], [0.5, 0.2], [4, 2])
+    return Plant(x, u, w, p, [x[1], -p[0] * x[0] - 0.3 * x[1] + p[1] * u + w], space, dt=0.33)
+
+
+@pytest.mark.parametrize("method", ["nested", Nested("mpc", starts=1, evaluations=6)])
+def test_where_states_are_seen_the_model_of_any_method_is_the_one_that_they_tell(method):
+    problem = replace(stated(), measurement=None)
+    first, second = run(problem, 0.5, method, plant=wide())
+    assert second.fit.values[0] == pytest.approx(0.5, abs=0.05)
+    assert second.accepted
+    assert second.gain.ci95[0] > 0
+    assert first.log.outputs is None
+
+
+@pytest.mark.check
+def test_a_learned_policy_goes_on_from_the_one_in_service():
+    config = CoDesignConfig(iterations=25, starts=1, pathwise_runs=128, evaluation_runs=256)
+    problem = replace(stated(), measurement=None)
+    first, second = run(problem, 0.5, Learned(config=config), plant=wide())
+    assert second.accepted, str(second)
+    assert first.agent is not None
+    assert second.gain.ci95[0] > 0
+
+
+def test_another_kind_of_plant_is_named():
     with pytest.raises(InputError, match="a RealPlant"):
-        generations_on_sensors(stated(), spring(), rng=np.random.default_rng(0))
+        fitted_generations(stated(), spring(), rng=np.random.default_rng(0))
     elsewhere = RealPlant(spring(0.5), Gaussian([0.3]), [1.2, 0.0], 40, 50)
     with pytest.raises(InputError, match="the start that the filter knows"):
-        generations_on_sensors(stated(), elsewhere, rng=np.random.default_rng(0))
+        fitted_generations(stated(), elsewhere, rng=np.random.default_rng(0))
