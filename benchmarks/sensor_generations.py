@@ -1,9 +1,10 @@
 """Plants fitted to outputs, and generations of LQG on sensors.
 
-    python benchmarks/sensor_generations.py fits [--seeds 20]
+    python benchmarks/sensor_generations.py fits [--seeds 20] [--states]
     python benchmarks/sensor_generations.py generations [--seeds 10]
 
-Fits: a log of LQG on a real plant that differs, without its states; intervals beside the truth. The first four rows are
+Fits: a log of LQG on a real plant that differs, without its states, or with `--states` of LQR whose inputs have white
+noise of a tenth of their range besides; intervals beside the truth. The first four rows are
 an oscillator whose position is measured, as in the table of smoothed states; the change is in the nominal model. Of the
 other plants of the library a servo (mass, friction and gain unknown) and a pole on a cart held upright (nonlinear: gain
 and friction) are stated with what is unknown, and the change of two tanks (nonlinear) is fitted where w enters.
@@ -211,19 +212,23 @@ def tanks() -> Case:
 OSCILLATORS = ((0.01, 0.5), (0.01, 1.5, 0.2), (0.1, 0.5), (0.1, 1.5, 0.2))
 
 
-def fits(seeds: int, noise: str) -> None:
+def fits(seeds: int, noise: str, states: bool) -> None:
     """Print a row per plant."""
     print("| plant | unknown | truth | mean of fits | intervals that hold it | signs | statuses | s |")
     print("|---|---|---|---|---|---|---|---|")
     cases = (*(oscillator(*of) for of in OSCILLATORS), replace(servo(), name="servo, noise known"), pole(), tanks())
+    if states:  # of the servo's three they tell ratios alone
+        cases = (*(oscillator(*of) for of in OSCILLATORS[2:]), load(), chain(), pole(), tanks())
     for case in cases:  # with its noise the servo's three are open
         problem, p = case.problem, np.array(case.design)
-        law = Observed(saturated_lqr(problem, p), kalman_filter(problem, p))
+        if states:
+            problem = replace(problem, measurement=None)
         found, began = [], time.process_time()
         runs = 60 if case.matrices is not None and case.wide is None else 30
         for seed in range(seeds):
             rng = np.random.default_rng(seed)
             x0, w = problem.scenarios.sample(runs, 100, rng)
+            law = dithered(problem, p, rng) if states else Observed(saturated_lqr(problem, p), kalman_filter(problem, p))
             log = deploy(case.real, law, p, w, x0=x0, output=problem.measurement, rng=rng)
             found.append(fit_plant(problem, log, plant=case.wide, noise="known" if "known" in case.name else noise))
         took = (time.process_time() - began) / seeds
@@ -237,22 +242,31 @@ def fits(seeds: int, noise: str) -> None:
             mean = np.mean([one.values[i] for one in found])
             print(f"| {case.name} | {name} | {case.truth[i]:.3g} | {mean:.3g} | {held} of {seeds} | {signs} | "
                   f"{', '.join(statuses)} | {took:.1f} |", flush=True)  # fmt: skip
-    named = pairs_named(seeds, noise)
+    named = pairs_named(seeds, noise, states)
     print(f"two gains in a row, of which the log tells the product: named, and nothing else, {named} of {seeds}")
 
 
-def pairs_named(seeds: int, noise: str) -> int:
+def dithered(problem: CoDesignProblem, p: np.ndarray, rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """LQR with white noise on its inputs."""
+    law, (low, high) = saturated_lqr(problem, p), problem.input_bounds
+    return lambda x: np.clip(law(x) + (high - low) / 10 * rng.standard_normal((len(x), len(low))), low, high)
+
+
+def pairs_named(seeds: int, noise: str, states: bool) -> int:
     """Logs of which a pair of gains that cannot be told apart is named."""
     case = oscillator(0.1, 0.5)
+    if states:
+        case = replace(case, problem=replace(case.problem, measurement=None))
     wide = unknown(
         spring(), ("one", "other"), [0.2, 0.2], [3.0, 3.0],
         lambda own, q: ca.substitute(own.dynamics, own.u, q[0] * q[1] * own.u),
     )  # fmt: skip
     p, named = np.array(case.design), 0
-    law = Observed(saturated_lqr(case.problem, p), kalman_filter(case.problem, p))
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         x0, w = case.problem.scenarios.sample(60, 100, rng)
+        law = saturated_lqr(case.problem, p)
+        law = dithered(case.problem, p, rng) if states else Observed(law, kalman_filter(case.problem, p))
         log = deploy(case.real, law, p, w, x0=x0, output=case.problem.measurement, rng=rng)
         fit = fit_plant(case.problem, log, plant=wide, noise=noise)
         named += fit.status.name == "OPEN" and [set(one) for one in fit.open] == [{"one", "other"}]
@@ -344,10 +358,11 @@ def main() -> None:
     parser.add_argument("table", choices=("fits", "generations"))
     parser.add_argument("--seeds", type=int)
     parser.add_argument("--noise", choices=("fitted", "known"), default="fitted")
+    parser.add_argument("--states", action="store_true")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     if asked.table == "fits":
-        fits(asked.seeds or 20, asked.noise)
+        fits(asked.seeds or 20, asked.noise, asked.states)
     else:
         generations(asked.seeds or 10, asked.noise)
 
