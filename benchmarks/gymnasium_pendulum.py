@@ -60,8 +60,8 @@ def problem(mass: float) -> CoDesignProblem:
     """Co-design by a model of this mass."""
     X, U = ([-12, -8], [12, 8]), (-2, 2)
     return CoDesignProblem(
-        discretise(pendulum(mass), X=X, U=U, W=(-0.2, 0.2), compiled=True), X=X, U=U, steps=STEPS, limit_tolerance="off",
-        objective=CustomObjective(cost, Q=np.diag([1, 0.1]), R=[[0.001]]),
+        discretise(pendulum(mass), X=X, U=U, W=(-0.2, 0.2), compiled=True), X=X, U=U, steps=STEPS,
+        limit_tolerance="off", objective=CustomObjective(cost, Q=np.diag([1, 0.1]), R=[[0.001]]),
         scenarios=RandomStarts(STARTS, Uniform([-0.1], [0.1])),
     )  # fmt: skip
 
@@ -112,17 +112,17 @@ def main() -> None:
         fit = fit_plant(stated, log, plant=pendulum(None))
         second: Any = codesign(updated_problem(stated, fit), agent=first.agent, design=first.design, rng=rng)
         ended = time.process_time()
-        runs = [
-            returns(driven(real, LearnedPolicy(one.agent, one.design), one.design, np.random.default_rng(10_000 + seed), FRESH))
-            for one in (first, second)
-        ]  # fmt: skip
+        runs = []
+        for one in (first, second):
+            fresh = np.random.default_rng(10_000 + seed)
+            runs.append(returns(driven(real, LearnedPolicy(one.agent, one.design), one.design, fresh, FRESH)))
         gain = paired_difference(runs[1], runs[0])
-        print(
-            f"| {seed} | {first.design[0]:.3f} m, {first.status.name} | {fit.values[0]:.4f} ± {1.96 * fit.deviations[0]:.4f} kg | {second.design[0]:.3f} m, "
-            f"{second.status.name} | {runs[0].mean():.1f}, {runs[1].mean():.1f} | {gain.mean:+.2f} [{gain.ci95[0]:+.2f}, "
-            f"{gain.ci95[1]:+.2f}] | {midway - began:.0f}, {ended - midway:.0f} s |",
-            flush=True,
-        )  # fmt: skip
+        designs = [f"{one.design[0]:.3f} m, {one.status.name}" for one in (first, second)]
+        told = f"{fit.values[0]:.4f} ± {1.96 * fit.deviations[0]:.4f} kg"
+        earned = f"{gain.mean:+.2f} [{gain.ci95[0]:+.2f}, {gain.ci95[1]:+.2f}]"
+        times = f"{midway - began:.0f}, {ended - midway:.0f} s"
+        means = f"{runs[0].mean():.1f}, {runs[1].mean():.1f}"
+        print(f"| {seed} | {designs[0]} | {told} | {designs[1]} | {means} | {earned} | {times} |", flush=True)
 
 
 if __name__ == "__main__":

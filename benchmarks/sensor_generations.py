@@ -228,7 +228,7 @@ def fits(seeds: int, noise: str, states: bool) -> None:
         for seed in range(seeds):
             rng = np.random.default_rng(seed)
             x0, w = problem.scenarios.sample(runs, 100, rng)
-            law = dithered(problem, p, rng) if states else Observed(saturated_lqr(problem, p), kalman_filter(problem, p))
+            law = dithered(problem, p, rng) if states else lqg(problem, p)
             log = deploy(case.real, law, p, w, x0=x0, output=problem.measurement, rng=rng)
             found.append(fit_plant(problem, log, plant=case.wide, noise="known" if "known" in case.name else noise))
         took = (time.process_time() - began) / seeds
@@ -244,6 +244,11 @@ def fits(seeds: int, noise: str, states: bool) -> None:
                   f"{', '.join(statuses)} | {took:.1f} |", flush=True)  # fmt: skip
     named = pairs_named(seeds, noise, states)
     print(f"two gains in a row, of which the log tells the product: named, and nothing else, {named} of {seeds}")
+
+
+def lqg(problem: CoDesignProblem, p: np.ndarray) -> Observed:
+    """LQR of the Kalman filter's estimate."""
+    return Observed(saturated_lqr(problem, p), kalman_filter(problem, p))
 
 
 def dithered(problem: CoDesignProblem, p: np.ndarray, rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
@@ -265,8 +270,7 @@ def pairs_named(seeds: int, noise: str, states: bool) -> int:
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         x0, w = case.problem.scenarios.sample(60, 100, rng)
-        law = saturated_lqr(case.problem, p)
-        law = dithered(case.problem, p, rng) if states else Observed(law, kalman_filter(case.problem, p))
+        law = dithered(case.problem, p, rng) if states else lqg(case.problem, p)
         log = deploy(case.real, law, p, w, x0=x0, output=case.problem.measurement, rng=rng)
         fit = fit_plant(case.problem, log, plant=wide, noise=noise)
         named += fit.status.name == "OPEN" and [set(one) for one in fit.open] == [{"one", "other"}]

@@ -149,8 +149,9 @@ def fit_plant(
 
     With sensors prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so
     inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the one-step errors of
-    the model, each state's weighed by their size; intervals are robust to their correlation and scatter. Without a `plant` a change of the nominal model is fitted
-    that enters where w does: w + Θx x + Θu u + θ in its place, at every design.
+    the model, each state's weighed by their size; intervals allow for their correlation and scatter.
+    Without a `plant` a change of the nominal model is fitted that enters where w does: w + Θx x + Θu u + θ in its
+    place, at every design.
 
     Parameters
     ----------
@@ -211,7 +212,7 @@ def fit_plant(
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
     with np.errstate(all="ignore"):  # a filter may diverge
         if output is None:
-            found, z = _of_states(problem, unknown, several)
+            found, z, scores = _of_states(problem, unknown, several)
         else:
             found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
             z = found.largest()
@@ -224,8 +225,8 @@ def fit_plant(
     covariance = known.covariance(1.0)
     if output is None:
         told = np.isfinite(covariance).all(axis=1)
-        scores = np.concatenate([part.scores(values) for part in found.parts])[:, told]
-        covariance[np.ix_(told, told)] = covariance[told][:, told] @ (scores.T @ scores) @ covariance[told][:, told]
+        moved = scores[:, told] @ covariance[np.ix_(told, told)]
+        covariance[np.ix_(told, told)] = moved.T @ moved
     return PlantFit(names, values, covariance, status, open_, squares / measured, unknown)
 
 
@@ -288,8 +289,8 @@ class _Likelihood:
 
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
-) -> tuple[_Likelihood, Array]:
-    """Criterion of one-step errors, and where it is least.
+) -> tuple[_Likelihood, Array, Array]:
+    """Criterion of one-step errors, where it is least, and slopes of each sample's (N, m).
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.
@@ -304,7 +305,7 @@ def _of_states(
         z = found.largest()
         e = size * np.concatenate([part.errors(found.values(z))[0] for part in parts])
         size = np.sqrt((e**2).mean(axis=0) + (NEGLIGIBLE * problem.state_scale) ** 2)
-    return found, z
+    return found, z, np.concatenate([part.scores(found.values(z)) for part in parts])
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:

@@ -50,6 +50,6 @@ class StateErrors:
         return error.ravel(), np.ones(error.size), slope, np.zeros_like(slope)
 
     def scores(self, theta: Array) -> Array:
-        """Slopes of half the square of each sample's errors (N, m)."""
+        """Slopes (N, m) of half the square of each sample's errors."""
         error, slope = self.errors(theta)
         return np.asarray(np.einsum("ni,nim->nm", error, slope))
