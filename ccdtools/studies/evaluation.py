@@ -38,6 +38,7 @@ from ccdtools.twin.identified import identified_lqr
 from ccdtools.twin.judge import Judge
 from ccdtools.twin.residuals import Residuals, is_common
 from ccdtools.twin.transport import ErrorSplit
+from ccdtools.twin.unknown_plant import stated_plant
 from ccdtools.twin.updated_plant import UpdatedPlant
 from invariant_sets import AdmissibleInputs
 from mpc import NotStabilisableError, OffsetFreeMPC
@@ -59,6 +60,11 @@ class Evaluation:
     def problem(self) -> CoDesignProblem:
         """Co-design problem on the nominal model."""
         return self.study.problem()
+
+    def of_plant(self, values: Array) -> Evaluation:
+        """The same on the model whose unknown entries are at values (m,)."""
+        unknown = stated_plant(self.problem, self.study.unknown)
+        return replace(self, study=replace(self.study, plant=unknown.at(self.problem.design, values)))
 
     @cached_property
     def deployment_steps(self) -> int:

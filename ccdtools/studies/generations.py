@@ -76,6 +76,7 @@ class Generations:
         self.evaluation = Evaluation(study, config, as_count("seed", seed, least=0))
         self.evaluation.held_out  # noqa: B018  (raises if fresh runs cannot be drawn)
         self.compute = LoopStages(self.evaluation, progress)
+        self._told: list[Trajectory] = []  # logs that tell the unknown entries of the plant
 
     def run(self) -> dict[str, Any]:
         """Run all stages; write and return the contents of results.json."""
@@ -153,12 +154,13 @@ class Generations:
         """Twin and record after one more generation: deploy, learn, compare, evaluate."""
         title = f"Generation {generation}"
         last = history[-1]
-        known = twin.logs
         deployed = self._stage(
             f"deployment-{generation}", f"{title}: deployment", self.compute.deploy, generation, found, last.after,
             last.served, last.trust, twin,
         )  # fmt: skip
         log = Trajectory(**deployed.arrays, dt=self.evaluation.study.plant.dt)  # type: ignore[arg-type]
+        twin, identified = self._identified(generation, log, twin)
+        known = twin.logs
         learned = self._stage(
             f"twin-{generation}", f"{title}: learning the discrepancy", self.compute.learn, twin, log, deployed
         )
@@ -177,9 +179,27 @@ class Generations:
         returns = self._stage(f"evaluation-{generation}", f"{title}: evaluation",
                               lambda _: self.evaluation.returns(served.designed, known, discrepancy))  # fmt: skip
         stages = {"codesign": found, "deployment": deployed, "twin": learned, "comparison": compared,
-                  "evaluation": returns}  # fmt: skip
+                  "evaluation": returns} | identified  # fmt: skip
         trust = Trust(**deployed.values["trust"])
         return taught, GenerationRecord(now.designed, service, delivery["replaces"], served, trust, stages)
+
+    def _identified(
+        self, generation: int, log: Trajectory, twin: DigitalTwin
+    ) -> tuple[DigitalTwin, dict[str, Stage]]:  # fmt: skip
+        """Twin of the model that all logs tell, and the stage; the rest of the run is on it, too."""
+        if self.evaluation.study.unknown is None or log.diverged.all():
+            return twin, {}
+        before = tuple(self._told)
+        self._told.append(log)
+        title = f"Generation {generation}: identification"
+        found = self._stage(f"identification-{generation}", title, self.compute.identify, tuple(self._told))
+        if found.values["known"]:
+            self.evaluation = self.evaluation.of_plant(found.arrays["values"])
+            self.compute = replace(self.compute, evaluation=self.evaluation)
+            twin = DigitalTwin(self.evaluation.study.model, scale=self.evaluation.problem.state_scale)
+            for former in before:
+                twin = twin.remembering(former)
+        return twin, {"identification": found}
 
     def _entry(self, generation: int, record: GenerationRecord) -> dict[str, Any]:
         """Element of ``generations`` in results.json."""
@@ -202,6 +222,8 @@ class Generations:
             "gradient_check": found.values["gradient_check"], "codesign": found.values["ended"],
             "redesign": found.values["redesign"], "limits": found.values["limits"],
             **{name: deployed.values[name] for name in ("notes", "drift") if name in deployed.values},
+            **({"identified": record.stages["identification"].values["text"]} if "identification" in record.stages
+               else {}),
         }  # fmt: skip
 
     def _stage(self, name: str, label: str, compute: Callable[..., Stage], *inputs: Any) -> Stage:

@@ -33,6 +33,7 @@ from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.limits_kept import violation
 from ccdtools.twin.log_drift import drift_of_log
+from ccdtools.twin.plant_fit import FitStatus, fit_plant
 from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import DigitalTwin
@@ -253,6 +254,16 @@ class LoopStages:
         x0, w = Replay((residuals(evaluation.study.model, log),), evaluation.split).whole()
         scenario = Scenario(evaluation.split.replayed_model, x0, w)
         return violation(evaluation.problem, scenario, log, former, evaluation.study.real.plant)
+
+    def identify(self, rng: np.random.Generator, logs: Sequence[Trajectory]) -> Stage:
+        """Unknown entries of the plant that logs tell."""
+        fit = fit_plant(self.evaluation.problem, logs, plant=self.evaluation.study.unknown)
+        known = fit.status in (FitStatus.SOLVED, FitStatus.AT_BOUND)
+        pairs = ", ".join(f"{name} {value:.4g} ± {deviation:.2g}"
+                          for name, value, deviation in zip(fit.names, fit.values, 1.96 * fit.deviations))  # fmt: skip
+        text = f"the logs tell {pairs}" if known else f"the model stays: {fit.advice}"
+        values = {"status": fit.status.name, "known": known, "names": fit.names, "text": text, "report": [text]}
+        return Stage(values, {"values": fit.values, "intervals": fit.intervals()})
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
         """Discrepancy learned from all logs, with its scores."""

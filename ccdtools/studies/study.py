@@ -83,6 +83,9 @@ class Study(Immutable):
     redesign_price : str
         The predicted gain that a redesign needs: "0.5 %" of the deployed return without the cost of the design, or
         "12 return", in units of the return of an evaluation.
+    unknown : Plant, optional
+        The plant with unknown entries in its design besides, such as a mass, within their bounds: after each deployment
+        the model is the plant that all logs tell, see `fit_plant`. By default the model stays as it is.
     redesign_cost : RedesignCost, optional
         What a redesign costs and how long it serves, in money or in return. It takes the place of `redesign_price`: a
         run redesigns, logs longer or stops as `decide_redesign` says.
@@ -148,6 +151,7 @@ class Study(Immutable):
     expert: str = "lqr"
     laws: Mapping[str, Callable[[CoDesignProblem, Array], Controller]] = field(default_factory=dict)
     redesign_cost: RedesignCost | None = None
+    unknown: Plant | None = None
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -167,6 +171,10 @@ class Study(Immutable):
         if self.real is None:
             plant = self.model if isinstance(self.model, SampledModel) else self.plant
             self._set(real=RealPlant(plant, self.disturbance, self.x0, MODEL_RUNS, max(self.steps, 3)))
+        if self.unknown is not None:
+            from ccdtools.twin.unknown_plant import stated_plant  # estimation is loaded where it is asked for
+
+            stated_plant(self.problem(), self.unknown)
         self._check_real(as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
 
     def _check_kinds(self) -> None:

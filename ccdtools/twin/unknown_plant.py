@@ -56,19 +56,23 @@ class UnknownPlant:
         outputs = ca.Function("output", [x, u, theta], [self.plant.output(x, u, whole)])
         return ca.Function("step", [x, u, w, theta], [after]), outputs
 
-    def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
-        """Problem with the unknown entries at values (m,)."""
-        if set(self.plant.design.names) != {*problem.design.names, *self.free}:
+    def at(self, box: DesignSpace, values: Array) -> Plant:
+        """Plant of a box of designs with its unknown entries at values (m,), constant parts of w at 0."""
+        if set(self.plant.design.names) != {*box.names, *self.free}:
             expected = "a problem with the design of the one that was fitted"
-            raise InputError("problem", f"a design of {', '.join(problem.design.names) or 'nothing'}", expected)
+            raise InputError("problem", f"a design of {', '.join(box.names) or 'nothing'}", expected)
         cut = len(values) - self.constants
         symbols = dict(zip(self.plant.design.names, elements(self.plant.p)))
-        p, rest = (ca.vertcat(*(symbols[name] for name in names)) for names in (problem.design.names, self.free))
+        p, rest = (ca.vertcat(*(symbols[name] for name in names)) for names in (box.names, self.free))
         held = ca.DM([*values[:cut], *(0 * values[cut:])])
         put: Callable[[ca.SX], ca.SX] = lambda expression: ca.substitute(expression, rest, held)  # noqa: E731
         own = self.plant
-        plant = replace(own, p=p, dynamics=put(own.dynamics), outputs=put(own.outputs), design=problem.design)
-        sensors, scenarios, constant = problem.measurement, problem.scenarios, values[cut:]
+        return replace(own, p=p, dynamics=put(own.dynamics), outputs=put(own.outputs), design=box)
+
+    def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
+        """Problem with the unknown entries at values (m,)."""
+        plant, sensors, scenarios = self.at(problem.design, values), problem.measurement, problem.scenarios
+        constant = values[len(values) - self.constants :]
         if sensors is not None and isinstance(sensors.output, Plant):
             sensors = replace(sensors, output=plant)
         if constant.any():
