@@ -17,7 +17,7 @@ from ccdtools.co_design.method_names import as_method_names
 from ccdtools.console import one_line_of, plain_where_needed, warnings_on_one_line
 from ccdtools.exceptions import InputError
 from ccdtools.jobs import as_jobs, held_back, insisting
-from ccdtools.studies.options import Options, described_studies, known_studies, located, numbers, seconds, whole_number
+from ccdtools.studies.options import Options, described_studies, known_studies, located, number, numbers, whole_number
 from ccdtools.studies.run_folder import RunFolder
 from ccdtools_ground.door import as_choice
 
@@ -88,6 +88,15 @@ def run(
         str | None, typer.Option(help="How far X may be left: mpc (as MPC does), off, or fraction,depth as 0.01,0.05.")
     ] = None,
     filter: Annotated[str | None, typer.Option(help="Behind the deployed policy: none, or admissible.")] = None,
+    drift: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE", help="Tell whether the twin still describes the plant, with so many false alarms."
+        ),
+    ] = None,
+    trial: Annotated[
+        bool, typer.Option("--trial", help="Updates take turns with the deployed policy on the real plant first.")
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run in the output folder.")] = False,
 ) -> None:
     """Run a study: initialise, co-design, deploy, learn, redesign; compare, report.
@@ -98,9 +107,11 @@ def run(
     options = Options(
         located(study), whole_number("--generations", generations), whole_number("--seed", seed), quick, preset,
         expert, method=method, design_gradient=design_gradient, sets=sets,
-        sets_time_limit=seconds("--sets-time-limit", sets_time_limit), x0=numbers("--x0", x0),
+        sets_time_limit=number("--sets-time-limit", sets_time_limit, "in seconds, such as 3600 for an hour"),
+        x0=numbers("--x0", x0),
         p0=numbers("--p0", p0), disturbance=disturbance, column=column, road=road, speed=speed, driver=driver,
         redesign_price=redesign_price, limits=limits, filter=filter, accept_loss=accept_loss,
+        drift=number("--drift", drift, "such as 0.05"), trial=trial,
     )  # fmt: skip
     _begin(options, Path(study).stem, output, overwrite=overwrite)
 
@@ -162,8 +173,8 @@ def sweep(
     runs = read_sweep(file)
     within = _output(output).path if output is not None else Path("runs", Path(file).stem)
     folders = [one.folder(within) for one in runs]
-    for number, (one, folder) in enumerate(zip(runs, folders), 1):
-        typer.echo(f"\n{one.name}, {number} of {len(runs)}")
+    for place, (one, folder) in enumerate(zip(runs, folders), 1):
+        typer.echo(f"\n{one.name}, {place} of {len(runs)}")
         if (folder.path / "report.html").is_file():
             typer.echo("finished before")
         elif (folder.path / "run.json").is_file():

@@ -62,7 +62,7 @@ class Evaluation:
         return self.study.problem()
 
     def of_plant(self, values: Array) -> Evaluation:
-        """The same on the model whose unknown entries are at values (m,)."""
+        """Evaluation on the model with its unknown entries at values (m,)."""
         unknown = stated_plant(self.problem, self.study.unknown)
         return replace(self, study=replace(self.study, plant=unknown.at(self.problem.design, values)))
 

@@ -14,7 +14,7 @@ from typing import Any
 from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import TOLERANCES, as_limit_tolerance
 from ccdtools.studies.price import RedesignPrice, accepted_loss
-from ccdtools_ground.door import as_choice, as_count, as_positive, nearest, shown
+from ccdtools_ground.door import as_choice, as_count, as_flag, as_positive, as_share, nearest, shown
 
 CHOICES = {
     "preset": ("default", "paper"), "method": ("pathwise", "ppo", "pathwise+ppo"),
@@ -40,6 +40,8 @@ class Options:
         Another initial state and first design.
     redesign_price, accept_loss, filter : str or None
         As in `Study`; the study's own where None.
+    drift, trial
+        As in `configuration`.
     limits : str or None
         The `limit_tolerance` of the study: mpc, off, or two numbers "0.01,0.05".
     disturbance, column, road, speed, driver : str or None
@@ -72,31 +74,38 @@ class Options:
     limits: str | None = None
     filter: str | None = None
     accept_loss: str | None = None
+    drift: float | None = None
+    trial: bool = False
 
     def __post_init__(self) -> None:
         _check_study(self.study)
         as_count("--generations", self.generations)
         as_count("--seed", self.seed, least=0)
-        if not isinstance(self.quick, bool):
-            raise InputError("--quick", shown(self.quick), "true or false")
+        for name in ("quick", "trial"):
+            as_flag(f"--{name}", getattr(self, name))
         for name, choices in CHOICES.items():
             if getattr(self, name) is not None or getattr(Options, name) is not None:
                 as_choice(f"--{name.replace('_', '-')}", getattr(self, name), choices)
         if self.expert is not None and not isinstance(self.expert, str):
             raise InputError("--expert", shown(self.expert), "the name of an expert")
-        if self.sets_time_limit is not None:
-            as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
-        if self.redesign_price is not None:
-            RedesignPrice.parse(self.redesign_price, "--redesign-price")
-        if self.accept_loss is not None:
-            accepted_loss(self.accept_loss, "--accept-loss")
-        self.limit_tolerance()
+        self._check_sizes()
         for name in ("x0", "p0"):
             values = getattr(self, name)
             right = isinstance(values, list) and all(type(v) in (int, float) and math.isfinite(v) for v in values)
             if values is not None and not (right and values):
                 raise InputError(f"--{name}", shown(values), "a list of finite numbers")
         self._check_source()
+
+    def _check_sizes(self) -> None:
+        if self.sets_time_limit is not None:
+            as_positive("--sets-time-limit", self.sets_time_limit, unit="s")
+        if self.redesign_price is not None:
+            RedesignPrice.parse(self.redesign_price, "--redesign-price")
+        if self.accept_loss is not None:
+            accepted_loss(self.accept_loss, "--accept-loss")
+        if self.drift is not None:
+            as_share("--drift", self.drift)
+        self.limit_tolerance()
 
     def _check_source(self) -> None:
         for name in (*FILES, "column"):
@@ -191,10 +200,10 @@ def whole_number(argument: str, text: str) -> int:
     return int(text)
 
 
-def seconds(argument: str, text: str | None) -> float | None:
+def number(argument: str, text: str | None, such: str) -> float | None:
     """Number in a text; None of None."""
     if text is not None and not NUMBER.fullmatch(text.strip()):
-        raise InputError(argument, repr(text[:40]), "one number, in seconds, such as 3600 for an hour")
+        raise InputError(argument, repr(text[:40]), f"one number, {such}")
     return None if text is None else float(text)
 
 

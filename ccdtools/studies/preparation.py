@@ -70,6 +70,8 @@ def prepare(options: Options, asked: tuple[Study, dict[str, str]] | None = None)
             design_gradient=options.design_gradient,
             sets=options.sets,
             sets_time_limit=options.sets_time_limit,
+            drift=options.drift,
+            trial=options.trial,
         )
         Evaluation(study, config, options.seed).check_recording()
     return PreparedRun(options, study, config, fingerprint(study, sources, config))

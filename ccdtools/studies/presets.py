@@ -10,7 +10,8 @@ from ccdtools.co_design.risk import check_followed
 from ccdtools.studies.options import CHOICES
 from ccdtools.studies.study import Study
 from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
-from ccdtools_ground.door import as_choice, as_instance, as_positive, as_share
+from ccdtools.twin.trial import TrialConfig
+from ccdtools_ground.door import as_choice, as_flag, as_instance, as_positive, as_share
 from learning.networks import NetworkConfig
 from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig
@@ -86,10 +87,14 @@ def configuration(
     design_gradient: str | None = None,
     sets: str | None = None,
     sets_time_limit: float | None = None,
+    drift: float | None = None,
+    trial: bool = False,
 ) -> StudyConfig:
     """Configuration of a preset.
 
-    `expert`, `sets` and `sets_time_limit` are those of the study unless given.
+    With `drift` a deployment tells whether the twin still describes the plant, with this probability of a false alarm.
+    With `trial` updates that are accepted on the replayed log are tried on the real plant, in turns with what is
+    deployed, before they stay. `expert`, `sets` and `sets_time_limit` are those of the study unless given.
 
     ``paper`` takes the paper's networks, loss, rates, epochs and design gradient; what the paper leaves unsaid or
     what its code has wrong (advantages, discount, bounds, one optimiser) stays as in the default.
@@ -106,6 +111,10 @@ def configuration(
     sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])
     limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit)
+    if drift is not None:
+        config = replace(config, drift=as_share("drift", drift))
+    if as_flag("trial", trial):
+        config = replace(config, online=replace(config.online, trial=TrialConfig()))
     if preset == "paper":
         config = _paper(config, study)
     if method is not None:

@@ -122,6 +122,8 @@ WRONG = [
     ([*RUN, "--expert", "LQR"], "--expert: got 'LQR'"),
     ([*RUN, "--sets", "off"], "--sets: got 'off', expected one of auto, lqr, none"),
     ([*RUN, "--sets-time-limit", "0"], "--sets-time-limit: got 0"),
+    ([*RUN, "--drift", "2"], "--drift: got 2"),
+    ([*RUN, "--drift", "often"], "--drift: got 'often', expected one number, such as 0.05"),
     ([*RUN, "--sets-time-limit", "soon"], "--sets-time-limit: got 'soon'"),
     ([*RUN, "--sets-time-limit", "3,4"], "--sets-time-limit: got '3,4', expected one number, in seconds"),
     ([*RUN, "--sets-time-limit", "1h"], "such as 3600 for an hour"),

@@ -131,7 +131,7 @@ class Learned:
         return replace(result, output_history=self.history) if problem.hidden else result
 
     def following(self, agent: ActorCritic) -> Learned:
-        """The same, from an agent on."""
+        """Method that goes on from an agent."""
         return replace(self, agent=agent)
 
     def instead(self, result: CoDesignResult) -> Learned | None:

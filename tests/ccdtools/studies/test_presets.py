@@ -72,3 +72,12 @@ def test_unknown_options_are_refused(study, options, message):
 def test_a_probability_of_false_alarms_is_one(study, drift):
     with pytest.raises(InputError, match="drift: got"):
         replace(configuration(study), drift=drift)
+
+
+def test_trials_and_drift_are_asked_for_by_name(study):
+    usual, asked = configuration(study), configuration(study, drift=0.05, trial=True, quick=True)
+    assert usual.drift is usual.online.trial is None
+    assert asked.drift == 0.05
+    assert asked.online.trial.level == 0.05
+    with pytest.raises(InputError, match="trial: got 'yes'"):
+        configuration(study, trial="yes")
