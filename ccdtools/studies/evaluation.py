@@ -63,6 +63,7 @@ class Evaluation:
 
     def of_plant(self, values: Array) -> Evaluation:
         """Evaluation on the model with its unknown entries at values (m,)."""
+        assert self.study.unknown is not None
         unknown = stated_plant(self.problem, self.study.unknown)
         return replace(self, study=replace(self.study, plant=unknown.at(self.problem.design, values)))
 
