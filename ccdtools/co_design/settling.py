@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,7 @@ class Settling:
     problem: CoDesignProblem  # what results are measured on
     scenarios: np.random.Generator  # draws the scenarios; it is copied, so that all controllers meet the same
     designing: bool = True  # whether another design might be handed out, so that nested LQR is a baseline
+    by_mpc: dict[bytes, tuple[str, ClosedLoopReturns]] = field(default_factory=dict)  # at each design, as it takes long
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
         """Result with closed loop, limits, baselines and the status they leave."""
@@ -133,10 +134,11 @@ class Settling:
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
         if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
-                name, planned = self._mpc(result.design)
-                found.append(
-                    self._baseline(f"{name} of the same design{self._behind}", planned, result.design, loop, None, runs)
-                )
+                if result.design.tobytes() not in self.by_mpc:
+                    name, planned = self._mpc(result.design)
+                    self.by_mpc[result.design.tobytes()] = name, self._loop(planned, result.design, runs)
+                name, other = self.by_mpc[result.design.tobytes()]
+                found.append(self._beside(f"{name} of the same design{self._behind}", other, result.design, loop, None))
         if self.designing:
             space = self.problem.design
             starts = [space.settled(v) for v in start_points(space, result.design, result.valleys[:1], 2)]
@@ -232,11 +234,15 @@ class Settling:
         return self._baseline(f"{name}{self._behind}, at {place}", controller, design, loop, limits)
 
     def _baseline(
-        self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None,
-        runs: int | None = None,
-    ) -> Baseline | None:  # fmt: skip
-        """Baseline at a design, None if it loses runs or leaves limits."""
-        other = self._loop(controller, design, runs)
+        self, name: str, controller: Any, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
+    ) -> Baseline | None:
+        """Baseline of a controller at a design."""
+        return self._beside(name, self._loop(controller, design), design, loop, limits)
+
+    def _beside(
+        self, name: str, other: ClosedLoopReturns, design: Array, loop: ClosedLoopReturns, limits: LimitsOutcome | None
+    ) -> Baseline | None:
+        """Baseline of a closed loop, None if it loses runs or leaves limits."""
         limits = self._limits(other, design, limits)
         if other.lost.any() or not (limits is None or limits.kept):
             return None
