@@ -21,7 +21,17 @@ from ccdtools.trajectory import Trajectory
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
-from ccdtools_ground.door import as_choice, as_count, as_finite, as_floats, as_generator, as_instance, as_share, shown
+from ccdtools_ground.door import (
+    as_array,
+    as_choice,
+    as_count,
+    as_finite,
+    as_floats,
+    as_generator,
+    as_instance,
+    as_share,
+    shown,
+)
 from ccdtools_ground.outcome import Outcome
 from mpc.optimal_control.estimation.experiment import whitened
 from mpc.optimal_control.estimation.information import Information
@@ -56,11 +66,14 @@ class OutputLog(Immutable):
     inputs : (n, T, nu) array_like
         As applied from each sample to the next.
     design : (np,) array_like
+    times : (T,) array_like, optional
+        Of the samples [s]: where they are given the clock is held against the sampling time of the model.
     """
 
     outputs: ArrayField
     inputs: ArrayField
     design: ArrayField
+    times: ArrayField = None
 
     def __post_init__(self) -> None:
         for name in ("outputs", "inputs"):
@@ -72,6 +85,19 @@ class OutputLog(Immutable):
         if self.inputs.ndim != 3 or self.inputs.shape[:2] != (n, steps):
             raise InputError("inputs", f"shape {self.inputs.shape}", f"({n}, {steps}, nu), as many as outputs")
         as_finite("inputs", self.inputs)
+        if self.times is not None:
+            self._set(times=as_array("times", self.times, (steps,)))
+
+    def check_clock(self, argument: str, dt: float) -> None:
+        """Raise an `InputError` that names the first step of another length than dt."""
+        if self.times is None:
+            return
+        steps = np.diff(self.times)
+        wrong = np.flatnonzero(~np.isclose(steps, dt, rtol=0.01))
+        if len(wrong):
+            got = f"{steps[wrong[0]]:g} s from sample {wrong[0]} to the next"
+            cure = "Cut the log there, or put NaN where samples are missing."
+            raise InputError(f"{argument}.times", got, f"dt = {dt:g} s, as the model", cure)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -329,6 +355,10 @@ def _checked(argument: str, log: Any, problem: CoDesignProblem) -> OutputLog:
         raise InputError(argument, f"{len(kept)} runs that all diverged", "at least one that did not")
     p = problem.design.check_one(log.design, argument=f"{argument}.design")
     found = OutputLog(outputs[kept], log.inputs[kept], p)
+    if isinstance(log, OutputLog):
+        log.check_clock(argument, problem.model.dt)
+    elif not np.isclose(log.dt, problem.model.dt):
+        raise InputError(argument, f"dt = {log.dt:g} s", f"dt = {problem.model.dt:g} s of the model")
     stated = problem.measurement.output
     sizes = (found.outputs.shape[2], found.inputs.shape[2])
     asked = (stated.ny if isinstance(stated, Plant) else len(stated), problem.model.nu)

@@ -380,6 +380,24 @@ def test_a_loop_logs_what_its_sensors_told_and_one_of_the_state_nothing():
     assert deploy(spring(), saturated_lqr(problem, P), P, w, x0=START).outputs is None
 
 
+def test_a_clock_that_jumps_or_has_another_rate_is_named():
+    problem = stated()
+    log, plant = logged(problem, spring(0.5)), spring(names=("gain",))
+    clock = DT * np.arange(STEPS)
+    jumped = clock + (np.arange(STEPS) > 30) * 0.1
+    whole = OutputLog(log.outputs, log.inputs, P, times=clock)
+    assert fit_plant(problem, whole, plant=plant).values[0] == fit_plant(problem, log, plant=plant).values[0]
+    for wrong, words in [
+        (replace(whole, times=jumped), r"logs\[0\]\.times: got 0\.43 s from sample 30"),
+        (replace(whole, times=2 * clock), "got 0.66 s from sample 0"),
+        (replace(log, dt=2 * DT), r"dt = 0\.66 s, expected dt = 0\.33 s"),
+    ]:
+        with pytest.raises(InputError, match=words):
+            fit_plant(problem, wrong, plant=plant)
+    with pytest.raises(InputError, match="times: got shape"):
+        OutputLog(log.outputs, log.inputs, P, times=clock[1:])
+
+
 def seen(real, seed=0, unit=1.0, runs=RUNS, law=None):
     """Problem whose states are known, and a log of LQR on a real plant."""
     problem = stated(unit=unit, measurement=None)
