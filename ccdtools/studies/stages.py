@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
 from ccdtools.co_design.expert import expert_dataset
 from ccdtools.co_design.learned_result import LearnedCoDesign
@@ -32,7 +33,7 @@ from ccdtools.twin.deployment import deploy_and_update
 from ccdtools.twin.discrepancy import Discrepancy, QuantileScores
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.limits_kept import violation
-from ccdtools.twin.log_drift import drift_of_log
+from ccdtools.twin.log_drift import drift_of_log, outside_data
 from ccdtools.twin.plant_fit import FitStatus, fit_plant
 from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import residuals
@@ -234,6 +235,9 @@ class LoopStages:
             f"update {k} on trial, {update.trial}" for k, update in enumerate(deployment.updates, 1) if update.trial
         ]
         watched: dict[str, Any] = {}
+        if twin is not None and known and not log.diverged.all():
+            watched["outside"], excess = outside_data(twin, log)
+            notes += _left(watched["outside"], excess, (*study.plant.state_names, *study.plant.input_names))
         if config.drift is not None and twin is not None and known and not log.diverged.all():
             drift = drift_of_log(twin, log, level=config.drift)
             notes.append(str(drift))
@@ -296,6 +300,15 @@ class LoopStages:
             learned.networks["quantiles"], self.evaluation.study.weight, transport=taught.transport
         )
         return replace(taught, discrepancy=discrepancy, scores=QuantileScores(**learned.values["scores"]))
+
+
+def _left(share: float, excess: Array, names: Sequence[str], told: float = 0.01) -> list[str]:
+    """Note on a log that leaves the twin's data in more than a part of its samples."""
+    if share <= told:
+        return []
+    most = int(np.argmax(excess))
+    by = f"{names[most]} by {excess[most]:.0%} of its range there"
+    return [f"{share:.0%} of the samples lie outside what the twin has learned from, {by}: there it is a guess"]
 
 
 def _shares(values: Sequence[float]) -> str:

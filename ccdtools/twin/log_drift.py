@@ -1,4 +1,4 @@
-"""Drift of a plant from its twin, along a log."""
+"""Drift of a plant from its twin along a log, and where the log leaves the twin's data."""
 
 from __future__ import annotations
 
@@ -45,6 +45,44 @@ def drift_of_log(twin: DigitalTwin, log: Trajectory, *, level: float = 0.05, blo
     if len(known) < CALIBRATION_BLOCKS * length or len(fresh) < length:
         return Drift(None, None, 0, length, as_share("level", level))
     return detect_drift(known, fresh, level=level, block=length)
+
+
+def outside_data(twin: DigitalTwin, log: Trajectory) -> tuple[float, Array]:
+    """Where a log leaves the states and inputs that a twin has learned from.
+
+    Parameters
+    ----------
+    twin : DigitalTwin
+        After `update`.
+    log : Trajectory
+        Runs that diverged are left out.
+
+    Returns
+    -------
+    share : float
+        Part of the samples in which a state or an input lies outside its range in the twin's logs.
+    excess : (nx + nu,) array
+        How far each state, then each input, goes outside, in its range there.
+
+    Raises
+    ------
+    InputError
+        If the twin has no log, or the log is of another plant.
+    """
+    as_instance("twin", twin, DigitalTwin, "a DigitalTwin")
+    if not twin.logs:
+        raise InputError("twin", "one without a log", "one after `update`")
+    known = np.concatenate([_samples(one) for one in twin.logs])
+    fresh = _samples(residuals(twin.model, log))
+    low, high = known.min(axis=0), known.max(axis=0)
+    size = np.where(high > low, high - low, np.maximum(np.abs(high), np.finfo(float).tiny))
+    beyond = np.maximum(np.maximum(low - fresh, fresh - high), 0.0) / size
+    return float((beyond > 0).any(axis=1).mean()), np.asarray(beyond.max(axis=0))
+
+
+def _samples(log: Residuals) -> Array:
+    """States and inputs (samples, nx + nu) of all runs."""
+    return np.concatenate([log.x, log.u], axis=2).reshape(-1, log.x.shape[2] + log.u.shape[2])
 
 
 def _in_time(log: Residuals, errors: Array) -> Array:

@@ -20,7 +20,16 @@ from ccdtools import (
     discretise,
     simulate,
 )
-from ccdtools.twin import Trial, TrialConfig, detect_drift, drift_of_log, identified_plant, switchback, switchback_on
+from ccdtools.twin import (
+    Trial,
+    TrialConfig,
+    detect_drift,
+    drift_of_log,
+    identified_plant,
+    outside_data,
+    switchback,
+    switchback_on,
+)
 
 A = np.array([[0.98, 0.1], [-0.1, 0.9]])
 SERVED, BETTER, UNSTABLE = (LinearFeedback(np.array([gain])) for gain in ([0.0, 0.0], [0.3, 0.9], [0.0, -9.0]))
@@ -267,6 +276,16 @@ def test_a_twin_does_not_call_its_own_plant_drifted(illustrative):
     few = drift_of_log(twin, other, block=30)
     assert few.status.value == "not known"
     assert "log longer" in str(few)
+    assert outside_data(twin, other)[0] < 0.01
+    share, excess = outside_data(twin, replace(other, states=3 * other.states))
+    x = np.concatenate([twin.logs[0].x.reshape(-1, 2), 3 * other.states[:, :-1].reshape(-1, 2)])
+    own, new = x[: 60 * 100], x[60 * 100 :]
+    out = ((new < own.min(axis=0)) | (new > own.max(axis=0))).any(axis=1)
+    assert share == pytest.approx(out.mean())
+    beyond = np.maximum(new.max(axis=0) - own.max(axis=0), own.min(axis=0) - new.min(axis=0)) / np.ptp(own, axis=0)
+    np.testing.assert_allclose(excess, [*np.maximum(beyond, 0), 0.0])
+    with pytest.raises(InputError, match="one without a log"):
+        outside_data(DigitalTwin(study.model), other)
     pushed = replace(other, states=other.states + np.linspace(0, 2, 101)[None, :, None] ** 2)
     assert drift_of_log(twin, pushed).status.value == "drift"
 
