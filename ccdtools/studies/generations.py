@@ -19,6 +19,7 @@ from ccdtools.limits import limits_in_words
 from ccdtools.progress import telling
 from ccdtools.studies.evaluation import Evaluation
 from ccdtools.studies.held_out import GenerationRecord, held_out_stage
+from ccdtools.studies.in_service import service_rows
 from ccdtools.studies.presets import StudyConfig
 from ccdtools.studies.report.headline import headline
 from ccdtools.studies.run_folder import RunFolder
@@ -96,13 +97,15 @@ class Generations:
         config = self.evaluation.config
         label = "What brought the gain, and disturbances that no generation has met"
         beyond = self._stage("held-out", label, lambda _: held_out_stage(self.evaluation, history, twin.logs))
+        served = self._stage("in-service", "What was in service, on all that it serves",
+                             lambda _: Stage({"rows": service_rows(self.evaluation, history)}))  # fmt: skip
         notes = {"study": study.name, "mode": "QUICK" if config.quick else "full"}
         self.folder.save_policy(LearnedPolicy(service.agent, service.design), notes)
-        contents = self._results(history, beyond) | ({} if end is None else {"stopped": jsonable(end)})
+        contents = self._results(history, beyond, served) | ({} if end is None else {"stopped": jsonable(end)})
         self.folder.write_json("results.json", contents)
         return contents
 
-    def _results(self, history: Sequence[GenerationRecord], beyond: Stage) -> dict[str, Any]:
+    def _results(self, history: Sequence[GenerationRecord], beyond: Stage, served: Stage) -> dict[str, Any]:
         stages = [stage for record in history for stage in record.stages.values()]
         initial = history[0].stages["initialisation"].values
         evaluation = self.evaluation
@@ -110,10 +113,10 @@ class Generations:
         config = evaluation.config
         space = evaluation.problem.design
         contents: dict[str, Any] = {
-            "schema_version": 6,
+            "schema_version": 7,
             "study": study.name, "title": study.title, "seed": evaluation.seed,
             "quick": config.quick, "preset": config.preset,
-            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond)),
+            "wall_seconds": sum(stage.values["seconds"] for stage in (*stages, beyond, served)),
             "x0": study.x0, "starts": None if study.starts is None else repr(study.scenarios), "dt": study.plant.dt,
             "deployment_steps": evaluation.deployment_steps, "deployment_runs": study.real.runs,
             "state_names": study.plant.state_names, "input_names": study.plant.input_names,
@@ -127,6 +130,7 @@ class Generations:
             "comparison": [row for record in history for row in record.stages["comparison"].values["rows"]],
             "held_out": beyond.values["rows"],
             "gains": beyond.values["gains"],
+            "in_service": served.values["rows"],
             "configuration": asdict(config),
             "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
         }  # fmt: skip

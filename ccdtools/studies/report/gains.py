@@ -55,12 +55,35 @@ def gain_rows(results: Values) -> list[list[str]]:
 
 def gain_headings(results: Values) -> list[str]:
     """Headings of the places: name, runs, steps, part left out."""
+    return _headings(results["gains"])
+
+
+def _headings(places: Sequence[Values]) -> list[str]:
+    """Headings of places."""
     headings = []
-    for place in results["gains"]:
+    for place in places:
         runs = "one run" if place["runs"] == 1 else f"{place['runs']} runs"
         lost = f", {signed_percent(100 * place['left_out'])[1:]} left out" if place["left_out"] else ""
         headings.append(f"{place['place']} ({runs} of {place['steps']} steps{lost})")
     return headings
+
+
+def service_table(results: Values) -> list[list[str]]:
+    """What was in service, a row per place: return at the start, then after each generation with its change."""
+    rows = results["in_service"]
+    return [[heading, *_service_cells(row)] for heading, row in zip(_headings(rows), rows)]
+
+
+def _service_cells(row: Values) -> list[str]:
+    """Returns, each with the change from the one before in per cent of what control cost."""
+    cells = []
+    for mean, change in zip(row["means"], [None, *row["changes"]]):
+        shown = "n/a" if mean is None else with_minus(number(mean))
+        if mean is not None and change is not None:
+            before = mean - change["mean"]
+            shown += f", {gain_text({'start': before, 'design_cost': row['design_cost'], 'of': change}, 'of')}"
+        cells.append(shown)
+    return cells
 
 
 def held_out_rows(results: Values, steps: int) -> list[dict[str, Any]]:
@@ -99,7 +122,8 @@ def console_lines(results: Values) -> list[str]:
     for heading, place in zip(gain_headings(results), results["gains"], strict=True):
         parts = [f"{source} {gain_text(place, source)}" for source in (*SOURCES[1:], "total")]
         lines.append(f"  {heading}: {'; '.join(parts)}")
-    return lines
+    lines += ["", "in service at the start and after each generation: return, change from the one before"]
+    return lines + [f"  {heading}: {'; '.join(cells)}" for heading, *cells in service_table(results)]
 
 
 def _cell(rows: Sequence[Values], generation: int, controller: str, scale: float) -> dict[str, str] | None:

@@ -28,7 +28,7 @@ from ccdtools.studies.report.formatting import (
     limits_of,
     place,
 )
-from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows
+from ccdtools.studies.report.gains import gain_headings, gain_rows, held_out_rows, service_table
 from ccdtools.studies.report.landscape import landscape
 from ccdtools.studies.report.return_figures import changes, comparison, history
 from ccdtools.studies.report.set_figure import feasible_set_figure
@@ -96,7 +96,7 @@ def render(run: FinishedRun, shown: list[dict[str, str]]) -> str:
         r=results, study=run.study, designs=_cards(run), gradients=_gradients(results), blocks=_blocks(results),
         figures={figure["name"]: figure for figure in shown}, signals=_signal_rows(run), kept=_kept_by_designs(run),
         weights=_weight_rows(run), configuration=json.dumps(results["configuration"], indent=2, ensure_ascii=False),
-        gains={"headings": gain_headings(results), "rows": gain_rows(results),
+        gains={"headings": gain_headings(results), "rows": gain_rows(results), "service": service_table(results),
                "held_out": held_out_rows(results, run.study.steps), "metrics": held_out_metrics(results),
                "notes": fewer_runs_notes(results["held_out"])},
         glance=in_first_place(results), next_steps=next_steps(results), decided=list(decided(results)),

@@ -60,6 +60,14 @@ def test_the_model_of_all_later_stages_is_what_the_logs_tell_also_when_a_run_is_
     model, told = first.evaluation.study.model, folder.read_stage("identification-2").arrays["values"]
     B = study.model.matrices([2.0])[1]
     np.testing.assert_allclose(model.matrices([2.0])[1], told[0] * B, rtol=1e-9)
+    places = {row["place"]: row for row in results["in_service"]}
+    assert list(places)[:2] == ["as deployed, real plant", "as deployed, model"]
+    real = places["as deployed, real plant"]
+    gained = real["means"][-1] - real["means"][0]
+    assert sum(change["mean"] for change in real["changes"]) == pytest.approx(gained)
+    assert gained == pytest.approx(
+        results["gains"][0]["total"]["mean"] + results["gains"][0]["start"] - real["means"][0]
+    )
     shutil.rmtree(next(folder.path.rglob("comparison-2")))
     again = begun()
     assert means(again.run()) == means(results)
