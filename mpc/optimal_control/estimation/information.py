@@ -104,7 +104,7 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     own_columns = [np.r_[first:last, : len(p)] for first, last in pairwise(ends)]  # of each first state and p
     roots = [course.root(_sampled(course.part, solution, residual)) for course in courses]
     slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
-    spread: Array = np.linalg.pinv(slopes, rcond=TOLD_APART)  # of the unknowns in units, by unit noise
+    spread = np.asarray(np.linalg.pinv(slopes, rcond=TOLD_APART), dtype=float)  # of the unknowns in units, by unit noise
     held = [_held(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread)]
     for course, at in zip(courses, own_columns):
         if not course.part.layout.nu:
@@ -171,7 +171,7 @@ def _without(rows: Array, weights: Array) -> Array:
     """Rows of the other unknowns, at least squares over the first."""
     few = len(weights)
     priced = np.hstack([np.diag(weights), np.zeros((few, rows.shape[1] - few))])
-    return np.asarray(np.linalg.qr(np.vstack([priced, rows]), mode="r")[few:, few:])
+    return np.asarray(np.linalg.qr(np.vstack([priced, rows]), mode="r"))[few:, few:]
 
 
 def _courses(solution: Solution) -> list[_Course]:
