@@ -104,7 +104,8 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     own_columns = [np.r_[first:last, : len(p)] for first, last in pairwise(ends)]  # of each first state and p
     roots = [course.root(_sampled(course.part, solution, residual)) for course in courses]
     slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
-    spread = np.asarray(np.linalg.pinv(slopes, rcond=TOLD_APART), dtype=float)  # of the unknowns in units, by unit noise
+    # of the unknowns in units, by unit noise
+    spread = np.asarray(np.linalg.pinv(slopes, rcond=TOLD_APART), dtype=float)
     held = [_held(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread)]
     for course, at in zip(courses, own_columns):
         if not course.part.layout.nu:
