@@ -145,7 +145,7 @@ def plain(one: Case, starts: int, seed: int) -> np.ndarray:
         low.append(np.full(g[-1].numel(), -np.inf))
     options = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "ipopt.max_iter": 500}
     program: dict[str, ca.MX] = {"x": ca.veccat(X, U), "f": ca.sum2(costs), "g": ca.vertcat(*g)}
-    solver = ca.nlpsol("plain", "ipopt", program, options)
+    solver = ca.nlpsol("plain", "ipopt", program, options)  # type: ignore[arg-type]
     sides = []
     for sign in (-1, 1):
         states = np.tile(sign * one.box, (N + 1, 1))
