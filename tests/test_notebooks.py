@@ -152,6 +152,12 @@ def test_optimal_control_swings_up_and_keeps_the_track_as_its_notebook_shows(tmp
         assert replayed.count("(") > 5
         ratio = next(line for line in lines if line.startswith("real-time iteration beside"))
         assert all(abs(float(word)) < 1 for word in ratio.split() if word[0] in "+-" and word != "+-")
+        alone, several = (next(line for line in lines if line.startswith(name)) for name in ("from the g", "from five"))
+        efforts = [float(line.split("effort ")[1].split(",")[0]) for line in (alone, several)]
+        assert "SOLVED" in several
+        assert efforts[1] < 0.8 * efforts[0]
+        up = next(line for line in lines if line.startswith("angle after 3 s"))  # by position and angle alone
+        assert abs(float(up.split()[4])) < 0.1
 
 
 @pytest.mark.slow

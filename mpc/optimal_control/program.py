@@ -281,15 +281,18 @@ def places_of_violations(program: NonlinearProgram, rows: NDArray[np.bool_]) -> 
     return np.flatnonzero(rows & np.isfinite(program.row_upper)), np.flatnonzero(rows & np.isfinite(program.row_lower))
 
 
-def shaken(program: NonlinearProgram, seed: int = 0) -> Array:
-    """Guess with each state and input moved along a line."""
+def shaken(program: NonlinearProgram, seed: int = 0, *, about: Array | None = None, size: float = SHAKEN,
+           waves: int = 2) -> Array:  # fmt: skip
+    """Unknowns, the guess by default, moved along slow waves by about this part of their sizes."""
     random = np.random.default_rng(seed)
-    move = random.uniform(-SHAKEN, SHAKEN, len(program.lower))
+    move = random.uniform(-1, 1, len(program.lower))
     for part in program.parts:
         of, fractions = part.coordinates
-        begin, rise = random.uniform(-SHAKEN, SHAKEN, (2, part.layout.nx + part.layout.nu))
-        move[part.first : part.last] = begin[of] + rise[of] * fractions
-    return np.clip(program.guess + move * program.scale, program.lower, program.upper)
+        heights = random.normal(size=(part.layout.nx + part.layout.nu, waves)) / (1 + np.arange(waves))
+        shapes = np.cos(np.pi * fractions[:, None] * np.arange(waves))
+        move[part.first : part.last] = (heights[of] * shapes).sum(axis=1)
+    v = program.guess if about is None else about
+    return np.clip(v + size * move * program.scale, program.lower, program.upper)
 
 
 def unwound(program: NonlinearProgram, v: Array) -> Array:

@@ -20,8 +20,8 @@ from mpc.optimal_control.phase_solution import PhaseSolution
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, shaken
 from mpc.optimal_control.schemes import Collocation, Scheme
-from mpc.optimal_control.solution import OptimalControlStatus, Solution
-from mpc.optimal_control.solving import solve
+from mpc.optimal_control.solution import Ends, OptimalControlStatus, Solution, merged
+from mpc.optimal_control.solving import optima, solve
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import (
     AT_BOUND,
@@ -41,8 +41,8 @@ PASSING = (OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.STOPPED, Opt
 
 
 def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None, *, intervals: Any = 10,
-           tolerance: float = 1e-6, of: str = "dynamics", rounds: int = 10, time_limit: float | None = None,
-           progress: bool = False, **options: Any) -> Solution:  # fmt: skip
+           tolerance: float = 1e-6, of: str = "dynamics", rounds: int = 10, starts: Any = 1,
+           time_limit: float | None = None, progress: bool = False, **options: Any) -> Solution:  # fmt: skip
     """Solve on meshes refined until the dynamics are met.
 
     Intervals in which a limit is passed between the points are cut, too. Where that does not help, as a trajectory
@@ -63,7 +63,10 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         What the tolerance is of: `Solution.errors`, or the part of the cost by which `cost_error` estimates it to be
         off. Intervals are cut where either is missed; the other is met as SOLVED asks for.
     rounds : int
-        Meshes at most.
+        Meshes at most, for each optimum.
+    starts : int or list
+        Places to begin at on the first mesh, see `solve`. Every optimum is refined that is not dearer than the best so
+        far by more than its own estimated error; the best is returned.
     time_limit : float, optional
         Of all meshes together [s].
     progress : bool
@@ -86,7 +89,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
     with tqdm(total=meshes, desc="refining", disable=not progress, leave=False) as bar:
         run = _Rounds(options, asked, of, meshes - 1, began + seconds, bar)
         program = build(problem, scheme, intervals)
-        solution, reason = run.refined(run.solved(program, None))
+        solution, reason, ends = run.best_of(program, starts)
         for seed in range(3):  # each guess on a mesh twice as fine
             if not _jumps_over(solution) or time.perf_counter() >= run.end:
                 break
@@ -100,7 +103,7 @@ def refine(problem: OptimalControlProblem | Phase, scheme: Scheme | None = None,
         if solution.solved_on_mesh and not reason and _reach_bounds(solution):
             finer = run.sharpened(solution)
             solution = solution if finer is None else finer
-        return _ended(solution, reason, run, began)
+        return _ended(replace(solution, ends=ends), reason, run, began)
 
 
 class _Rounds:
@@ -136,6 +139,27 @@ class _Rounds:
             solution = finer
             best = solution if self.missed(solution) <= max(self.missed(best), 1) else best
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
+
+    def best_of(self, program: NonlinearProgram, starts: Any) -> tuple[Solution, str, tuple[Ends, ...]]:
+        """Best refined solution of several starts, why it misses the tolerance if so, and how the starts ended."""
+        rounds = self.left
+        if starts == 1:
+            return *self.refined(self.solved(program, None)), ()
+        first = optima(program, starts=starts, time_limit=self._seconds, **({"start": None} | self.options))
+        self.iterations[0] += first[0].iterations
+        best, reason = self.refined(first[0])
+        ended = {(first[0].status, first[0].cost): best}
+        for other in first[1:]:
+            dearer = best.solved and other.cost - other.cost_error > best.cost
+            if dearer or time.perf_counter() >= self.end:
+                continue
+            self.left = rounds
+            finer, missed = self.refined(other)
+            ended[other.status, other.cost] = finer
+            if finer.rank < best.rank:
+                best, reason = finer, missed
+        told = [(ended.get((one.status, one.cost), one), one.count) for one in first[0].ends]
+        return best, reason, merged([Ends(one.status, one.cost, count) for one, count in told])
 
     def missed(self, solution: Solution) -> float:
         """Error of the dynamics, the cost or a limit, in tolerances [-]."""
@@ -179,10 +203,14 @@ class _Rounds:
         self.bar.update()
         return found
 
+    @property
+    def _seconds(self) -> float | None:
+        """Time left."""
+        return max(self.end - time.perf_counter(), LEAST_SECONDS) if np.isfinite(self.end) else None
+
     def _once(self, program: NonlinearProgram, options: dict[str, Any]) -> Solution:
         """One solve in the time left."""
-        left = max(self.end - time.perf_counter(), LEAST_SECONDS) if np.isfinite(self.end) else None
-        found = solve(program, time_limit=left, **options)
+        found = solve(program, time_limit=self._seconds, **options)
         self.iterations[0] += found.iterations
         return found
 

@@ -51,7 +51,44 @@ class OptimalControlStatus(Outcome):
     )
 
 
+@dataclass(frozen=True)
+class Ends:
+    """Starts that ended alike.
+
+    Attributes
+    ----------
+    status : OptimalControlStatus
+    cost : float
+        NaN without an optimum.
+    count : int
+    """
+
+    status: OptimalControlStatus
+    cost: float
+    count: int
+
+    def __str__(self) -> str:
+        at = f" at {self.cost:.6g}" if np.isfinite(self.cost) else ""
+        return f"{self.count} {self.status.name}{at}"
+
+
 ON_MESH = (OptimalControlStatus.SOLVED, OptimalControlStatus.LIMITS_PASSED, OptimalControlStatus.COARSE)
+
+
+def alike(first: float, second: float) -> bool:
+    """Whether costs differ by no more than a mesh may make them, or neither is known."""
+    return not abs(first - second) > COST_ERROR * abs(second)
+
+
+def merged(ends: list[Ends]) -> tuple[Ends, ...]:
+    """Ends of one status and cost as one, in the order of statuses, then of costs."""
+    found: list[Ends] = []
+    for one in sorted(ends, key=lambda one: (list(OptimalControlStatus).index(one.status), one.cost)):
+        if found and found[-1].status is one.status and alike(one.cost, found[-1].cost):
+            found[-1] = replace(found[-1], count=found[-1].count + one.count)
+        else:
+            found.append(one)
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +118,8 @@ class Solution:
     solver : str
     message : str
         What the solver said.
+    ends : tuple of Ends
+        How many of several `starts` ended where, the best first; empty after one.
     """
 
     program: NonlinearProgram
@@ -98,6 +137,7 @@ class Solution:
     solve_time: float
     solver: str
     message: str
+    ends: tuple[Ends, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -118,8 +158,17 @@ class Solution:
 
     @property
     def advice(self) -> str:
-        """Advice on the outcome, with notes and what is missed."""
-        return " ".join([self.status.advice, *self.notes, *(self._missed() if self.solved_on_mesh else ())])
+        """Advice on the outcome, with notes, what is missed, and what was tried."""
+        said = [self.status.advice, *self.notes, *(self._missed() if self.solved_on_mesh else ())]
+        if self.ends:
+            count, ended = sum(one.count for one in self.ends), ", ".join(map(str, self.ends))
+            said.append(f"Of {count} starts ended: {ended}. Another optimum may lie elsewhere.")
+        return " ".join(said)
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Rank among solutions of one problem: by status, then by cost."""
+        return list(OptimalControlStatus).index(self.status), self.cost
 
     @cached_property
     def path_excess(self) -> tuple[Excess, ...]:

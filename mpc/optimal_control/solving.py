@@ -21,7 +21,8 @@ from mpc.optimal_control.phase import Phase
 from mpc.optimal_control.phase_solution import phase_solution
 from mpc.optimal_control.problem import OptimalControlProblem
 from mpc.optimal_control.program import NonlinearProgram, costs_of_scenarios, elastic, rescaled, shaken, unwound
-from mpc.optimal_control.solution import OptimalControlStatus, Solution
+from mpc.optimal_control.solution import Ends, OptimalControlStatus, Solution, alike, merged
+from mpc.optimal_control.starts import as_starts, promising, with_guess, without_limits
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import BOTTOMLESS, COST_ROUNDING, FEASIBLE, OPTIMAL, WELL_SIZED
 
@@ -38,7 +39,7 @@ ENDLESS = "Diverging_Iterates"
 
 
 def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None = None,
-          p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL_ITERATIONS,
+          starts: Any = 1, p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL_ITERATIONS,
           time_limit: float | None = None, options: dict[str, Any] | None = None) -> Solution:  # fmt: skip
     """Solve an optimal control problem.
 
@@ -48,6 +49,10 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
         What `build` made; a problem is built with its defaults.
     start : Solution, optional
         Where to start from, of any mesh of the same phases.
+    starts : int or list
+        Number of places to begin at, of which the best optimum is taken: the guess, or `start`, and places about the
+        optimum without limits along the way, those that promise most after a few iterations. Or the places: each a
+        Solution or, of one phase, (times, x, u) as `Phase(guess=…)`. `Solution.ends` and `advice` say where they led.
     p : (np,) array, optional
         Parameters to hold at these values, within their bounds: nothing is built anew. The program of the solution
         holds them, too.
@@ -65,6 +70,15 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     Solution
         With a status: only what passes a check of its own is called SOLVED.
     """
+    found = optima(program, start=start, starts=starts, p=p, tolerance=tolerance, max_iterations=max_iterations,
+                   time_limit=time_limit, options=options)  # fmt: skip
+    return found[0]
+
+
+def optima(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: Solution | None, starts: Any,
+           p: ArrayLike | None = None, tolerance: float = 1e-8, max_iterations: int = USUAL_ITERATIONS,
+           time_limit: float | None = None, options: dict[str, Any] | None = None) -> list[Solution]:  # fmt: skip
+    """Solutions that differ, the best first; the arguments are those of `solve`."""
     given = build(program) if isinstance(program, OptimalControlProblem | Phase) else program
     expected = "what `build` returns, an OptimalControlProblem or a Phase"
     built: NonlinearProgram = as_instance("program", given, NonlinearProgram, expected)
@@ -72,12 +86,69 @@ def solve(program: NonlinearProgram | OptimalControlProblem | Phase, *, start: S
     as_instance("start", start, (Solution, type(None)), "a Solution, or None")
     if p is not None:
         built = _held(built, p)
-    run = Run(built, settings)
-    guess, multipliers = (built.guess, None) if start is None else _from_solution(built, start)
-    found = run.solved(np.clip(guess, built.lower, built.upper), multipliers, warm=start is not None)
-    if found.ended and not found.iterations and start is None:
-        found = run.elsewhere(found)
-    return run.judged(found)
+    places = as_starts(starts)
+    if isinstance(places, list) and start is not None:
+        raise InputError("start", "a solution beside a list of starts", "one of the two", "Put it into the list.")
+    tries = _Tries(built, settings)
+    if isinstance(places, list):
+        for place in places:
+            tries.begin_at(place if isinstance(place, Solution) else with_guess(built, place).guess)
+    else:
+        tries.begin_at(built.guess if start is None else start)
+        tries.begin_about(tries.tried[0][1].v, places - 1)
+    return tries.ranked()
+
+
+class _Tries:
+    """Solves of one program from several places, within one time limit."""
+
+    def __init__(self, program: NonlinearProgram, settings: Settings) -> None:
+        self.program = program
+        self.settings = settings
+        self.began = time.perf_counter()
+        self.tried: list[tuple[Run, Found]] = []
+        self.iterations = 0
+
+    def begin_at(self, place: Solution | Array) -> None:
+        """Solve from a solution or unknowns (n,), if there is time left."""
+        end = self.began + self.settings.seconds
+        if self.tried and time.perf_counter() >= end:
+            return
+        warm = isinstance(place, Solution)
+        guess, multipliers = _from_solution(self.program, place) if isinstance(place, Solution) else (place, None)
+        run = Run(self.program, self.settings, self.began)
+        found = run.solved(np.clip(guess, self.program.lower, self.program.upper), multipliers, warm=warm)
+        if found.ended and not found.iterations and not warm:
+            found = run.elsewhere(found)
+        self.tried.append((run, found))
+
+    def begin_about(self, v: Array, count: int) -> None:
+        """Solve from so many places about unknowns (n,), or about the optimum without limits along the way."""
+        free, run = without_limits(self.program), self.tried[0][0]
+        if count and free is not self.program:
+            v = once(free, v, None, run.left(warm=False)).v
+        end = self.began + self.settings.seconds
+        places, self.iterations = promising(self.program, v, count, self.settings, end) if count else ([], 0)
+        for place in places:
+            self.begin_at(place)
+
+    def ranked(self) -> list[Solution]:
+        """Solutions, one for each optimum, the best first; without an optimum the first one."""
+        good = [pair for pair in self.tried if status_of(pair[1]) is OptimalControlStatus.SOLVED]
+        good.sort(key=lambda pair: pair[0].cost(pair[1]))
+        solutions: list[Solution] = []
+        ends = [Ends(status, np.nan, 1) for _, found in self.tried
+                if (status := status_of(found)) is not OptimalControlStatus.SOLVED]  # fmt: skip
+        for run, found in good:
+            if not (solutions and alike(run.cost(found), solutions[-1].cost)):
+                solutions.append(run.judged(found))
+            ends.append(Ends(solutions[-1].status, solutions[-1].cost, 1))
+        run, found = self.tried[0]
+        solutions = solutions or [run.judged(found)]
+        iterations = self.iterations + sum(run.iterations for run, _ in self.tried)
+        told = merged(ends) if len(self.tried) > 1 else ()
+        solutions = [replace(one, iterations=iterations, ends=told) for one in solutions]
+        return sorted(solutions, key=lambda one: one.rank)
 
 
 def as_settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:
@@ -91,14 +162,14 @@ def as_settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> 
 class Run:
     """Solver calls of one solve, within one time limit."""
 
-    def __init__(self, program: NonlinearProgram, settings: Settings) -> None:
+    def __init__(self, program: NonlinearProgram, settings: Settings, began: float | None = None) -> None:
         self.program = program
         self.settings = settings
         self.cost_size = abs(float(program.derivatives.values(program.guess)[0]))
-        self.began = time.perf_counter()
+        self.began = time.perf_counter() if began is None else began
         self.iterations = 0
 
-    def _left(self, warm: bool) -> Settings:
+    def left(self, warm: bool) -> Settings:
         """Settings of the next call."""
         passed = 0.0 if self.settings.each else time.perf_counter() - self.began
         return replace(self.settings, seconds=max(self.settings.seconds - passed, LEAST_SECONDS),
@@ -111,7 +182,7 @@ class Run:
             self.program = rescaled(self.program, guess)
         kept: tuple[NonlinearProgram, Found] | None = None
         for _ in range(3):
-            found = once(self.program, guess, multipliers, self._left(warm))
+            found = once(self.program, guess, multipliers, self.left(warm))
             self.iterations += found.iterations
             if kept is not None and status_of(found) is not OptimalControlStatus.SOLVED:
                 self.program, found = kept  # sizes of what vanishes at the optimum were no better
@@ -153,6 +224,10 @@ class Run:
             conflicts = violated(self.program, found.v, found.violations, FEASIBLE)
         return self._packed(found, status, conflicts)
 
+    def cost(self, found: Found) -> float:
+        """Cost of a result."""
+        return float(self.program.derivatives.values(found.v)[0])
+
     def falls(self, found: Found) -> bool:
         """Whether the cost fell without end."""
         first, last = (float(self.program.derivatives.values(v)[0]) for v in (self.program.guess, found.v))
@@ -167,7 +242,7 @@ class Run:
         least: Found | None = None
         for guess in (found.v, np.clip(program.guess, program.lower, program.upper), shaken(program)):
             loose = elastic(program, guess)
-            tried = once(loose, loose.guess, None, self._left(warm=False))
+            tried = once(loose, loose.guess, None, self.left(warm=False))
             self.iterations += tried.iterations
             v = tried.v[: len(guess)]
             g = np.asarray(program.derivatives.values(v)[1], dtype=float).ravel()

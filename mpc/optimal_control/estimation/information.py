@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, qr
-from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import splu
+from scipy.sparse import csr_matrix
 
 from mpc.checks import Array
 from mpc.optimal_control.functions import symbols_of
@@ -83,69 +83,143 @@ def information(solution: Solution, residual: ca.Function) -> Information:
     """Information at the optimum, by the linearised dynamics.
 
     Limits that act along trajectories bind the unknowns, but where a disturbance may keep them: there only bounds of
-    the unknowns themselves count.
+    the unknowns themselves count. Time and memory grow in proportion to the mesh.
+
+    References
+    ----------
+    Bierman, *Factorization Methods for Discrete Sequential Estimation*, Academic Press 1977: square roots of
+    information, here carried from the last point of each experiment to its first.
     """
     program, v = solution.program, solution.unknowns
-    free = program.lower < program.upper
     p = np.arange(program.parameters.start, program.parameters.stop)
     firsts = [part.first + np.arange(part.layout.nx) for part in program.parts]
     unknowns = np.concatenate([p, *firsts])
-    unknowns = unknowns[free[unknowns]]
-    inputs = np.concatenate([_of(part, states=False) for part in program.parts])
-    moves = _moves(program, v, np.concatenate([unknowns, inputs]))
-    rows = np.vstack([_sampled(part, solution, residual, moves) for part in program.parts])
-    units = program.scale[unknowns].copy()
-    own = np.abs(np.maximum(np.abs(v[p]), np.abs(np.asarray(program.problem.p_guess))))[free[p]]
-    units[: len(own)] = np.where(own > 0, own, units[: len(own)])
-    count = len(unknowns)
-    if len(inputs):
-        curvature = program.derivatives.hessian(v, 1.0, np.zeros(len(program.row_lower))).sparse().diagonal()
-        rows = np.vstack([rows, moves[inputs] * np.sqrt(curvature[inputs])[:, None]])
-        Q, _ = np.linalg.qr(rows[:, count:])
-        rows = rows[:, :count] - Q @ (Q.T @ rows[:, :count])
-    spread = moves[:, :count] * units @ np.linalg.pinv(rows * units, rcond=TOLD_APART)  # by unit noise
-    push = solution.multipliers["bounds"]
-    room = np.where(push > 0, program.upper - v, v - program.lower)
-    # held by a bound is what would move further without it
-    acting = np.flatnonzero(free & (np.abs(push) * np.square(spread).sum(axis=1) > room))
-    acting = np.intersect1d(acting, unknowns) if len(inputs) else acting
-    held = moves[acting, :count] * units / program.scale[acting, None]
-    directions = null_space(held, rcond=NEGLIGIBLE) if len(held) else np.eye(count)
-    names = _names(program, unknowns, firsts)
-    return Information(unknowns, names, v[unknowns], units, directions, rows * units)
+    sizes, free = program.scale[unknowns], program.lower[unknowns] < program.upper[unknowns]
+    units: Array = sizes.copy()
+    own = np.abs(np.maximum(np.abs(v[p]), np.abs(np.asarray(program.problem.p_guess))))
+    units[: len(p)] = np.where(own > 0, own, units[: len(p)])
+    in_units: Array = np.where(free, units / sizes, 0.0)
+    courses = _courses(solution)
+    ends = np.cumsum([len(p), *map(len, firsts)])
+    own_columns = [np.r_[first:last, : len(p)] for first, last in pairwise(ends)]  # of each first state and p
+    roots = [course.root(_sampled(course.part, solution, residual)) for course in courses]
+    slopes = np.vstack([_placed(root, at, in_units) for root, at in zip(roots, own_columns)])
+    # of the unknowns in units, by unit noise
+    spread = np.asarray(np.linalg.pinv(slopes, rcond=TOLD_APART), dtype=float)
+    held = [_held(solution, unknowns, np.eye(len(unknowns)), np.arange(len(unknowns)), in_units, spread)]
+    for course, at in zip(courses, own_columns):
+        if not course.part.layout.nu:
+            held.append(_held(solution, *course.moves(), at, in_units, spread))
+    acting = np.vstack(held)[:, free]
+    directions = null_space(acting, rcond=NEGLIGIBLE) if len(acting) else np.eye(int(free.sum()))
+    chosen = unknowns[free]
+    names = _names(program, chosen, firsts)
+    return Information(chosen, names, v[chosen], units[free], directions, slopes[:, free])
 
 
-def _of(part: PhasePart, *, states: bool) -> NDArray[np.int64]:
-    """Places of a phase's inputs, or of its states but the first."""
-    of, _ = part.coordinates
-    chosen = np.flatnonzero((of < part.layout.nx) == states)
-    return np.asarray(part.first + (chosen[part.layout.nx :] if states else chosen))
-
-
-def _moves(program: NonlinearProgram, v: Array, by: NDArray[np.int64]) -> Array:
-    """Changes (n, m) of all unknowns by m of them."""
-    states = np.concatenate([_of(part, states=True) for part in program.parts])
-    rows = np.concatenate([np.arange(part.defects.start, part.defects.stop) for part in program.parts])
-    slope = csc_matrix(program.derivatives.jacobian[1](v)[1].sparse())[rows]
-    size, of_rows = program.scale[states], program.row_scale[rows]
-    square = slope[:, states].multiply(size).multiply(1 / of_rows[:, None])
-    found = np.zeros((len(v), len(by)))
-    found[by, np.arange(len(by))] = 1.0
-    found[states] = -size[:, None] * splu(csc_matrix(square)).solve(slope[:, by].toarray() / of_rows[:, None])
+def _placed(rows: Array, at: NDArray[np.int64], in_units: Array) -> Array:
+    """Rows (k, m) by all unknowns in units, from those by some."""
+    found = np.zeros((len(rows), len(in_units)))
+    found[:, at] = rows * in_units[at]
     return found
 
 
-def _sampled(part: PhasePart, solution: Solution, residual: ca.Function, moves: Array) -> Array:
-    """Changes (n · ny, m) of the whitened residuals of a phase."""
+def _held(solution: Solution, places: NDArray[np.int64], moves: Array, at: NDArray[np.int64], in_units: Array,
+          spread: Array) -> Array:  # fmt: skip
+    """Moves (k, m) of places that would go further without bounds."""
+    program, push = solution.program, solution.multipliers["bounds"][places]
+    low, high, v = program.lower[places], program.upper[places], solution.unknowns[places]
+    size = program.scale[places]
+    room = np.where(push > 0, high - v, v - low) / size
+    variance = np.square((moves * in_units[at]) @ spread[at]).sum(axis=1)
+    return _placed(moves[(low < high) & (np.abs(push) * size * variance > room)], at, in_units)
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Linearised dynamics of an experiment, all in sizes of the unknowns.
+
+    An interval's states, but the first, follow from what is `given`: inputs that begin in it, its first node, and p.
+    """
+
+    part: PhasePart
+    places: NDArray[np.int64]  # (N, states): of the states that follow
+    states: Array  # (N, states, given): how they follow
+    next: Array  # (N, node + np, given): the next node and p
+    weights: Array  # (N, inputs): of the inputs that begin in an interval, roots of their price
+    at_start: Array  # (inputs,): the same of the first node
+
+    def root(self, sampled: list[Array]) -> Array:
+        """Square root (k, nx + np) of the information on first state and p."""
+        nx, node = self.part.layout.nx, self.part.layout.node
+        found = sampled[-1]
+        for seen, following, weights in zip(sampled[-2::-1], self.next[::-1], self.weights[::-1]):
+            rows = found @ following
+            found = _without(np.vstack([rows, np.pad(seen, ((0, 0), (len(weights), 0)))]), weights)
+        first = [*range(nx, node), *range(nx), *range(node, found.shape[1])]
+        return _without(found[:, first], self.at_start)
+
+    def moves(self) -> tuple[NDArray[np.int64], Array]:
+        """Places (k,) of states after the first, and their changes (k, nx + np)."""
+        found, at = [], np.eye(self.next.shape[1])
+        for states, following in zip(self.states, self.next):
+            found.append(states @ at)
+            at = following @ at
+        return self.places.ravel(), np.vstack(found)
+
+
+def _without(rows: Array, weights: Array) -> Array:
+    """Rows of the other unknowns, at least squares over the first."""
+    few = len(weights)
+    priced = np.hstack([np.diag(weights), np.zeros((few, rows.shape[1] - few))])
+    return np.asarray(np.linalg.qr(np.vstack([priced, rows]), mode="r"))[few:, few:]
+
+
+def _courses(solution: Solution) -> list[_Course]:
+    """Linearised dynamics of each experiment."""
+    program, v = solution.program, solution.unknowns
+    slope = csr_matrix(program.derivatives.jacobian[1](v)[1].sparse())
+    price = program.derivatives.hessian(v, 1.0, np.zeros(len(program.row_lower))).sparse().diagonal()
+    count, found = program.parameters.stop - program.parameters.start, []
+    for part in program.parts:
+        layout, N = part.layout, part.intervals
+        nx, node, width = layout.nx, layout.node, layout.column + layout.node
+        rows = np.arange(part.defects.start, part.defects.stop)
+        entry = slope[rows].tocoo()
+        interval, row = np.divmod(entry.row, len(rows) // N)
+        column = entry.col - part.first - layout.column * interval
+        column = np.where(entry.col < program.parameters.start, column, width + entry.col - program.parameters.start)
+        blocks = np.zeros((N, len(rows) // N, width + count))
+        blocks[interval, row, column] = entry.data * program.scale[entry.col] / program.row_scale[rows][entry.row]
+        of, local = part.coordinates[0][:width], np.arange(width)
+        follow, begin = local[(of < nx) & (local >= nx)], local[(of >= nx) & (local >= node)]
+        given = np.r_[begin, :node, width : width + count]
+        states = -np.linalg.solve(blocks[:, :, follow], blocks[:, :, given])
+        after = np.zeros((N, node + count, len(given)))
+        after[:, :nx] = states[:, -nx:]
+        after[:, nx:node, len(begin) - node + nx : len(begin)] = np.eye(node - nx)
+        after[:, node:, len(begin) + node :] = np.eye(count)
+        firsts = part.first + layout.column * np.arange(N)[:, None]
+        weights = [np.sqrt(price[at]) * program.scale[at] for at in (firsts + begin, part.first + np.arange(nx, node))]
+        found.append(_Course(part, firsts + follow, states, after, *weights))
+    return found
+
+
+def _sampled(part: PhasePart, solution: Solution, residual: ca.Function) -> list[Array]:
+    """Changes (k, node + np) of the whitened residuals at each node."""
     s = symbols_of(residual)
     value = residual(*s.values())
     slopes = ca.Function("slopes", list(s.values()), [ca.vec(ca.jacobian(value, ca.vertcat(s["x"], s["p"])))])
     x, w, t, y, places = samples_of(part, solution)
     H = np.asarray(slopes(x.T, w.T, solution.p, t[None], y.T), dtype=float).T
-    H = H.reshape(len(x), -1, value.numel())
-    p = np.arange(solution.program.parameters.start, solution.program.parameters.stop)
-    both = np.stack([moves[np.concatenate([at, p])] for at in places])
-    return np.asarray(np.einsum("nzy,nzm->nym", H, both).reshape(-1, moves.shape[1]))
+    H = H.reshape(len(x), -1, value.numel()).transpose(0, 2, 1)
+    scale, p = solution.program.scale, solution.program.parameters
+    by_nodes = np.zeros((*H.shape[:2], part.layout.node + len(solution.p)))
+    by_nodes[:, :, : part.layout.nx] = H[:, :, : part.layout.nx] * scale[places][:, None]
+    by_nodes[:, :, part.layout.node :] = H[:, :, part.layout.nx :] * scale[p]
+    at = (places[:, 0] - part.first) // part.layout.column
+    cuts = H.shape[1] * np.searchsorted(at, np.arange(1, part.intervals + 1))
+    return np.split(by_nodes.reshape(-1, by_nodes.shape[2]), cuts)
 
 
 def samples_of(part: PhasePart, solution: Solution) -> tuple[Array, Array, Array, Array, NDArray[np.int64]]:

@@ -1,5 +1,7 @@
 """Parameters from measurements, beside published optima, shooting by SciPy, and closed forms."""
 
+import tracemalloc
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -217,3 +219,16 @@ def test_wrong_data_are_named(data, name):
 def test_wrong_statements_are_named(wrong, name):
     with pytest.raises(InputError, match=name):
         estimate_parameters(Experiment([0, 1, 2], [1, 0.5, 0.2]), **(DECAY | wrong))
+
+
+def test_memory_grows_in_proportion_to_the_samples_of_a_disturbed_course():
+    most = []
+    for samples in (100, 400):
+        times, rng = np.linspace(0, samples / 20, samples), np.random.default_rng(0)
+        log = Experiment(times, np.exp(-0.3 * times) + 0.01 * rng.normal(size=samples))
+        tracemalloc.start()
+        estimate_parameters(log, **DECAY | {"dynamics": lambda x, w, p: w - p * x}, noise=[1e-4], disturbance=[1e-4],
+                            rounds=1)  # fmt: skip
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert most[1] <= 6 * most[0]
