@@ -27,7 +27,8 @@ from ccdtools.comparison.comparison import compare as compare
 from ccdtools.comparison.experiment import experiment as experiment
 from ccdtools.comparison.pid_tuning import baselines as baselines
 from ccdtools.controllers.controllers import PID as PID, LinearFeedback as LinearFeedback
-from ccdtools.controllers.learned import LearnedPolicy as LearnedPolicy, load_policy as load_policy
+from ccdtools.controllers.history import load_policy as load_policy
+from ccdtools.controllers.learned import LearnedPolicy as LearnedPolicy
 from ccdtools.disturbances.disturbance import Gaussian as Gaussian, Recorded as Recorded
 from ccdtools.disturbances.recordings import read_disturbance as read_disturbance
 from ccdtools.estimation.kalman import KalmanFilter as KalmanFilter

@@ -290,7 +290,7 @@ def export(
     path = Path(folder, "policy.safetensors") if Path(folder).is_dir() else Path(folder)
     if not path.is_file():
         raise InputError("folder", folder, "the folder of a run with a policy, or a saved policy")
-    from ccdtools.controllers.learned import load_policy
+    from ccdtools.controllers.history import load_policy
 
     policy = load_policy(path)
     where = path.parent if output is None else Path(output)

@@ -13,7 +13,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Driver, Reference
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, as_measurement
-from ccdtools.exceptions import CCDError, InputError
+from ccdtools.exceptions import CCDError, InputError, SimulatorError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.progress import bar
@@ -133,11 +133,22 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     diverged_at = np.full(n, -1)
     states[:, 0] = x
     running, whole = diverged_at < 0, True
+
+    def logged(k: int) -> Trajectory:
+        """Trajectories of the first k steps."""
+        outputs = np.stack(driver.heard[:k], axis=1) if driver.heard else None
+        return Trajectory(states[:, : k + 1], inputs[:, :k], w[:, :k], diverged_at, p, plant.dt, outputs)
+
     for k in bar(range(steps), label="simulating", total=steps, progress=progress):
         u = _asked(driver, k, x, plant.nu, running)
         inputs[:, k] = u if whole else np.where(running[:, None], u, 0.0)
         driver.remember(inputs[:, k])
-        x_next = step(x, u, w[:, k])
+        try:
+            x_next = step(x, u, w[:, k])
+        except SimulatorError as error:
+            error.step = k
+            error.kept = logged(k) if k else None
+            raise
         inside = np.abs(x_next) <= edge
         if whole and inside.all():
             x = np.array(x_next)
@@ -146,8 +157,7 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
             x = np.where(running[:, None], np.where(np.isfinite(x_next), x_next, np.sign(x) * edge), x)
             running, whole = diverged_at < 0, False
         states[:, k + 1] = x
-    outputs = np.stack(driver.heard, axis=1) if driver.heard else None
-    return Trajectory(states, inputs, w, diverged_at, p, plant.dt, outputs)
+    return logged(steps)
 
 
 def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]) -> Array:

@@ -335,8 +335,7 @@ class PPO:
         if config.running_scales:
             agent.see(rollout.observations, given=self.given)
         kl, outside, entropy, _ = (float(mean) for mean in np.mean(rows, axis=0))
-        norms = [norm for *_, norm in rows if not np.isnan(norm)]
-        norm = float(np.mean(norms)) if norms else float("nan")
+        norm = float(np.mean([norm for *_, norm in rows if not np.isnan(norm)] or [np.nan]))
         explained = 1.0 - residual / variance if variance > 0 else float("nan")
         return UpdateStatistics(kl, outside, explained, entropy, norm, passes)
 

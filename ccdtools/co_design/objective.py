@@ -95,6 +95,27 @@ class Objective(Immutable):
             return 0.0
         return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
 
+    def terms(self, run: Any) -> dict[str, float]:
+        """Mean costs of a run's states, inputs, end and design: metrics for `compare`.
+
+        States cost what the same states would without inputs, and inputs the rest of the steps. Their sum is minus the
+        mean return.
+
+        Parameters
+        ----------
+        run : Trajectory
+            Of runs that were not lost.
+        """
+        x, p = run.states, run.design
+        applied = (0 * run.inputs, run.inputs)
+        states, steps = (-self.rewards(x[:, 1:], u, x[:, :-1], p).sum(axis=1).mean() for u in applied)
+        end = self.final_rewards(x[:, -1], p)
+        return {
+            "cost of states": float(states), "cost of inputs": float(steps - states),
+            "cost of the end": 0.0 if end is None else float(-end.mean()),
+            "cost of the design": float(self.cost_of_design(p, run.inputs.shape[1])),
+        }  # fmt: skip
+
     def made_by_control(self, value: Any, p: Any, steps: int) -> Any:
         """Size (...,) of a return without its design cost.
 

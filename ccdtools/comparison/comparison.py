@@ -15,6 +15,7 @@ from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.co_design.risk import Risk, as_risk, measure
 from ccdtools.co_design.risk_intervals import summarise_in_risk
 from ccdtools.comparison.budgets import TIMED_CALLS
+from ccdtools.comparison.c_step_time import c_step_time
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
 from ccdtools.comparison.pid_tuning import REFERENCE
 from ccdtools.controllers.controllers import Controller
@@ -32,7 +33,7 @@ from ccdtools.statistics import PairedDifference, Summary, paired_returns, summa
 from ccdtools.table import Table
 from ccdtools.tolerances import SAME_RETURN
 from ccdtools.trajectory import Trajectory
-from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping
+from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_mapping
 from invariant_sets.system_checks import as_set
 
 
@@ -63,6 +64,8 @@ class Score:
         The controllers that leave X less deep, or less often, on the runs that both saw; see `further_outside`.
     step_time : float
         Median time of one call with one state [s], over the first states of the first run.
+    c_step_time : float
+        Time of a call of its exported C code [s], if asked for; NaN where there is none.
     metrics : dict of str to float
         What the metrics asked for say of the runs that did not diverge; NaN where all did.
     design_cost : float
@@ -92,6 +95,7 @@ class Score:
     in_risk: Summary | None = None
     runs: int = 0
     remark: str = ""
+    c_step_time: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,6 +151,7 @@ class Comparison:
                 "violations": score.violations, "depth_mean": score.depth_mean, "depth_peak": score.depth_peak,
                 "depth_worst": score.depth_worst, "exceeded": score.exceeded,
                 "further_outside_than": ", ".join(score.further_outside_than), "step_time_us": 1e6 * score.step_time,
+                "c_step_time_us": 1e6 * score.c_step_time,
                 "runs": score.runs, "remark": score.remark, **score.metrics,
             }
             for score in self.scores
@@ -197,6 +202,7 @@ def compare(
     metrics: Metrics | None = None,
     risk: Risk | None = None,
     baseline: str | None = None,
+    compiled: bool = False,
 ) -> Comparison:
     """Scores of all controllers on one scenario, paired to a baseline.
 
@@ -225,6 +231,8 @@ def compare(
         of scenarios of the problem. Of a worst case it is the least mean, not rounded; NaN where a case has no run.
     baseline : str, optional
         The controller that the others are paired to; "LQR" by default, or the first where there is none.
+    compiled : bool
+        Whether the C code of learned policies and of explicit MPC is compiled and timed, too, where ``cc`` is found.
 
     Raises
     ------
@@ -252,6 +260,7 @@ def compare(
     few = {"MPC": 100} if few is None else as_mapping("few", few, "a mapping of names to numbers of runs")
     runs = {name: min(as_count(f"few[{name!r}]", n), len(scenario.x0)) for name, n in few.items()}
     as_metrics(metrics)
+    as_flag("compiled", compiled)
     if risk is not None:
         as_risk("risk", risk)
     reference = scenario.run(controllers[baseline], design=design, limit=limit)
@@ -262,7 +271,7 @@ def compare(
         seen = scenario.first(runs.get(name, len(scenario.x0)))
         run = reference if name == baseline else seen.run(controller, design=design, limit=limit)
         whole, pieces[name] = Excursions.from_trajectory(run, X, scenario.plant, output_limits)
-        score = _score(name, controller, run, reference, objective, whole, scenario)
+        score = _score(name, controller, run, reference, objective, whole, scenario, compiled=compiled)
         shown = {} if metrics is None else metrics_of(metrics, run)
         if risk is not None:
             measured = summarise_in_risk(risk, run.returns(objective), run.diverged)
@@ -275,7 +284,7 @@ def compare(
 
 def _score(
     name: str, controller: Controller, run: Trajectory, reference: Trajectory, objective: Objective,
-    outside: Excursions, scenario: Scenario,
+    outside: Excursions, scenario: Scenario, *, compiled: bool,
 ) -> Score:  # fmt: skip
     n = len(run.states)
     kept = ~(run.diverged | reference.diverged[:n])
@@ -298,6 +307,7 @@ def _score(
         design_cost=float(objective.cost_of_design(run.design, scenario.steps)),
         runs=n,
         remark=getattr(controller, "remark", ""),
+        c_step_time=c_step_time(controller, run.states[0]) if compiled else float("nan"),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -10,9 +11,15 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.learned import LearnedPolicy, saved_with
+from ccdtools.controllers.policy_code import PolicyCode
 from ccdtools.controllers.signals import Around, needs_of
+from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_count, as_floats
+from ccdtools_ground.door import as_count, as_floats, as_instance
+from learning import checkpoint
+from learning.exceptions import CheckpointError
+from learning.networks import ActorCritic
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,6 +88,59 @@ class History(Around):
         known = np.isfinite(seen).all(axis=1, keepdims=True)
         u = np.where(known, np.asarray(self.controller(np.where(known, seen, 0.0)), dtype=float), np.nan)
         return u[0] if np.ndim(y) < 2 else u
+
+    def to_c(self, folder: str | Path, *, name: str = "policy", scalar: str = "double") -> PolicyCode:
+        """Write a learned policy and its memory in C99, and report its costs.
+
+        As `LearnedPolicy.to_c`; x of `name_law` is a history. One `name_state` a loop holds it, `void
+        name_reset(name_state *)` begins a run, and in every sample `int name_step(name_state *, const name_real y[],
+        const name_real u_prev[], name_real u[])` takes in what was measured, and what was applied before. It returns 2
+        as long as the history holds what is not finite.
+
+        Raises
+        ------
+        InputError
+            As there; or if the controller is no `LearnedPolicy`, or not of histories of this length.
+        """
+        return self._learned.to_c(folder, name=name, scalar=scalar, history=self.length)
+
+    def to_onnx(self, path: str | Path) -> Path:
+        """Write a learned policy as an ONNX model: histories (n, m (ny + nu)) to u (n, nu).
+
+        `History(OnnxPolicy(path), m)` is the controller again. It raises what `LearnedPolicy.to_onnx` and `to_c` raise.
+        """
+        return self._learned.to_onnx(path)
+
+    def save(self, path: str | Path, **notes: str) -> None:
+        """Save a learned policy, its length and notes for `load_policy`; raises as `LearnedPolicy.save`."""
+        saved_with(self._learned, path, notes, {"history": self.length})
+
+    @property
+    def _learned(self) -> LearnedPolicy:
+        """Policy inside, which sees histories of this length."""
+        policy: LearnedPolicy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
+        if policy.nx % self.length or policy.nx <= self.length * policy.nu:
+            got = f"{self.length}, with a policy that sees {policy.nx} numbers and gives {policy.nu} inputs"
+            raise InputError("length", got, "m, with one that sees m (ny + nu)")
+        return policy
+
+
+def load_policy(path: str | Path) -> LearnedPolicy | History:
+    """Policy saved in a file, with its memory where it has one.
+
+    Raises
+    ------
+    InputError
+        If `path` is no path.
+    CheckpointError
+        If the file is not a saved policy.
+    """
+    as_instance("path", path, (str, Path), "the path of a saved policy")
+    agent, extra = checkpoint.load(path, action_limits=DesignLimits.from_dict)
+    if not isinstance(agent, ActorCritic) or "design" not in extra:
+        raise CheckpointError(path, f"a {type(agent).__name__} without a design", "a saved policy")
+    policy = LearnedPolicy(agent, extra["design"])
+    return History(policy, extra["history"]) if "history" in extra else policy
 
 
 def histories(y: Array, u: Array, length: int) -> Array:

@@ -6,6 +6,7 @@ import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,11 +17,9 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.controllers.policy_code import PolicyCode, write_c
 from ccdtools.controllers.policy_onnx import write_onnx
 from ccdtools.controllers.tolerances import DESIGN_RANGE
-from ccdtools.design_limits import DesignLimits
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_finite, as_floats, as_generator, as_instance, as_vector, writable_path
 from learning import checkpoint
-from learning.exceptions import CheckpointError
 from learning.networks import ActorCritic, Layers
 from learning.tolerances import LOG_STD
 
@@ -118,7 +117,9 @@ class LearnedPolicy(Immutable):
         u = middle + half * ca.fmin(ca.fmax(latent, -1), 1)
         return ca.Function("policy", [x], [u], ["x"], ["u"])
 
-    def to_c(self, folder: str | Path, *, name: str = "policy", scalar: str = "double") -> PolicyCode:
+    def to_c(
+        self, folder: str | Path, *, name: str = "policy", scalar: str = "double", history: int = 0
+    ) -> PolicyCode:  # fmt: skip
         """Write the mean action in C99 without allocation or libraries, and report its costs.
 
         `name`.h and `name`.c define `int name_law(const name_real x[], name_real u[])`, which returns 0, or 2 where x
@@ -132,15 +133,16 @@ class LearnedPolicy(Immutable):
             A C identifier.
         scalar : "double" or "float"
             Type of the numbers.
+        history : int
+            Samples that the code remembers, where x is a history: `History.to_c` gives its length.
 
         Raises
         ------
         InputError
             An unknown option, or a folder that cannot be written to.
         """
-        layers, centre, width = self._normalised()
         where = Path(as_instance("folder", folder, (str, Path), "the path of a folder"))
-        return write_c(layers, centre, width, self._range, where, name=name, scalar=scalar)
+        return write_c(*self._normalised(), self._range, where, name=name, scalar=scalar, length=history)
 
     def to_onnx(self, path: str | Path) -> Path:
         """Write the mean action as an ONNX model in double precision: x (n, nx) to u (n, nu).
@@ -167,9 +169,7 @@ class LearnedPolicy(Immutable):
         InputError
             If the folder does not exist, or a note is no text.
         """
-        for name, note in notes.items():
-            as_instance(name, note, str, "a note in text")
-        checkpoint.save(writable_path("path", path), self.agent, {"design": self.design.tolist(), "notes": notes})
+        saved_with(self, path, notes, {})
 
     @cached_property
     def nx(self) -> int:
@@ -182,21 +182,12 @@ class LearnedPolicy(Immutable):
         return len(self.agent.action_offset)
 
 
-def load_policy(path: str | Path) -> LearnedPolicy:
-    """Policy saved in a file.
-
-    Raises
-    ------
-    InputError
-        If `path` is no path.
-    CheckpointError
-        If the file is not a saved policy.
-    """
-    as_instance("path", path, (str, Path), "the path of a saved policy")
-    agent, extra = checkpoint.load(path, action_limits=DesignLimits.from_dict)
-    if not isinstance(agent, ActorCritic) or "design" not in extra:
-        raise CheckpointError(path, f"a {type(agent).__name__} without a design", "a saved policy")
-    return LearnedPolicy(agent, extra["design"])
+def saved_with(policy: LearnedPolicy, path: str | Path, notes: dict[str, str], extra: dict[str, Any]) -> None:
+    """Save a policy with notes and extra values."""
+    for name, note in notes.items():
+        as_instance(name, note, str, "a note in text")
+    extra = extra | {"design": policy.design.tolist(), "notes": notes}
+    checkpoint.save(writable_path("path", path), policy.agent, extra)
 
 
 def _array(tensor: torch.Tensor) -> Array:

@@ -104,6 +104,51 @@ SKIP = """\
     }
 """
 
+MEMORY_HEADER = """
+#define @NAME@_NY @ny@ /* outputs */
+
+/* The last @length@ outputs, the latest first, then as many inputs: theta of the law. One for each loop. */
+typedef struct {
+    @name@_real theta[@NAME@_NT];
+} @name@_state;
+
+/* Outputs and inputs before the first sample are zero. */
+void @name@_reset(@name@_state *state);
+
+/* Write the input that belongs to an output into u. The input of the sample before, as it was applied, may be u itself.
+   Returns what the law returns. */
+int @name@_step(@name@_state *state, const @name@_real y[@NAME@_NY], const @name@_real u_prev[@NAME@_NU],
+                @name@_real u[@NAME@_NU]);
+
+#endif
+"""
+
+MEMORY = """
+#define NY @NAME@_NY
+#define OUTPUTS @outputs@ /* entries of theta before the inputs */
+
+void @name@_reset(@name@_state *state)
+{
+    int j;
+    for (j = 0; j < NT; j++) {
+        state->theta[j] = 0;
+    }
+}
+
+int @name@_step(@name@_state *state, const real y[NY], const real u_prev[NU], real u[NU])
+{
+    real *theta = state->theta;
+    int j;
+    for (j = NT - 1; j >= OUTPUTS; j--) {
+        theta[j] = j < OUTPUTS + NU ? u_prev[j - OUTPUTS] : theta[j - NU];
+    }
+    for (; j >= 0; j--) {
+        theta[j] = j < NY ? y[j] : theta[j - NY];
+    }
+    return @name@_law(theta, u);
+}
+"""
+
 
 @dataclass(frozen=True)
 class PolicyCode:
@@ -136,12 +181,12 @@ class PolicyCode:
 
 def write_c(
     layers: Layers, centre: Array, width: Array, action_range: tuple[Array, Array], folder: Path, *, name: str,
-    scalar: str,
+    scalar: str, length: int = 0,
 ) -> PolicyCode:  # fmt: skip
     """Report of `name`.h and `name`.c, written for layers in normalised states.
 
     States are normalised by `centre` and half-`width` (nx,); `action_range` is middle and half-width (nu,) of the
-    inputs.
+    inputs. With a `length` the states are histories of so many outputs and inputs, and the code remembers them.
     """
     as_name(name)
     as_scalar(scalar)
@@ -161,8 +206,13 @@ def write_c(
         "layers": "".join(f" real layer{k}[{m}];" for k, m in enumerate(widths, start=1)), "largest": LARGEST[scalar],
         "far": real(FARTHEST, scalar), "body": body, "last": len(widths),
     }  # fmt: skip
-    source = fill(SOURCE, fields)
-    files = written(folder, name, fill(HEADER, fields), source)
+    source, header = SOURCE, HEADER
+    if length:
+        outputs = len(centre) - length * len(middle)
+        fields |= {"length": length, "outputs": outputs, "ny": outputs // length}
+        source, header = SOURCE + MEMORY, HEADER.removesuffix("\n#endif\n") + MEMORY_HEADER
+    source = fill(source, fields)
+    files = written(folder, name, fill(header, fields), source)
     weights = [W for W, _ in layers.maps] + ([] if layers.skip is None else [layers.skip[0]])
     operations = len(centre) + sum(map(np.size, weights)) + len(middle)
     return PolicyCode(files, scalar, table_bytes(source, scalar), operations, sum(hidden))

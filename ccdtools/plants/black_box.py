@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools.plants.own_process import OwnProcess
 from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
 from ccdtools_ground.user_functions import stopped
 
@@ -36,12 +38,18 @@ class BlackBox(Immutable):
         None by default.
     batched : bool
         Whether `advance` takes the rows of all runs at once, x (n, nx), u (n, nu) and w (n, nw), and returns (n, nx).
+    step_limit : float, optional
+        Longest time of a call [s]. `advance` then runs in a process of its own, which may hang or die; a call costs
+        about 0.1 ms more. Loading a simulator counts as its first call.
 
     Raises
     ------
     InputError
         If a size is none; in a simulation, if `advance` stops with an error or returns another shape. A state that is
         not finite is a run that diverged.
+    SimulatorError
+        If a call takes longer than `step_limit`, or ends its process. What was simulated before is `kept` in it.
+        `Search(of=function)` leaves such a design out.
 
     Examples
     --------
@@ -56,6 +64,7 @@ class BlackBox(Immutable):
     nw: int = 0
     design: DesignSpace = NO_DESIGN
     batched: bool = False
+    step_limit: float | None = None
 
     def __post_init__(self) -> None:
         if not callable(self.advance):
@@ -65,6 +74,8 @@ class BlackBox(Immutable):
         self._set(dt=as_positive("dt", self.dt, unit="s"))
         as_instance("design", self.design, DesignSpace, "a DesignSpace")
         as_flag("batched", self.batched)
+        if self.step_limit is not None:
+            self._set(step_limit=as_positive("step_limit", self.step_limit, unit="s"))
 
     def __repr__(self) -> str:
         sizes = f"{self.nx} states, {self.nu} inputs, {self.nw} disturbances"
@@ -87,19 +98,27 @@ class BlackBox(Immutable):
         found: Array = self.stepper(np.asarray(p, dtype=float), batch=1)(*given)[0]
         return found
 
-    def _after(self, x: Array, u: Array, w: Array, p: Array) -> Array:
-        """What `advance` returns, checked."""
-        try:
-            found = as_floats("advance", self.advance(x.copy(), u.copy(), w.copy(), p.copy()))
-        except CCDError:
-            raise
-        except Exception as error:
-            at = f" at x = {shown(x)}, u = {shown(u)}"
-            cure = "With batched=True it gets rows (n, ·) of all runs, else one run (·,)."
-            raise stopped("advance", self.advance, error, f"x⁺ {x.shape}", cure, at=at) from error
-        if found.shape != x.shape:
-            raise InputError("advance", f"a state of shape {found.shape}", f"{x.shape}")
-        return found
+    @cached_property
+    def _after(self) -> Callable[[Array, Array, Array, Array], Array]:
+        """What `advance` returns, checked; from its own process where there is a limit."""
+        if self.step_limit is None:
+            return partial(_advanced, self)
+        return OwnProcess(partial(_advanced, replace(self, step_limit=None)), self.step_limit)
+
+
+def _advanced(box: BlackBox, x: Array, u: Array, w: Array, p: Array) -> Array:
+    """What `advance` returns, checked."""
+    try:
+        found = as_floats("advance", box.advance(x.copy(), u.copy(), w.copy(), p.copy()))
+    except CCDError:
+        raise
+    except Exception as error:
+        at = f" at x = {shown(x)}, u = {shown(u)}"
+        cure = "With batched=True it gets rows (n, ·) of all runs, else one run (·,)."
+        raise stopped("advance", box.advance, error, f"x⁺ {x.shape}", cure, at=at) from error
+    if found.shape != x.shape:
+        raise InputError("advance", f"a state of shape {found.shape}", f"{x.shape}")
+    return found
 
 
 def from_gymnasium(
@@ -110,6 +129,7 @@ def from_gymnasium(
     dt: float,
     design: DesignSpace = NO_DESIGN,
     build: Callable[[Any, Array], None] | None = None,
+    step_limit: float | None = None,
 ) -> BlackBox:
     """Plant that steps an environment of Gymnasium from any state.
 
@@ -127,6 +147,8 @@ def from_gymnasium(
         Its parameters, if any are to be designed; `build` is then required.
     build : function of the unwrapped environment and p (np,), optional
         Gives it a design.
+    step_limit : float, optional
+        Longest time of a step [s], see `BlackBox`; a copy of the environment then runs in a process of its own.
 
     Raises
     ------
@@ -160,7 +182,7 @@ def from_gymnasium(
 
     env.reset(seed=0)
     x, u = as_vector("read", _read(read, inner)), np.asarray(env.action_space.sample(), dtype=float)
-    box = BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design)
+    box = BlackBox(advance, nx=len(x), nu=shape[0], dt=dt, design=design, step_limit=step_limit)
     first, again = (box.step(x, u, np.zeros(0), design.project(design.centre)) for _ in range(2))
     if not np.array_equal(first, again, equal_nan=True):
         got = f"{shown(first)} and {shown(again)} after one step from one state"

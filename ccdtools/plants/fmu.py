@@ -22,12 +22,13 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.budgets import EVENT_ROUNDS
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools.plants.own_process import OwnProcess
 from ccdtools_ground.door import as_count, as_instance, as_positive, nearest, shown
 
 
 def from_fmu(
     path: str | Path, *, dt: float, inputs: Sequence[str] | None = None, disturbances: Sequence[str] = (),
-    design: DesignSpace = NO_DESIGN, substeps: int = 10,
+    design: DesignSpace = NO_DESIGN, substeps: int = 10, step_limit: float | None = None,
 ) -> BlackBox:  # fmt: skip
     """Plant of an FMU for model exchange (FMI 2.0), from any state.
 
@@ -46,6 +47,8 @@ def from_fmu(
         Its names are those of real parameters of the FMU.
     substeps : int
         Runge–Kutta steps a sample.
+    step_limit : float, optional
+        Longest time of a sample [s], see `BlackBox`; the FMU is then loaded in a process of its own alone.
 
     Returns
     -------
@@ -84,8 +87,12 @@ def from_fmu(
     references = tuple(tuple(known[name].valueReference for name in names) for names in
                        (given, disturbances, design.names))  # fmt: skip
     step = FmuStep(where, as_positive("dt", dt, unit="s"), as_count("substeps", substeps), references)
-    step.at(design.project(design.centre))  # what does not load is told here
-    return BlackBox(step, nx=step.nx, nu=len(given), nw=len(disturbances), dt=step.dt, design=design)
+    plant = BlackBox(
+        step, nx=step.nx, nu=len(given), nw=len(disturbances), dt=step.dt, design=design, step_limit=step_limit
+    )
+    begin = step.begin if plant.step_limit is None else OwnProcess(step.begin, plant.step_limit)
+    begin(design.project(design.centre))  # what does not load is told here
+    return plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +139,10 @@ class FmuStep:
             got = f"an FMU that does not load: {' '.join(str(error).split())[:120]}"
             raise InputError("path", got, f"one with a binary for {fmpy.platform}") from error
         return model, {}
+
+    def begin(self, p: Array) -> None:
+        """Load the FMU, and bring it to a design."""
+        self.at(p)
 
     def at(self, p: Array) -> Any:
         """The FMU at a design, begun anew where it stands at another or has stopped."""

@@ -18,7 +18,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.evidence.switchback import TrialStatus
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import InputError, SimulatorError
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.simulation import Simulable, simulate
@@ -196,12 +196,20 @@ class _DeployedPolicy:
         count = min(self.config.updates, max(0, parts - 1))  # every part keeps a window to judge on
         for k, part in enumerate(deployment_parts(runs, steps, count + 1)):
             at(f"part {k + 1} of {count + 1}")
-            piece = self._run_part(*part, progress)
+            try:
+                piece = self._run_part(*part, progress)
+            except SimulatorError as error:
+                error.kept = self._so_far() if self.pieces else error.kept
+                raise
             self.pieces.append(piece)
             if len(self.pieces) <= count and self._learn(piece, part[0].start) and self._may_update():
                 at(f"update {k + 1} of {count}")
                 self._update()
-        return Deployment(joined(self.pieces, runs), self.deployed.agent, tuple(self.updates))
+        return self._so_far()
+
+    def _so_far(self) -> Deployment:
+        """Parts that have ended, and what is deployed now."""
+        return Deployment(joined(self.pieces, len(self.whole.x0)), self.deployed.agent, tuple(self.updates))
 
     @property
     def _logged(self) -> int:

@@ -1,6 +1,10 @@
 """Training: from scratch or refined, with running scales, resumed with the same numbers, best and last agent."""
 
 import copy
+import os
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -244,6 +248,46 @@ def test_a_broken_training_goes_on_with_the_same_numbers(tmp_path):
     assert torch.equal(weights(again.agent), weights(whole))
     assert torch.equal(weights(again.best), weights(result.best))
     assert again.rows == result.rows
+
+
+KILLED = """
+import os, signal, sys
+import torch
+from toys import DoubleIntegrator, agent
+from learning import train
+
+where, count, file = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+owner = {"replace": os, "step": DoubleIntegrator}[where]
+own = getattr(owner, where)
+
+def killing(*given):
+    global count
+    count -= 1
+    if count == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return own(*given)
+
+setattr(owner, where, killing)
+torch.set_num_threads(1)
+train(DoubleIntegrator(), agent(), iterations=6, steps=30, generator=torch.Generator().manual_seed(1), checkpoint=file)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize(("where", "count"), [("replace", 3), ("step", 100)], ids=["while writing", "in a rollout"])
+def test_a_training_that_is_killed_goes_on_with_the_same_numbers(tmp_path, where, count):
+    file = tmp_path / "training.pt"
+    path = os.pathsep.join(filter(None, sys.path))
+    command = [sys.executable, "-c", KILLED, where, str(count), str(file)]
+    done = subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    whole, rows = agent(), []
+    result = short(whole, iterations=6)
+    again = short(agent(seed=3), iterations=6, checkpoint=file, callback=rows.append)
+    assert torch.equal(weights(again.agent), weights(whole))
+    assert torch.equal(weights(again.best), weights(result.best))
+    assert again.rows == result.rows
+    assert 0 < len(rows) < 6  # some were done before
 
 
 def test_a_training_that_cannot_be_resumed_says_why(tmp_path):

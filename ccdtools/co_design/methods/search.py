@@ -29,7 +29,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History
 from ccdtools.co_design.tolerances import CMA_SETTLED
 from ccdtools.controllers.controllers import Controller
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import InputError, SimulatorError
 from ccdtools.progress import bar
 from ccdtools_ground.door import as_choice, as_count, shown
 
@@ -129,7 +129,10 @@ class GivenCost(DesignCost):
 
     def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost at a unit-box point, whose slope is not known."""
-        value = self.of(self.problem.design.settled(v))
+        try:
+            value = self.of(self.problem.design.settled(v))
+        except SimulatorError:
+            value = -np.inf
         try:
             (number,) = map(float, np.ravel(value))
         except (TypeError, ValueError):

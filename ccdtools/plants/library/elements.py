@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, TypeVar
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self, TypeVar
 
 import casadi as ca
 
@@ -32,6 +32,22 @@ class Parameters:
     def __post_init__(self) -> None:
         for field in fields(self):
             object.__setattr__(self, field.name, self._checked(field.name, getattr(self, field.name)))
+
+    def varied(self, share: float = 0.2) -> dict[str, Self]:
+        """Parameters as they are, then each alone smaller and larger by a share, by names.
+
+        Raises
+        ------
+        InputError
+            If the share is none, or a parameter may not be as large.
+        """
+        share = as_number("share", share, expected="a share between 0 and 1", low=0.0, high=1.0, strict=True)
+        moves = [(field.name, sign * share) for field in fields(self) for sign in (-1, 1)]
+        changed = {
+            f"{name} {100 * move:+g} %": replace(self, **{name: (1 + move) * getattr(self, name)})
+            for name, move in moves if getattr(self, name)
+        }  # fmt: skip
+        return {"nominal": self} | changed
 
     def _checked(self, name: str, value: Any) -> float:
         """Value of a field as a number, checked."""

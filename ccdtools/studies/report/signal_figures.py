@@ -22,7 +22,7 @@ from invariant_sets import plot_polytope
 
 def policy_surface(run: FinishedRun) -> list[ReportFigure]:
     """Figure of the policy, LQR and their difference over two states."""
-    from ccdtools.controllers.learned import load_policy  # loads torch
+    from ccdtools.controllers.history import load_policy  # loads torch
 
     plant = run.study.plant
     if plant.nx != 2:

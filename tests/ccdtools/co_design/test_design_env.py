@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from ccdtools import FixedStart, Gaussian, InputError, closed_loop_returns, saturated_lqr
+from ccdtools import FixedStart, Gaussian, InputError, Scenario, closed_loop_returns, compare, saturated_lqr
 from ccdtools.co_design import DesignEnv
 from ccdtools.disturbances import Cases
 from learning import GymnasiumEnvs
@@ -41,6 +41,38 @@ def test_the_checker_of_gymnasium_has_nothing_to_say(illustrative, suspension, d
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             check_env(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_the_checker_of_stable_baselines3_has_nothing_to_say(illustrative, suspension, drawn):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    for study in (illustrative, suspension):
+        problem = study.problem()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            checker.check_env(DesignEnv(problem, None if drawn else problem.design.centre))
+
+
+def test_an_agent_of_stable_baselines3_is_compared_in_three_lines(suspension):
+    PPO = pytest.importorskip("stable_baselines3").PPO
+    problem = replace(suspension.problem(), scenarios=FixedStart([0.01, 0.1, 0.01, 0.1], Gaussian([0.0])))
+    design = problem.design.centre
+    x0, w = problem.scenarios.sample(4, problem.steps, np.random.default_rng(0))
+    laws = {"LQR": saturated_lqr(problem, design)}
+
+    env = DesignEnv(problem, design)
+    model = PPO("MlpPolicy", env, n_steps=128, seed=0, device="cpu").learn(256)
+    laws["PPO"] = env.controller(lambda seen: model.predict(seen, deterministic=True))
+
+    found = compare(laws, Scenario(problem.model, x0, w), objective=problem.objective, X=problem.X, design=design)
+
+    def policy(x, p):
+        return model.predict(np.float32(x / problem.state_scale), deterministic=True)[0]
+
+    total, steps, _ = episode(env, policy)
+    assert steps == problem.steps
+    assert found["PPO"].summary.mean == pytest.approx(total - problem.cost_of_design(design), rel=1e-4)
+    assert found["PPO"].summary.mean < found["LQR"].summary.mean  # after 256 steps
 
 
 def test_an_episode_has_the_return_of_the_closed_loop(problem):

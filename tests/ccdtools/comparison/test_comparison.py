@@ -1,5 +1,6 @@
 """Every controller on the same disturbances, and what one long run says."""
 
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from ccdtools import (
     PID,
     CVaR,
     InputError,
+    LearnedPolicy,
     LinearFeedback,
     QuadraticObjective,
     Scenario,
@@ -23,6 +25,7 @@ from ccdtools import (
 )
 from ccdtools.controllers import Passive
 from invariant_sets import Polytope
+from learning import ActorCritic, NetworkConfig
 from mpc import LinearMPC
 
 DESIGN = [2.0]
@@ -312,3 +315,19 @@ def test_a_pid_without_gains_is_named_and_not_compared_with():
 def test_a_controller_that_takes_rows_of_states_alone_is_compared(illustrative, scenario):
     table = compared(illustrative, {"rows": lambda x: -x[:, :1], "none": Passive(1)}, scenario)
     assert table["rows"].step_time > 0
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_the_exported_law_is_timed_where_there_is_one():
+    plant = plant_from_matrices([[1.0, 0.1], [-0.2, 0.95]], [[0.0], [0.1]], dt=0.1, continuous=False)
+    agent = ActorCritic([-9, -9], [9, 9], [-1], [1], config=NetworkConfig((16, 16)), imitates=True)
+    laws = {"LQR": LinearFeedback([[0.4, 0.3]]), "learned": LearnedPolicy(agent, [])}
+    given = {"objective": QuadraticObjective(np.eye(2), [[0.1]]), "X": ([-9, -9], [9, 9])}
+    scenario = Scenario(plant, np.ones((3, 2)), np.zeros((3, 7, 0)))
+    table = compare(laws, scenario, **given, compiled=True)
+    assert np.isnan(table["LQR"].c_step_time)
+    assert table["learned"].c_step_time > 0
+    assert table.rows()[1]["c_step_time_us"] == 1e6 * table["learned"].c_step_time
+    assert np.isnan(compare(laws, scenario, **given)["learned"].c_step_time)
+    with pytest.raises(InputError, match="compiled: got 2"):
+        compare(laws, scenario, **given, compiled=2)

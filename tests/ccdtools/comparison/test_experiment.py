@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from ccdtools import (
+    CustomObjective,
     InputError,
     LinearFeedback,
     Measurement,
@@ -23,6 +24,7 @@ from ccdtools import (
     plant_from_matrices,
 )
 from ccdtools.controllers import Passive
+from ccdtools.plants.library import Servo, dc_servo
 
 A, R = 0.9, 0.5
 PLANT = plant_from_matrices([[A]], [[1.0]], [[1.0]], dt=1.0, continuous=False)
@@ -280,6 +282,53 @@ def test_costs_of_training_and_of_a_step_are_told():
     assert cell.seconds > 0
     assert 0 < cell.step_time[0] <= cell.step_time[1]
     assert "500 samples" in repr(found())
+
+
+def test_terms_of_the_cost_have_columns_and_add_up_to_the_return():
+    x0, w = np.array([[1.0, 0.5], [-2.0, 0.3], [0.2, -1.0]]), np.zeros((3, 7, 0))
+    plant = plant_from_matrices([[1.0, 0.1], [-0.2, 0.95]], [[0.0], [0.1]], dt=0.1, continuous=False)
+    scenario = Scenario(plant, x0, w)
+    laws = {"LQR": lambda design, rng: LinearFeedback([[0.4, 0.3]]), "passive": lambda design, rng: Passive(1)}
+    quadratic = QuadraticObjective(np.diag([2.0, 0.5]), [[0.3]], S=[[0.05], [-0.1]])
+    custom = CustomObjective(
+        lambda x, u, p: 2 * x[0] ** 2 + (x[1] - u[0]) ** 2, lambda x, p: 3 * x[1] ** 2, design_cost=lambda p: 7.0
+    )
+    for objective in (quadratic, custom):
+        given = {"objective": objective, "X": ([-9, -9], [9, 9]), "metrics": objective.terms}
+        result = experiment(laws, scenario, seeds=1, **given)
+        table = compare({name: make(None, None) for name, make in laws.items()}, scenario, **given)
+        for name in laws:
+            terms = result[name].metrics
+            assert sum(terms.values()) == pytest.approx(-table[name].summary.mean, rel=1e-12)
+            assert table.rows()[list(laws).index(name)]["cost of inputs"] == pytest.approx(terms["cost of inputs"])
+        assert result["passive"].metrics["cost of inputs"] == 0.0
+        assert "cost of states" in repr(result)
+    run = scenario.run(laws["LQR"](None, None))
+    x, u = run.states, run.inputs[..., 0]
+    last = result["LQR"].metrics  # of the custom objective, term by term
+    assert last["cost of states"] == pytest.approx((2 * x[:, :-1, 0] ** 2 + x[:, :-1, 1] ** 2).sum(axis=1).mean())
+    assert last["cost of inputs"] == pytest.approx((u**2 - 2 * x[:, :-1, 1] * u).sum(axis=1).mean())
+    assert last["cost of the end"] == pytest.approx(3 * (x[:, -1, 1] ** 2).mean())
+    assert last["cost of the design"] == 7.0
+
+
+def test_a_plant_is_compared_at_each_parameter_a_share_larger_and_smaller():
+    plants = {name: dc_servo(servo=servo) for name, servo in Servo().varied(0.2).items()}
+    assert len(plants) == 1 + 2 * len(vars(Servo()))
+    nominal = dc_servo()
+    x0, w, design = np.array([[0.5, 0.0]]), np.zeros((1, 30, nominal.nw)), nominal.design.centre
+    laws = {name: lambda p, rng, gain=gain: LinearFeedback([[gain, 0.1]]) for name, gain in (("a", 1.0), ("b", 2.0))}
+    found = experiment(
+        laws, Scenario(nominal, x0, w), designs=design, plants=plants, seeds=1,
+        objective=QuadraticObjective(np.eye(2), [[0.1]]), X=([-9, -99], [9, 99]),
+    )  # fmt: skip
+    run = Scenario(dc_servo(servo=Servo(resistance=4.8)), x0, w).run(LinearFeedback([[2.0, 0.1]]), design=design)
+    value = float(run.returns(QuadraticObjective(np.eye(2), [[0.1]])).mean())
+    assert found["b", "resistance +20 %"].value.mean == pytest.approx(value, rel=1e-12)
+    assert found["b", "nominal"].value.mean != found["b", "resistance -20 %"].value.mean
+    for share in (0.0, 1.0, "a"):
+        with pytest.raises(InputError, match="share: got"):
+            Servo().varied(share)
 
 
 def test_designs_and_metrics_have_columns_of_their_own(illustrative):

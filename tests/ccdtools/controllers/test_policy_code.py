@@ -9,9 +9,10 @@ import sys
 import numpy as np
 import pytest
 
-from ccdtools import InputError, LearnedPolicy
+from ccdtools import DesignSpace, InputError, LearnedPolicy, LinearFeedback, Measurement, load_policy, simulate
 from ccdtools.cli import main
-from ccdtools.controllers import OnnxPolicy
+from ccdtools.controllers import History, OnnxPolicy
+from ccdtools.plants import BlackBox
 from learning import ActorCritic, NetworkConfig
 
 CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
@@ -36,6 +37,28 @@ int main(void)
 }
 """
 
+MEMORY = """
+#include <stdio.h>
+#include "policy.h"
+int main(void)
+{
+    policy_state state;
+    policy_real sent[1 + POLICY_NY + POLICY_NU], u[POLICY_NU] = {0};
+    while (fread(sent, sizeof(sent), 1, stdin) == 1) {
+        double row[POLICY_NU + 1];
+        int i;
+        if (sent[0] > 0) { /* a run begins */
+            policy_reset(&state);
+            for (i = 0; i < POLICY_NU; i++) u[i] = 0;
+        }
+        row[POLICY_NU] = policy_step(&state, sent + 1, %s, u);
+        for (i = 0; i < POLICY_NU; i++) row[i] = (double)u[i];
+        fwrite(row, sizeof(row), 1, stdout);
+    }
+    return 0;
+}
+"""
+
 
 def policy(hidden=(16, 16), size=2.0, **options):
     """A policy of four states and two inputs, whose weights are large enough to saturate."""
@@ -47,10 +70,11 @@ def policy(hidden=(16, 16), size=2.0, **options):
     return LearnedPolicy(agent, [2e4])
 
 
-def compiled(folder, x, scalar, name="policy"):
+def compiled(folder, x, scalar, name="policy", driver=None):
     """Inputs and codes of the C code, with warnings as errors and sanitizers."""
     low = name
-    (folder / "driver.c").write_text(DRIVER % (low, low, *[name.upper()] * 4, low, name.upper()))
+    driver = driver or DRIVER % (low, low, *[name.upper()] * 4, low, name.upper())
+    (folder / "driver.c").write_text(driver)
     sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1"]
     subprocess.run([CC, *WARNINGS, *sanitizers, f"{name}.c", "driver.c", "-o", "run"], cwd=folder, check=True)
     sent = x.astype(np.float64 if scalar == "double" else np.float32).tobytes()
@@ -107,6 +131,79 @@ def test_inputs_that_a_design_limits_are_limited_in_c(tmp_path, rng):
     assert np.abs(u).max() == pytest.approx(2.1)
 
 
+M, NY, NU = 5, 2, 2
+
+
+def of_outputs(size=1.5):
+    """A policy of the last five pairs of outputs and inputs."""
+    n = M * (NY + NU)
+    bounds = -np.arange(1.0, n + 2), np.full(n + 1, 2.0), [-2.0, 0.0], [2.0, 3.0]
+    agent = ActorCritic(*bounds, config=NetworkConfig((16, 16)), imitates=True, seed=4)
+    for weight in agent.mean_network.parameters():
+        weight.data *= size
+    return History(LearnedPolicy(agent, [0.5]), M)
+
+
+def closed_loop(law, rng):
+    """Outputs and inputs (runs, T, ·) of a loop of three states in which two are measured."""
+    A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.3], [0.0, 0.0, 0.7]])
+    B = np.array([[0.0, 0.1], [0.3, 0.0], [0.2, 0.4]])
+    space = DesignSpace(["p"], [0.0], [1.0])
+    plant = BlackBox(lambda x, u, w, p: x @ A.T + u @ B.T, nx=3, nu=NU, dt=0.1, design=space, batched=True)
+    output = Measurement(np.eye(NY, 3), noise=[0.1, 0.2])
+    run = simulate(plant, law, x0=rng.normal(size=(4, 3)), steps=250, design=[0.5], output=output, rng=rng)
+    return run.outputs, run.inputs
+
+
+@needs_compiler
+@pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-6)])
+@pytest.mark.parametrize("before", ["sent + 1 + POLICY_NY", "u"], ids=["as applied", "its own"])
+def test_the_c_code_of_a_policy_of_outputs_is_the_controller_in_a_closed_loop(tmp_path, rng, scalar, tolerance, before):
+    of_outputs().save(tmp_path / "policy.safetensors", origin="a test")
+    law = load_policy(tmp_path / "policy.safetensors")
+    report = law.to_c(tmp_path, scalar=scalar)
+    y, u = closed_loop(law, rng)
+    last = np.concatenate([np.zeros((4, 1, NU)), u[:, :-1]], axis=1)
+    begins = np.zeros((4, 250, 1))
+    begins[:, 0] = 1.0
+    sent = np.concatenate([begins, y, last], axis=2).reshape(1000, -1)
+    found, code = compiled(tmp_path, sent, scalar, driver=MEMORY % before)
+    assert not code.any()
+    half = np.array([2.0, 1.5])
+    expected = u
+    if scalar == "float":  # what was measured is rounded before it is sent
+        law.reset(4)
+        rounded = (part.astype(np.float32) for part in (y, last))
+        expected = np.stack([law(y=a, u_prev=b) for a, b in zip(*(np.moveaxis(part, 1, 0) for part in rounded))], 1)
+    np.testing.assert_allclose(found / half, expected.reshape(1000, NU) / half, rtol=0, atol=tolerance)
+    assert 0.05 < (np.abs(u - [0.0, 1.5]) >= half).mean() < 0.95
+    assert report.flash_bytes < 10_000
+
+
+@needs_compiler
+def test_a_history_that_is_not_finite_is_told_until_it_is_over(tmp_path, rng):
+    law = of_outputs()
+    law.to_c(tmp_path)
+    sent = np.hstack([np.eye(12, 1), rng.normal(size=(12, NY + NU))])
+    sent[3, 2] = np.nan
+    found, code = compiled(tmp_path, sent, "double", driver=MEMORY % "sent + 1 + POLICY_NY")
+    assert code.ravel().tolist() == [0] * 3 + [2] * M + [0] * 4
+    expected = np.array([law(y=row[1 : 1 + NY], u_prev=row[1 + NY :]) for row in sent])
+    np.testing.assert_allclose(found, np.nan_to_num(expected), atol=1e-12)  # zero is within the limits
+
+
+def test_a_history_of_no_learned_policy_does_not_leave_python(tmp_path):
+    other = policy()
+    for law, argument in (
+        (History(LinearFeedback([[1.0, 0.0]]), 1), "controller"), (History(other, 3), "length"),
+        (History(other, 2), "length"),
+    ):  # fmt: skip
+        for call in (law.to_c, law.to_onnx, law.save):
+            with pytest.raises(InputError) as caught:
+                call(tmp_path / "x")
+            assert caught.value.argument == argument
+
+
 def test_wrong_calls_name_their_argument(tmp_path):
     law = policy()
     for call, argument in (
@@ -133,6 +230,9 @@ def test_the_command_exports_the_policy_of_a_run(tmp_path, rng, monkeypatch, cap
     assert "flash" not in capsys.readouterr().err
     x = rng.uniform(-WIDE, WIDE, (100, 4))
     np.testing.assert_allclose(compiled(tmp_path / "firmware", x, "double")[0], law(x), rtol=1e-12, atol=1e-9)
+    of_outputs().save(tmp_path / "outputs.safetensors")
+    assert run(monkeypatch, "export", tmp_path / "outputs.safetensors", "--output", tmp_path / "outputs") == 0
+    assert "policy_step" in (tmp_path / "outputs" / "policy.h").read_text()
     assert run(monkeypatch, "export", tmp_path / "nowhere") == 2
     assert "expected the folder of a run with a policy" in capsys.readouterr().err
     assert run(monkeypatch, "export", tmp_path, "--to", "fortran") == 2
@@ -159,6 +259,13 @@ def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, 
     x = rng.uniform(-WIDE, WIDE, (500, 4))
     np.testing.assert_allclose(again(x), law(x), rtol=1e-12, atol=1e-9)
     assert again(x[0]).shape == (2,)
+
+
+def test_an_onnx_model_of_histories_is_the_controller_again(tmp_path, rng):
+    law = of_outputs()
+    again = History(OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")), M)
+    _, u = closed_loop(law, np.random.default_rng(1))
+    np.testing.assert_allclose(closed_loop(again, np.random.default_rng(1))[1], u, rtol=0, atol=1e-11)
 
 
 def test_what_is_no_policy_in_onnx_is_refused(tmp_path):

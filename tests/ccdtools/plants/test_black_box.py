@@ -1,5 +1,11 @@
 """Plants of which only a step is known: functions and environments of Gymnasium."""
 
+import os
+import pickle
+import signal
+import sys
+import time
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,6 +26,7 @@ from ccdtools import (
     saturated_lqr,
     simulate,
 )
+from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import BlackBox, from_gymnasium
 
 A, B, E = np.array([[1.0, 0.1], [-0.2, 0.95]]), np.array([[0.0], [0.1]]), np.array([[0.0], [0.05]])
@@ -120,7 +127,7 @@ def test_a_simulator_that_fails_is_named_with_where_it_stood():
 @pytest.mark.parametrize(("change", "match"), [
     ({"advance": 3}, "advance: got 3"), ({"nx": 0}, "nx: got 0"), ({"nw": -1}, "nw: got -1"),
     ({"dt": 0.0}, "dt: got 0"),
-    ({"design": 3}, "design: got 3"), ({"batched": 2}, "batched: got 2"),
+    ({"design": 3}, "design: got 3"), ({"batched": 2}, "batched: got 2"), ({"step_limit": 0}, "step_limit: got 0"),
 ])  # fmt: skip
 def test_wrong_arguments_are_named(change, match):
     with pytest.raises(InputError, match=match):
@@ -130,6 +137,91 @@ def test_wrong_arguments_are_named(change, match):
 def test_a_state_of_another_shape_is_refused():
     with pytest.raises(InputError, match=r"advance: got a state of shape \(1,\), expected \(2,\)"):
         simulate(box(advance=lambda x, u, w, p: x[:1]), LinearFeedback([[0.0, 0.0]]), x0=[1, 1], steps=3)
+
+
+def hanging(x, u, w, p):
+    time.sleep(600)
+
+
+def dying(x, u, w, p):
+    if x[0] < 0.3:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return A @ x + B @ u + E @ w
+
+
+def running(**change):
+    """A simulation from 1, whose state falls below 0.3 in its tenth sample."""
+    return simulate(box(**change), LinearFeedback([[0.4, 0.3]]), x0=[1, 0], steps=40)
+
+
+def licensed(x, u, w, p):
+    if x[0] > 2:
+        raise OSError("no licence")
+    return A @ x + B @ u + E @ w
+
+
+def test_within_its_time_a_simulator_does_what_it_does_without_a_limit_and_so_does_a_copy():
+    step = [0.8, 0.1], [0.2], [0.0], []
+    plant = box(advance=licensed, step_limit=60.0)
+    for each in (plant, pickle.loads(pickle.dumps(plant)), plant):
+        np.testing.assert_array_equal(each.step(*step), box().step(*step))
+    with pytest.raises(InputError, match=r"OSError: no licence at x = .* \(line \d+ of test_black_box.py\)"):
+        plant.step([3.0, 0.0], *step[1:])
+
+
+def test_a_simulator_that_hangs_is_named_with_where_it_stood_and_works_again():
+    plant = box(advance=lambda x, u, w, p: hanging(x, u, w, p) if x[0] > 0.9 else 0.5 * x, step_limit=0.3)
+    expected = r"a simulator that does not come back at x = \[1.0, 0.0\], u = \[-0.4\], .*x⁺ within 0.3 s. .* step 0"
+    with pytest.raises(SimulatorError, match=expected) as caught:
+        simulate(plant, LinearFeedback([[0.4, 0.3]]), x0=[1, 0], steps=40)
+    assert caught.value.kept is None
+    limitless = box(advance=lambda x, u, w, p: 0.5 * x)
+    np.testing.assert_array_equal(plant.step([0.8, 0], [0], [0], []), limitless.step([0.8, 0], [0], [0], []))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_what_was_simulated_before_a_simulator_died_is_kept():
+    with pytest.raises(SimulatorError, match="ends its process by SIGSEGV at x = ") as caught:
+        running(advance=dying, step_limit=60.0)
+    whole = running()
+    k = caught.value.step
+    assert whole.states[0, k, 0] < 0.3 <= whole.states[0, k - 1, 0]
+    np.testing.assert_array_equal(caught.value.kept.states, whole.states[:, : k + 1])
+    np.testing.assert_array_equal(caught.value.kept.inputs, whole.inputs[:, :k])
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.step) == (str(caught.value), k)
+
+
+def test_a_simulator_that_cannot_go_to_another_process_is_refused():
+    held = (k for k in range(3))
+    with pytest.raises(InputError, match="step_limit: got 60 s, and a simulator that cannot go to another process"):
+        running(advance=lambda x, u, w, p: x + next(held), step_limit=60.0)
+
+
+def test_a_search_leaves_out_designs_at_which_the_simulator_dies():
+    problem = load_study("suspension").problem()
+
+    def returned(p):
+        if problem.design.to_unit(p)[0] > 0.6:
+            raise SimulatorError("advance", "a simulator that dies", "x⁺")
+        return -float(np.square(problem.design.to_unit(p)).sum())
+
+    found = codesign(problem, method=Search("cma", of=returned, evaluations=30), rng=np.random.default_rng(1))
+    lost = np.isinf(found.history.model_return)
+    np.testing.assert_array_equal(lost, problem.design.to_unit(found.history.design)[:, 0] > 0.6)
+    assert 0 < lost.sum() < len(lost)
+
+
+def test_an_environment_may_hang_in_its_process():
+    def build(env, p):
+        if p[0] > 1.8:
+            time.sleep(600)
+        env.m = p[0]
+
+    plant = pendulum(design=DesignSpace(["m"], [0.5], [2.0]), build=build, step_limit=5.0)
+    np.testing.assert_allclose(plant.step([0.1, 0.2], [1.0], [], [1.0]), swung([0.1, 0.2], 1.0, 1.0), atol=1e-6)
+    with pytest.raises(SimulatorError, match="does not come back"):
+        plant.step([0.1, 0.2], [1.0], [], [2.0])
 
 
 def write(env, x):

@@ -24,6 +24,7 @@ from ccdtools import (
     compare,
     simulate,
 )
+from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import from_fmu
 
 fmpy = pytest.importorskip("fmpy")
@@ -123,6 +124,24 @@ def test_an_fmu_that_stopped_begins_anew_and_need_not_answer_at_zero(tmp_path):
     with pytest.raises(InputError, match="advance"):
         plant.step([1.0, 2e3], *given[1:])
     np.testing.assert_array_equal(plant.step(*given), before)
+
+
+def test_an_fmu_that_crashes_or_hangs_takes_nothing_with_it(tmp_path, path):
+    refused = "if (n != 2 || v[OMEGA] > 1e3) return ERROR;"
+    whole, laws = from_fmu(path, dt=0.05, disturbances=["push"], design=BOX), LinearFeedback([[0.0, 0.0]])
+    run = {"x0": [0.5, 0.0], "steps": 30, "design": [1.0, 0.1]}
+    expected = simulate(whole, laws, **run)
+    crash = packed(tmp_path, changed=[(refused, "if (v[OMEGA] < -1) abort();")])
+    plant = from_fmu(crash, dt=0.05, disturbances=["push"], design=BOX, step_limit=60.0)
+    with pytest.raises(SimulatorError, match="ends its process by SIGABRT at x = ") as caught:
+        simulate(plant, laws, **run)
+    kept = caught.value.kept
+    np.testing.assert_array_equal(kept.states, expected.states[:, : kept.states.shape[1]])
+    assert kept.states[0, -1, 1] > -1.0
+    begins = "int fmi2ExitInitializationMode(component c) { (void)c; "
+    hangs = packed(tmp_path, changed=[(begins, f"{begins}for (volatile int i = 0;; i++) ;")])
+    with pytest.raises(SimulatorError, match=r"does not come back at p = \[1.25, 0.27"):
+        from_fmu(hangs, dt=0.05, design=BOX, step_limit=0.5)
 
 
 def test_an_fmu_that_does_not_begin_and_variables_that_are_not_real_are_refused(tmp_path):

@@ -10,6 +10,7 @@ from deployments import DESIGN, ONLINE, deployed, disturbances, start, training_
 
 from ccdtools import InputError, LearnedPolicy, OnlineConfig, deploy, deploy_and_update, simulate
 from ccdtools.controllers import Passive
+from ccdtools.exceptions import SimulatorError
 
 
 def test_a_deployment_is_a_simulation_as_long_as_its_disturbance(illustrative):
@@ -54,6 +55,39 @@ def test_the_agent_passed_in_is_not_changed(illustrative, clone):
     before = copy.deepcopy(agent.state_dict())
     deployed(illustrative, agent, runs=6, steps=40)
     torch.testing.assert_close(agent.state_dict(), before, rtol=0, atol=0)
+
+
+class Dying:
+    """The real plant, whose process ends in its 170th sample."""
+
+    def __init__(self, plant):
+        self.plant, self.left = plant, 170
+
+    def __getattr__(self, name):
+        return getattr(self.plant, name)
+
+    def stepper(self, p, *, batch):
+        step = self.plant.stepper(p, batch=batch)
+
+        def dying(x, u, w):
+            self.left -= 1
+            if self.left < 0:
+                raise SimulatorError("advance", "a simulator that dies", "x⁺")
+            return step(x, u, w)
+
+        return dying
+
+
+def test_the_parts_that_ended_before_a_simulator_died_are_kept(illustrative, clone):
+    agent, w = clone(illustrative), disturbances(illustrative, 1, 240)
+    given = {"x0": start(), "disturbance": w, "config": ONLINE}
+    plant = illustrative.real.plant
+    whole = deploy_and_update(illustrative.problem(), plant, agent, DESIGN, **given, rng=np.random.default_rng(0))
+    with pytest.raises(SimulatorError, match="at step 10 of a simulation") as caught:
+        deploy_and_update(illustrative.problem(), Dying(plant), agent, DESIGN, **given, rng=np.random.default_rng(0))
+    kept = caught.value.kept
+    np.testing.assert_array_equal(kept.log.states, whole.log.states[:, :161])
+    assert len(kept.updates) == len(whole.updates) == 2
 
 
 def test_a_run_lost_in_one_stretch_stays_lost(illustrative, clone):
