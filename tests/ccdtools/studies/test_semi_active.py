@@ -93,9 +93,9 @@ def test_laws_of_the_field_gain_what_lqr_of_the_tangent_cannot(study):
         "LQR": saturated_lqr(problem, study.p0)
     }
     mean = {name: scenario.run(law, design=study.p0).returns(problem.objective).mean() for name, law in laws.items()}
-    assert mean["LQR"] < 1.2 * mean["skyhook"]
-    assert mean["skyhook"] < mean["clipped LQR, tuned"]
-    assert mean["clipped LQR"] < 1.2 * mean["clipped LQR, tuned"]  # it knows nothing of the stops
+    for tuned in ("skyhook", "clipped LQR, tuned"):
+        assert mean["LQR"] < 1.1 * mean[tuned]
+        assert mean["clipped LQR"] < 1.03 * mean[tuned]  # it knows nothing of the stops
 
 
 def test_a_pid_is_tuned_where_no_input_pushes_a_state_at_rest(study):
