@@ -11,8 +11,8 @@ export OMP_NUM_THREADS ?= 1
 .PHONY: run test check kernels targets lint bench docs notebooks pictures clean
 .DELETE_ON_ERROR:
 
-run: $(SETUP)          ## the suspension study, start to report
-	$(BIN)/ccdtools run suspension $(ARGS)
+run: $(SETUP)          ## a semi-active car for two drivers, start to report, within two minutes on two cores
+	$(BIN)/ccdtools run semi_active_damper --generations 1 $(ARGS)
 
 test: $(SETUP) lint    ## lint, types, import contracts and every quick test: within five minutes on two cores
 	$(PYTEST) -m "not check and not slow" --durations 5 --durations-min 4

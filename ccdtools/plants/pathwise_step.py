@@ -56,9 +56,10 @@ class _Taken(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Slopes by x, u, w and p, summed where shared."""
-        multiplier, x, *held = _arrays(gradient, *ctx.saved_tensors)
+        given = ctx.saved_tensors  # once: within a torch checkpoint they are recomputed when asked for
+        multiplier, x, *held = _arrays(gradient, *given)
         found = ctx.step.slopes(x, tuple(held), ctx.states, multiplier)
-        out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, ctx.saved_tensors)]
+        out = [part.sum(axis=0) if one.ndim == 1 else part for part, one in zip(found, given)]
         return None, *(gradient.new_tensor(part) for part in out)
 
 

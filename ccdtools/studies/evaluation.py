@@ -126,10 +126,12 @@ class Evaluation:
         Before the first log every run starts where the study says. Afterwards it starts where the runs of the newest
         log did, and meets the errors that they met, to their end.
         """
-        if not logs:
-            x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
-            return Scenario(self.study.model, x0, w)
-        return self.logged(self.split, logs[-1:], self.rng("replayed runs")).scenario
+        return self.logged(self.split, logs[-1:], self.rng("replayed runs")).scenario if logs else self._nominal
+
+    @cached_property
+    def _nominal(self) -> Scenario:
+        x0, w = self.problem.scenarios.sample(self.config.model_runs, self.study.steps, self.rng("model scenario"))
+        return Scenario(self.study.model, x0, w)
 
     def logged(
         self, by: ErrorSplit | UpdatedPlant, logs: Sequence[Residuals], rng: np.random.Generator

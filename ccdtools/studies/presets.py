@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.method_names import EXPERTS
 from ccdtools.co_design.risk import check_followed
+from ccdtools.exceptions import InputError
 from ccdtools.studies.options import CHOICES
 from ccdtools.studies.study import Study
 from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
@@ -94,7 +95,8 @@ def configuration(
 
     With `drift` a deployment tells whether the twin still describes the plant, with this probability of a false alarm.
     With `trial` updates that are accepted on the replayed log are tried on the real plant, in turns with what is
-    deployed, before they stay. `expert`, `sets` and `sets_time_limit` are those of the study unless given.
+    deployed, before they stay. `expert`, `sets` and `sets_time_limit` are those of the study unless given, and its
+    `settings` hold besides.
 
     ``paper`` takes the paper's networks, loss, rates, epochs and design gradient; what the paper leaves unsaid or
     what its code has wrong (advantages, discount, bounds, one optimiser) stays as in the default.
@@ -102,8 +104,8 @@ def configuration(
     Raises
     ------
     InputError
-        If `study` is none, `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown, or the time limit is
-        not above 0; if the method follows the mean, and the study has a risk.
+        If `study` is none or has other settings, `preset`, `expert`, `method`, `design_gradient` or `sets` is unknown,
+        or the time limit is not above 0; if the method follows the mean, and the study has a risk.
     """
     as_instance("study", study, Study, "a Study, as load_study returns")
     as_choice("preset", preset, CHOICES["preset"])
@@ -111,6 +113,10 @@ def configuration(
     sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])
     limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit)
+    unknown = set(study.settings) - {field.name for field in fields(StudyConfig)}
+    if unknown:
+        raise InputError("settings", ", ".join(sorted(map(str, unknown))), "names of fields of StudyConfig")
+    config = replace(config, **study.settings)
     if drift is not None:
         config = replace(config, drift=as_share("drift", drift))
     if as_flag("trial", trial):

@@ -110,6 +110,8 @@ class Study(Immutable):
         What the first policy imitates: "lqr", "mpc", "explicit", or the name of one of `laws`.
     laws : mapping of names to functions, optional
         Control laws of the field that every comparison shows beside LQR, PID and MPC: (problem, design) → controller.
+    settings : mapping, optional
+        Fields of `StudyConfig` by name, in the place of the defaults: how thoroughly this study runs.
     metrics : function, optional
         `Trajectory` → mapping of names, with units, to numbers, such as a `Ride`: what every comparison shows beside
         the returns.
@@ -152,6 +154,7 @@ class Study(Immutable):
     laws: Mapping[str, Callable[[CoDesignProblem, Array], Controller]] = field(default_factory=dict)
     redesign_cost: RedesignCost | None = None
     unknown: Plant | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Study({self.name!r}, {self.plant!r}, {self.steps} steps, start {self.plant.design.describe(self.p0)})"
@@ -212,6 +215,7 @@ class Study(Immutable):
                 expected = f"a function of (problem, design), by a name other than {', '.join(TAKEN)}"
                 raise InputError("laws", f"{shown(law)} by the name {shown(name)}", expected)
         as_choice("expert", self.expert, (*EXPERTS, *self.laws))
+        self._set(settings=as_mapping("settings", self.settings, "a mapping of fields of StudyConfig to values"))
 
     def _check_limits(self) -> None:
         """Raise unless the problem can be stated, and X holds the start."""

@@ -33,8 +33,8 @@ class SemiActive(Immutable):
 
     Attributes
     ----------
-    F : (4,) array
-        Demanded force by state.
+    F : (n,) array
+        Demanded force by state, of the first n.
     largest : float
         c_s [N·s/m].
     """
@@ -45,7 +45,7 @@ class SemiActive(Immutable):
     def __call__(self, x: ArrayLike) -> Array:
         """Inputs (n, 1) or (1,) from −1 to 1."""
         states = as_floats("x", x)
-        rate, demanded = states[..., 3] - states[..., 1], states @ self.F
+        rate, demanded = states[..., 3] - states[..., 1], states[..., : len(self.F)] @ self.F
         moving = np.abs(rate) > np.finfo(float).tiny
         share = np.where(moving, demanded / np.where(moving, rate, 1.0) / self.largest, (1 + SOFTEST) / 2)
         u: Array = 2 * (np.clip(share, SOFTEST, 1.0)[..., None] - SOFTEST) / (1 - SOFTEST) - 1
@@ -67,7 +67,7 @@ def skyhook(problem: CoDesignProblem, design: Array) -> SemiActive:
 def _tuned(problem: CoDesignProblem, design: Array, parts: Array, first: Array) -> SemiActive:
     """Best damper found whose F is a weighted sum of parts.
 
-    parts : (n, 4); first : (n + 1, n), the simplex of weights that Nelder–Mead begins with.
+    parts : (n, ·); first : (n + 1, n), the simplex of weights that Nelder–Mead begins with.
     """
     x0, w = problem.scenarios.sample(TUNING_RUNS, problem.steps, np.random.default_rng(0))
     scenario = Scenario(problem.model, x0, w)
@@ -91,9 +91,9 @@ def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDe
     Parameters
     ----------
     weights : function of the design
-        Q (4, 4), R (1, 1) and S (4, 1) of the force.
+        Q (nx, nx), R (1, 1) and S (nx, 1) of the force.
     tuned : bool
-        Whether its four gains are tuned in closed loop at the design: the best clipped linear feedback that is found.
+        Whether its gains are tuned in closed loop at the design: the best clipped linear feedback that is found.
     """
     actuated = cache(_actuated)
 
@@ -102,14 +102,16 @@ def clipped_lqr(weights: ForceWeights, *, tuned: bool = False) -> Callable[[CoDe
         A, B, _ = actuated(model.plant).matrices(design)
         Q, R, S = weights(design)
         F = lqr(A, B, Q=Q, R=R, S=S)[0][0]
-        return _tuned(problem, design, np.diag(F), 1 + np.eye(5, 4, -1)) if tuned else SemiActive(F, design[1])
+        first = 1 + np.eye(len(F) + 1, len(F), -1)
+        return _tuned(problem, design, np.diag(F), first) if tuned else SemiActive(F, design[1])
 
     return law
 
 
 def _actuated(car: Plant) -> Model:
     """Model of a car with a force in its damper's place."""
-    x, push = ca.DM([0.0, 0.0, 0.0, -1.0]), ca.jacobian(car.dynamics, car.p[1])  # of a force, where the rate is −1
+    x, push = ca.DM.zeros(car.nx), ca.jacobian(car.dynamics, car.p[1])
+    x[3] = -1.0  # where the rate is −1, the damper's force is its damping
     force = ca.substitute(push, ca.vertcat(car.x, car.u, car.w), ca.vertcat(x, 1, 0)) * car.u
     at_rest = linear_part(ca.substitute(car.dynamics, car.p[1], 0) + force, car.x, car.u, car.w)
     undamped = replace(car, dynamics=at_rest)

@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import torch
+from torch.utils.checkpoint import checkpoint
 
 from ccdtools import DesignSpace, InputError, Plant
 from ccdtools.plants import SampledModel
@@ -92,3 +93,19 @@ def test_second_derivatives_of_a_pathwise_step_are_refused_not_zero(power, rng):
     slopes = torch.autograd.grad((after**power).sum(), x, create_graph=True)[0]
     with pytest.raises(RuntimeError, match="differentiate twice"):
         (slopes**2).sum().backward()
+
+
+@pytest.mark.parametrize("n", [5, 300])
+def test_a_step_that_torch_computes_again_has_the_slopes_of_one_that_is_kept(n, rng):
+    model = SampledModel(winding(), 0.1)
+    x, u, w = drawn(model, n, rng)
+    p = torch.tensor([1.0, 2.0], dtype=torch.float64, requires_grad=True)
+
+    def squares(p):
+        """Sum of squares after two steps."""
+        first = model.pathwise(torch.tensor(x), torch.tensor(u), torch.tensor(w), p)
+        return (model.pathwise(first, torch.tensor(u), torch.tensor(w), p) ** 2).sum()
+
+    kept = torch.autograd.grad(squares(p), p)[0]
+    again = torch.autograd.grad(checkpoint(squares, p, use_reentrant=False), p)[0]
+    torch.testing.assert_close(again, kept, rtol=0, atol=0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ccdtools import InputError
+from ccdtools import CoDesignConfig, InputError
 from ccdtools.studies import configuration
 
 
@@ -43,6 +43,16 @@ def test_sets_and_their_time_limit_come_from_the_study_unless_they_are_given(ill
     assert (configuration(study).sets, configuration(study).sets_time_limit) == ("lqr", 7.0)
     other = configuration(study, sets="none", sets_time_limit=3.0)
     assert (other.sets, other.sets_time_limit) == ("none", 3.0)
+
+
+def test_a_study_may_state_how_thoroughly_it_runs(illustrative):
+    config = configuration(replace(illustrative, settings={"model_runs": 50, "codesign": CoDesignConfig(starts=1)}))
+    assert (config.model_runs, config.codesign.starts) == (50, 1)
+    assert config.mpc_runs == configuration(illustrative).mpc_runs
+    with pytest.raises(InputError, match=r"settings: got model_rum, expected names of fields of StudyConfig"):
+        configuration(replace(illustrative, settings={"model_rum": 50}))
+    with pytest.raises(InputError, match="settings"):
+        replace(illustrative, settings=[("model_runs", 50)])
 
 
 def test_the_expert_of_a_study_may_be_one_of_its_laws(illustrative):
