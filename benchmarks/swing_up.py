@@ -85,7 +85,7 @@ def rows(problem: CoDesignProblem, designs: list[list[float]]) -> Iterator[str]:
     """Returns at each design."""
     for p in designs:
         began = time.process_time()
-        agent = planned_start(problem, np.array(p), np.random.default_rng(0))
+        agent = planned_start(problem, np.array(p), np.random.default_rng(0)).agent
         seconds = time.process_time() - began
         mpc: Any = EXPERTS[best_expert(problem, np.array(p), np.random.default_rng(1))](problem, p)
         policy = LearnedPolicy(agent, p)

@@ -61,7 +61,7 @@ def run(
     quick: Annotated[bool, typer.Option("--quick", help="Same path, fewer samples; a few minutes.")] = False,
     preset: Annotated[str, typer.Option(help="default, or paper: its networks, loss, rates and epochs.")] = "default",
     expert: Annotated[
-        str | None, typer.Option(help="Imitated first: lqr (projected on X_fea), mpc, explicit, or a law of the study.")
+        str | None, typer.Option(help="Imitated first: auto, lqr (projected on X_fea), mpc, explicit, or a law.")
     ] = None,
     method: Annotated[str | None, typer.Option(help="Of the policy: pathwise, ppo, or pathwise+ppo.")] = None,
     design_gradient: Annotated[str | None, typer.Option(help="pathwise, or network_input (the paper's).")] = None,

@@ -1,22 +1,26 @@
-"""First policies that imitate MPC of the model, where LQR is no expert."""
+"""First policies: imitations of LQR, or of MPC of the model where LQR is no expert."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.design_controllers import long_mpc, own_cost, saturated_lqr
-from ccdtools.co_design.loops import Law, loops_of
+from ccdtools.co_design.expert import ExpertData, expert_dataset
+from ccdtools.co_design.expert_loops import DesignLaw
+from ccdtools.co_design.loops import Law, loops_of, lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
-from learning.networks import ActorCritic
+from ccdtools.progress import at
+from learning.networks import ActorCritic, NetworkConfig
 from learning.warm_start import CloningConfig, fit_actor_critic
 from mpc import MPCError
 
@@ -25,6 +29,46 @@ EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
     "nonlinear MPC": long_mpc,
     "economic MPC": lambda problem, p: long_mpc(problem, p, cost="objective"),
 }
+
+
+class FirstPolicy(NamedTuple):
+    """First policy, and what it imitates."""
+
+    agent: ActorCritic
+    expert: str | DesignLaw
+    samples: int
+    data: ExpertData | None = None  # where the samples begin all over X; None of an episode's own starts
+
+
+def first_policy(
+    problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, expert: str | DesignLaw = "auto",
+    all_over: bool = True, runs: int = 16, network: NetworkConfig | None = None, cloning: CloningConfig | None = None,
+    progress: bool = False, **options: Any,
+) -> FirstPolicy:  # fmt: skip
+    """First policy of a co-design or a study.
+
+    Parameters
+    ----------
+    expert : {"auto", "lqr", "mpc", "explicit"} or function of (problem, design)
+        What it imitates all over X and all designs, see `expert_dataset`, which takes the `options`. "auto" is LQR,
+        or, where LQR brings nothing to rest at the design, MPC of the model, see `planned_start`.
+    """
+    if expert == "auto":
+        if not lqr_is_expert(problem, design, copy.deepcopy(rng)):
+            at("first policy that imitates MPC of the model")
+            planned = planned_start(
+                problem, design, rng, all_over=all_over, runs=runs, network=network, cloning=cloning
+            )
+            if planned is not None:
+                return planned
+        expert = "lqr"
+    data = expert_dataset(problem, **{"samples": 1000, **options}, rng=rng, expert=expert, progress=progress)
+    cloning = CloningConfig() if cloning is None else cloning
+    at(f"imitation of {len(data.inputs)} samples in {cloning.steps} steps")
+    agent = imitating(
+        problem, data.inputs, data.actions, data.values, rng, network=network, config=cloning, progress=progress
+    )
+    return FirstPolicy(agent, expert, len(data.inputs), data)
 
 
 def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, runs: int = 4) -> str | None:
@@ -44,9 +88,10 @@ def best_expert(problem: CoDesignProblem, design: Array, rng: np.random.Generato
 
 def planned_start(
     problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, all_over: bool = True,
-    shares: Sequence[float] = (0.5, 0.75), runs: int = 16,
-) -> ActorCritic | None:  # fmt: skip
-    """Agent that imitates the best expert, in loops that both drive.
+    shares: Sequence[float] = (0.5, 0.75), runs: int = 16, network: NetworkConfig | None = None,
+    cloning: CloningConfig | None = None,
+) -> FirstPolicy | None:  # fmt: skip
+    """Policy that imitates the best expert, in loops that both drive.
 
     None where no expert keeps a run.
 
@@ -62,6 +107,8 @@ def planned_start(
         Of the samples that the policy drives, a round each.
     runs : int
         Of the expert alone; half as many in every round.
+    network, cloning : optional
+        Shapes, and rates of fits that take four times the steps: MPC switches near its bounds.
 
     References
     ----------
@@ -80,12 +127,15 @@ def planned_start(
             data.append(_shared(problem, expert(problem, p), None, p, 0.0, -(-runs // len(designs)), rng))
     if not any(len(part[0]) for part in data):
         return None
-    agents = [_imitating_all(problem, data, rng)]
+    cloning = CloningConfig() if cloning is None else cloning
+    options = {"network": network, "config": replace(cloning, steps=4 * cloning.steps)}
+    agents = [_imitating_all(problem, data, rng, options)]
     for share in shares:
         driver = LearnedPolicy(agents[-1], design)
         data.append(_shared(problem, at_first, driver, design, share, runs // 2, rng))
-        agents.append(_imitating_all(problem, data, rng))
-    return max(agents, key=lambda agent: _worth(problem, agent, design, rng))
+        agents.append(_imitating_all(problem, data, rng, options))
+    best = max(agents, key=lambda agent: _worth(problem, agent, design, rng))
+    return FirstPolicy(best, name, sum(len(part[0]) for part in data))
 
 
 def _worth(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> tuple[float, ...]:
@@ -95,12 +145,11 @@ def _worth(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.
 
 
 def _imitating_all(
-    problem: CoDesignProblem, data: list[tuple[Array, Array, Array]], rng: np.random.Generator
+    problem: CoDesignProblem, data: list[tuple[Array, Array, Array]], rng: np.random.Generator, options: dict[str, Any]
 ) -> ActorCritic:
     """Agent that imitates the samples of all rounds."""
-    # longer than one of LQR, as MPC switches near its bounds
     seen, inputs, values = (np.concatenate(part) for part in zip(*data))
-    return imitating(problem, seen, inputs, values, rng, config=CloningConfig(steps=4 * CloningConfig.steps))
+    return imitating(problem, seen, inputs, values, rng, **options)
 
 
 def imitating(

@@ -13,6 +13,7 @@ ALL = (
 )  # fmt: skip
 NAMES = (*ALL, "nested LQG", "nested NMPC", "nested RL", "ppo", "pathwise+ppo")
 EXPERTS = ("lqr", "mpc", "explicit")  # whose inputs a first policy imitates
+STUDY_EXPERTS = ("auto", *EXPERTS)
 SHORT = {"nested": "nested LQR", "search": "CMA-ES"}  # what `codesign` means by its short names
 
 

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from dataclasses import fields, replace
 from typing import Any
 
-from ccdtools.co_design.method_names import EXPERTS
+from ccdtools.co_design.method_names import STUDY_EXPERTS
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.disturbances.recordings import read_disturbance, read_road, read_speed
 from ccdtools.exceptions import InputError
@@ -53,7 +53,7 @@ def _check_effect(options: Options, study: Study) -> None:
                 got = f"it for {study.name!r}, whose designs stand side by side"
                 raise InputError(f"--{field.name.replace('_', '-')}", got, "--seed, --quick and --p0 alone")
     if options.expert is not None:
-        as_choice("--expert", options.expert, (*EXPERTS, *study.laws))
+        as_choice("--expert", options.expert, (*STUDY_EXPERTS, *study.laws))
     sets = study.sets if options.sets is None else options.sets
     if options.sets_time_limit is not None and sets != "auto":
         raise InputError("--sets-time-limit", f"it with sets {sets!r}, which computes none", "it with --sets auto")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
-from ccdtools.co_design.method_names import EXPERTS
+from ccdtools.co_design.method_names import STUDY_EXPERTS
 from ccdtools.co_design.risk import check_followed
 from ccdtools.exceptions import InputError
 from ccdtools.studies.options import CHOICES
@@ -29,7 +29,7 @@ class StudyConfig:
     quick : bool
         Same path, fewer samples.
     expert : str
-        "lqr", "mpc", "explicit", or the name of a law of the study: what the first policy imitates.
+        What the first policy imitates, as in `Study`.
     method : {"pathwise", "ppo", "pathwise+ppo"}
         What moves the policy in a co-design.
     samples : int
@@ -54,7 +54,7 @@ class StudyConfig:
 
     preset: str = "default"
     quick: bool = False
-    expert: str = "lqr"
+    expert: str = "auto"
     method: str = "pathwise"
     samples: int = 1000
     sets: str = "auto"
@@ -109,7 +109,7 @@ def configuration(
     """
     as_instance("study", study, Study, "a Study, as load_study returns")
     as_choice("preset", preset, CHOICES["preset"])
-    expert = study.expert if expert is None else as_choice("expert", expert, (*EXPERTS, *study.laws))
+    expert = study.expert if expert is None else as_choice("expert", expert, (*STUDY_EXPERTS, *study.laws))
     sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])
     limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
     config = StudyConfig(preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit)

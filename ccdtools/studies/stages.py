@@ -10,13 +10,12 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.codesign import codesign
-from ccdtools.co_design.expert import expert_dataset
+from ccdtools.co_design.imitation import first_policy
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.evidence.evidence import Pairing, Violation, summary_of
 from ccdtools.evidence.verdict import Verdict
 from ccdtools.exceptions import InputError
-from ccdtools.progress import at
 from ccdtools.scenario import Scenario
 from ccdtools.studies.account import account, proposed, refused, region_line
 from ccdtools.studies.evaluation import Evaluation
@@ -39,7 +38,6 @@ from ccdtools.twin.replay import Replay, replay_problem, updated_problem
 from ccdtools.twin.residuals import residuals
 from ccdtools.twin.twin import DigitalTwin
 from learning.networks import ActorCritic
-from learning.warm_start import fit_actor_critic
 
 LOGGED = ("states", "inputs", "disturbances", "diverged_at", "design")
 
@@ -52,30 +50,30 @@ class LoopStages:
     progress: bool  # show progress bars
 
     def initialise(self, rng: np.random.Generator) -> Stage:
-        """First policy: a network trained to imitate the expert."""
+        """First policy: a network trained to imitate an expert."""
         config = self.evaluation.config
-        problem = self.evaluation.problem
-        expert: Any = self.evaluation.study.laws.get(config.expert, config.expert)
-        data = expert_dataset(
-            problem, samples=config.samples, rng=rng, expert=expert, gamma=config.codesign.ppo.gamma,
-            sets=config.sets, time_limit=config.sets_time_limit, progress=self.progress,
+        study = self.evaluation.study
+        first = first_policy(
+            self.evaluation.problem, study.p0, rng, expert=study.laws.get(config.expert, config.expert),
+            runs=min(16, config.mpc_runs), network=config.network, cloning=config.cloning, progress=self.progress,
+            samples=config.samples, gamma=config.codesign.ppo.gamma, sets=config.sets,
+            time_limit=config.sets_time_limit,
         )  # fmt: skip
-        assert data.sets is not None
-        at(f"imitation of {len(data.inputs)} samples in {config.cloning.steps} steps")
-        agent = fit_actor_critic(
-            data.inputs, data.actions, data.values, action_bounds=problem.action_bounds,
-            input_bounds=problem.observation_bounds, rng=rng, network=config.network, config=config.cloning,
-            progress=self.progress,
-        )  # fmt: skip
-        values = {
-            "expert": config.expert, "candidates": config.samples, "samples": len(data.inputs),
-            "acceptance": data.acceptance, "diverged": data.diverged, "sets": data.sets.as_dict(),
-        }  # fmt: skip
-        report = [
-            f"{data.sets} ({data.sets.seconds:.2g} s)",
-            f"{data.acceptance:.0%} of {config.samples} candidates feasible, {len(data.inputs)} samples imitated",
-        ]
-        return Stage(values | {"report": report}, networks={"agent": agent})
+        data = first.data
+        expert = config.expert if callable(first.expert) else first.expert
+        values = {"expert": expert, "samples": first.samples}
+        report = [f"LQR brings nothing to rest: {expert} of the model imitated in {first.samples} samples"]
+        if data is not None:
+            assert data.sets is not None
+            values |= {
+                "candidates": config.samples, "acceptance": data.acceptance, "diverged": data.diverged,
+                "sets": data.sets.as_dict(),
+            }  # fmt: skip
+            report = [
+                f"{data.sets} ({data.sets.seconds:.2g} s)",
+                f"{data.acceptance:.0%} of {config.samples} candidates feasible, {first.samples} samples imitated",
+            ]
+        return Stage(values | {"report": report}, networks={"agent": first.agent})
 
     def co_design(
         self, rng: np.random.Generator, generation: int, current: Deployable, twin: DigitalTwin, trust: Trust,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
-from ccdtools.co_design.method_names import EXPERTS
+from ccdtools.co_design.method_names import STUDY_EXPERTS
 from ccdtools.co_design.objective import Objective, Weights, as_objective
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
@@ -107,7 +107,8 @@ class Study(Immutable):
         Where episodes and evaluations on the model start, see `RandomStarts`; at `x0` by default. The real plant starts
         at its own x0.
     expert : str
-        What the first policy imitates: "lqr", "mpc", "explicit", or the name of one of `laws`.
+        What the first policy imitates: "lqr", "mpc", "explicit", or the name of one of `laws`. "auto" is "lqr", or MPC
+        of the model where LQR brings nothing to rest, as in a swing-up.
     laws : mapping of names to functions, optional
         Control laws of the field that every comparison shows beside LQR, PID and MPC: (problem, design) → controller.
     settings : mapping, optional
@@ -150,7 +151,7 @@ class Study(Immutable):
     method: str = "auto"
     starts: Any = None
     metrics: Metrics | None = None
-    expert: str = "lqr"
+    expert: str = "auto"
     laws: Mapping[str, Callable[[CoDesignProblem, Array], Controller]] = field(default_factory=dict)
     redesign_cost: RedesignCost | None = None
     unknown: Plant | None = None
@@ -214,7 +215,7 @@ class Study(Immutable):
             if not isinstance(name, str) or name in TAKEN or not callable(law):
                 expected = f"a function of (problem, design), by a name other than {', '.join(TAKEN)}"
                 raise InputError("laws", f"{shown(law)} by the name {shown(name)}", expected)
-        as_choice("expert", self.expert, (*EXPERTS, *self.laws))
+        as_choice("expert", self.expert, (*STUDY_EXPERTS, *self.laws))
         self._set(settings=as_mapping("settings", self.settings, "a mapping of fields of StudyConfig to values"))
 
     def _check_limits(self) -> None:

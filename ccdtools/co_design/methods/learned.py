@@ -18,8 +18,7 @@ from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
-from ccdtools.co_design.expert import expert_dataset
-from ccdtools.co_design.imitation import EXPERTS, best_expert, imitating, planned_start
+from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
@@ -154,18 +153,8 @@ def _first_agent(
         from ccdtools.co_design.output_history import warm_start_of_outputs
 
         return warm_start_of_outputs(problem, known, rng)
-    if task.moves_policy and not lqr_is_expert(problem, design, copy.deepcopy(rng)):
-        at("first policy that imitates MPC of the model")
-        planned = planned_start(problem, design, rng, all_over=task.designing)
-        if planned is not None:
-            return planned
-    return warm_start(problem, rng, progress=progress)
-
-
-def warm_start(problem: CoDesignProblem, rng: np.random.Generator, *, progress: bool = False) -> ActorCritic:
-    """Agent that imitates saturated LQR over X and all designs."""
-    data = expert_dataset(problem, samples=1000, rng=rng, progress=progress)
-    return imitating(problem, data.inputs, data.actions, data.values, rng, progress=progress)
+    expert = "auto" if task.moves_policy else "lqr"
+    return first_policy(problem, design, rng, expert=expert, all_over=task.designing, progress=progress).agent
 
 
 def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator) -> bool:

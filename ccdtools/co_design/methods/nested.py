@@ -168,11 +168,13 @@ class Nested:
             return lambda v: TrajectoryCost(problem, given, problem.design.settled(v), self.control)
         scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
         if self.inner == "rl":
-            from ccdtools.co_design.methods.learned import warm_start
+            from ccdtools.co_design.imitation import first_policy
             from ccdtools.co_design.methods.learned_cost import LearnedCost
 
             known = replace(problem, measurement=None)  # a policy of the state, as LQR is
-            agent = warm_start(known, rng, progress=progress) if self.agent is None else self.agent
+            agent = self.agent
+            if agent is None:
+                agent = first_policy(known, known.design.centre, rng, expert="lqr", progress=progress).agent
             return lambda v: LearnedCost(known, agent, scenarios, rng, self.by)
         law = LQR if self.inner == "lqr" else mpc_law(self.horizon, nonlinear=self.inner == "nmpc")
         return lambda v: LoopCost(problem, law, scenarios)
