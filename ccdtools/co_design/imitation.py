@@ -1,4 +1,4 @@
-"""First policies: imitations of LQR, or of MPC of the model where LQR is no expert."""
+"""First policies, which imitate LQR or MPC of the model."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ int main(void)
 
 
 def c_step_time(controller: Controller, states: Array) -> float:
-    """Time [s] of a call of the exported law at states (T, nx), in a plain loop; NaN if there is none.
+    """Time [s] of a call of the exported law, or NaN.
 
     Learned policies and explicit MPC are exported, in double precision, and compiled by ``cc -O2``.
     """

@@ -13,7 +13,7 @@ from ccdtools_ground.door import brief, shown
 
 
 class OwnProcess:
-    """Function of arrays (x, u, w, p), or the last of them, called in a process of its own.
+    """Function of arrays, called in a process of its own.
 
     The process is begun at the first call, and again after it hung or died; it ends with this object.
 

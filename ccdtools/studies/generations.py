@@ -190,7 +190,7 @@ class Generations:
     def _identified(
         self, generation: int, log: Trajectory, twin: DigitalTwin
     ) -> tuple[DigitalTwin, dict[str, Stage]]:  # fmt: skip
-        """Twin of the model that all logs tell, and the stage; the rest of the run is on it, too."""
+        """Twin of the model that all logs tell, and the stage."""
         if self.evaluation.study.unknown is None or log.diverged.all():
             return twin, {}
         before = tuple(self._told)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def service_rows(evaluation: Evaluation, history: Sequence[GenerationRecord]) -> list[dict[str, Any]]:
-    """Returns after each generation, and the change from what was in service before, on common runs.
+    """Returns after each generation, and their changes on common runs.
 
     A row for each place, the real plant and the model, which is the nominal one or as identified last.
     """

@@ -301,7 +301,7 @@ class LoopStages:
 
 
 def _left(share: float, excess: Array, names: Sequence[str], told: float = 0.01) -> list[str]:
-    """Note on a log that leaves the twin's data in more than a part of its samples."""
+    """Note on a log that leaves the twin's data."""
     if share <= told:
         return []
     most = int(np.argmax(excess))

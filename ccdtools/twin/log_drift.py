@@ -1,4 +1,4 @@
-"""Drift of a plant from its twin along a log, and where the log leaves the twin's data."""
+"""Where a log and a twin part."""
 
 from __future__ import annotations
 

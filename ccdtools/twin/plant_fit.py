@@ -316,7 +316,7 @@ class _Likelihood:
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
 ) -> tuple[_Likelihood, Array, Array]:
-    """Criterion of one-step errors, where it is least, and slopes of each sample's (N, m).
+    """Criterion of one-step errors, its least point, and scores (N, m).
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.

@@ -28,7 +28,7 @@ class StateErrors:
 
     @classmethod
     def of(cls, step: ca.Function, w: Array, size: Array, states: Array, inputs: Array) -> StateErrors:
-        """Errors of x⁺ = step(x, u, w, θ) along states (n, T + 1, nx), in a size (nx,)."""
+        """Errors of a step along states (n, T + 1, nx)."""
         x, u, after, theta = (ca.MX.sym("given", step.size1_in(i)) for i in (0, 1, 0, 3))
         error = (after - step(x, u, w, theta)) / size
         told = ca.Function("told", [x, u, after, theta], [error, ca.jacobian(error, theta)])

@@ -57,7 +57,7 @@ class UnknownPlant:
         return ca.Function("step", [x, u, w, theta], [after]), outputs
 
     def at(self, box: DesignSpace, values: Array) -> Plant:
-        """Plant of a box of designs with its unknown entries at values (m,), constant parts of w at 0."""
+        """Plant of a box of designs, its unknown entries at values (m,)."""
         if set(self.plant.design.names) != {*box.names, *self.free}:
             expected = "a problem with the design of the one that was fitted"
             raise InputError("problem", f"a design of {', '.join(box.names) or 'nothing'}", expected)

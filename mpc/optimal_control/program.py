@@ -283,7 +283,7 @@ def places_of_violations(program: NonlinearProgram, rows: NDArray[np.bool_]) -> 
 
 def shaken(program: NonlinearProgram, seed: int = 0, *, about: Array | None = None, size: float = SHAKEN,
            waves: int = 2) -> Array:  # fmt: skip
-    """Unknowns, the guess by default, moved along slow waves by about this part of their sizes."""
+    """Unknowns, the guess by default, moved along slow waves."""
     random = np.random.default_rng(seed)
     move = random.uniform(-1, 1, len(program.lower))
     for part in program.parts:

@@ -141,7 +141,7 @@ class _Rounds:
         return best, "" if self.missed(best) <= 1 else "intervals are as short as they may be"
 
     def best_of(self, program: NonlinearProgram, starts: Any) -> tuple[Solution, str, tuple[Ends, ...]]:
-        """Best refined solution of several starts, why it misses the tolerance if so, and how the starts ended."""
+        """Best refined solution of several starts, and how they ended."""
         rounds = self.left
         if starts == 1:
             return *self.refined(self.solved(program, None)), ()

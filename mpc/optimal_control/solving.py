@@ -123,7 +123,7 @@ class _Tries:
         self.tried.append((run, found))
 
     def begin_about(self, v: Array, count: int) -> None:
-        """Solve from so many places about unknowns (n,), or about the optimum without limits along the way."""
+        """Solve from so many places about unknowns (n,)."""
         free, run = without_limits(self.program), self.tried[0][0]
         if count and free is not self.program:
             v = once(free, v, None, run.left(warm=False)).v

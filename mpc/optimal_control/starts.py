@@ -79,7 +79,7 @@ def promising(program: NonlinearProgram, about: Array, count: int, settings: Set
 
 
 def _apart(places: Array) -> list[int]:
-    """Numbers of places (k, n): first those that are half as far from one another as all are."""
+    """Numbers of places (k, n), those far apart first."""
     away = np.linalg.norm(places[:, None] - places, axis=-1)
     near = np.median(away[np.triu_indices(len(places), 1)]) / 2 if len(places) > 1 else 0.0
     chosen: list[int] = []

@@ -1,4 +1,4 @@
-"""A servo that turns a load through a gear with backlash; gear ratio and flywheel are the design.
+"""A servo with backlash; gear ratio and flywheel are the design.
 
 The model has no gap between motor and load, and no friction.
 """
@@ -15,7 +15,7 @@ from ccdtools.studies.cases._regulated import regulated_study
 def servo(
     *, real: bool = False, shaft: float = 12.0, damping: float = 0.02, gap: float = 0.03, loss: float = 0.02
 ) -> Plant:
-    """Motor and load on a shaft [N·m/rad, N·m·s/rad]; the real one has a gap [rad] and losses of contact [s/rad].
+    """Motor and load on a shaft; the real one has a gap.
 
     x = [angle, speed] of the load and [twist, its rate], u = voltage [V], w = torque on the load [N·m].
     """

@@ -1,4 +1,4 @@
-"""A semi-active car for two drivers, by what passengers feel and what tyre and parts cost.
+"""A semi-active car for two drivers, by ISO 2631.
 
 Spring and damper are the design. A sample costs the square of the acceleration that passengers feel, weighted as
 ISO 2631 says by a filter of second order, and those of tyre deflection and travel, beside tolerable sizes.
@@ -30,7 +30,7 @@ GOOD = {"tyre": 0.005, "travel": 0.05, "felt acceleration": 1.0}  # tolerable si
 
 
 def with_felt_acceleration(car: Plant) -> Plant:
-    """Car with W_k of ISO 2631 as two more states, the first of which is what passengers feel.
+    """Car with W_k of ISO 2631 as two more states.
 
     References
     ----------

@@ -20,7 +20,7 @@ START = np.array([2.6, 0.0])  # rad from upright, rad/s
 
 
 def pendulum(*, real: bool = False, most: float = 2.0, fastest: float = 8.0, dt: float = 0.05) -> Plant:
-    """Rod of 0.9 kg, integrated, or of 1 kg in Euler steps that cut torque [N·m] and speed [rad/s]."""
+    """Rod of 0.9 kg, or of 1 kg in Euler steps."""
     x, u, w, length = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("l")
     mass = 1.0 if real else 0.9
 

@@ -69,13 +69,13 @@ def _headings(places: Sequence[Values]) -> list[str]:
 
 
 def service_table(results: Values) -> list[list[str]]:
-    """What was in service, a row per place: return at the start, then after each generation with its change."""
+    """What was in service, a row per place."""
     rows = results["in_service"]
     return [[heading, *_service_cells(row)] for heading, row in zip(_headings(rows), rows)]
 
 
 def _service_cells(row: Values) -> list[str]:
-    """Returns, each with the change from the one before in per cent of what control cost."""
+    """Returns, each with the change from the one before."""
     cells = []
     for mean, change in zip(row["means"], [None, *row["changes"]]):
         shown = "n/a" if mean is None else with_minus(number(mean))
