@@ -50,7 +50,10 @@ FILES = {
 WRONG = [
     # What is run
     (["run"], "study: got nothing, expected the name of a study"),
-    (["run", "unheard-of"], "study: got 'unheard-of', expected one of dc_servo, full_car, full_car_drivers, "),
+    (
+        ["run", "unheard-of"],
+        "study: got 'unheard-of', expected one of backlash_servo, dc_servo, full_car, ",
+    ),
     (["run", ""], "study: got ''"),
     (["run", "Suspension"], "or a Python file. Did you mean suspension?"),
     (["run", "a"], "A file needs its ending: a.py."),
@@ -118,7 +121,7 @@ WRONG = [
     ([*RUN, "--preset", "papr"], "--preset: got 'papr', expected one of default, paper"),
     ([*RUN, "--preset", ""], "--preset: got ''"),
     ([*RUN, "--preset", "PAPER"], "--preset: got 'PAPER'"),
-    ([*RUN, "--expert", "pid"], "--expert: got 'pid', expected one of lqr, mpc, explicit"),
+    ([*RUN, "--expert", "pid"], "--expert: got 'pid', expected one of auto, lqr, mpc, explicit"),
     ([*RUN, "--expert", "LQR"], "--expert: got 'LQR'"),
     ([*RUN, "--sets", "off"], "--sets: got 'off', expected one of auto, lqr, none"),
     ([*RUN, "--sets-time-limit", "0"], "--sets-time-limit: got 0"),

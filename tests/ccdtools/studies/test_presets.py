@@ -59,7 +59,7 @@ def test_the_expert_of_a_study_may_be_one_of_its_laws(illustrative):
     study = replace(illustrative, laws={"bang": lambda problem, design: np.sign}, expert="bang")
     assert configuration(study).expert == "bang"
     assert configuration(study, expert="mpc").expert == "mpc"
-    with pytest.raises(InputError, match="expert: got 'clang', expected one of lqr, mpc, explicit, bang"):
+    with pytest.raises(InputError, match="expert: got 'clang', expected one of auto, lqr, mpc, explicit, bang"):
         replace(study, expert="clang")
 
 
@@ -67,7 +67,7 @@ def test_the_expert_of_a_study_may_be_one_of_its_laws(illustrative):
     ("options", "message"),
     [
         ({"preset": "fast"}, "preset: got 'fast', expected one of default, paper"),
-        ({"expert": "pid"}, "expert: got 'pid', expected one of lqr, mpc"),
+        ({"expert": "pid"}, "expert: got 'pid', expected one of auto, lqr, mpc"),
         ({"design_gradient": "magic"}, "design_gradient: got 'magic'"),
         ({"sets": "some"}, "sets: got 'some', expected one of auto, lqr, none"),
         ({"sets_time_limit": 0.0}, "sets_time_limit: got 0.0"),

@@ -114,7 +114,9 @@ def test_bad_starts_are_refused(illustrative, start, message):
 
 
 def test_unknown_studies_and_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"study: got 'bridge', expected one of dc_servo, .*, wind_turbine, or a"):
+    with pytest.raises(
+        InputError, match=r"study: got 'bridge', expected one of backlash_servo, .*, wind_turbine, or a"
+    ):
         load_study("bridge")
     with pytest.raises(InputError, match=r"study: got nothing.py, which is not a file"):
         load_study("nothing.py")

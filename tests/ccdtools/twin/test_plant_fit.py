@@ -426,10 +426,10 @@ def test_of_states_a_gain_is_the_least_squares_solution_in_any_unit():
 def test_of_states_intervals_hold_the_truth_as_often_as_they_say():
     held = sum(
         bool(low <= 0.5 <= high)
-        for seed in range(60)
+        for seed in range(40)
         for low, high in fit_plant(*seen(spring(0.5), seed, runs=4), plant=spring(names=("gain",))).intervals()
     )
-    assert 51 <= held <= 60
+    assert 34 <= held <= 40
 
 
 def test_of_states_a_nonlinear_entry_is_found_and_designs_of_all_kinds_use_it():
