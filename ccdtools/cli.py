@@ -221,7 +221,11 @@ def codesign(
     ended: list[MethodComparison] = []
 
     def keep(found: MethodComparison) -> None:
-        """Keep the methods compared so far."""
+        """Print the methods that ended last, and keep the methods compared so far."""
+        known = {row.name for row in ended[0]} if ended else set()
+        for row, line in zip(found, found.printed.lines):
+            if row.name not in known:
+                typer.echo("  ".join(line))
         ended[:] = [found]
         if folder is not None:
             write_table(found, folder)

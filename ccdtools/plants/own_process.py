@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -93,6 +96,7 @@ class OwnProcess:
 
 def _serve(pipe: Any, function: Callable[..., Any]) -> None:
     """Answer calls until the caller ends."""
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the caller's
     pipe.send("ready")
     with suppress(EOFError, ConnectionError):
@@ -102,3 +106,10 @@ def _serve(pipe: Any, function: Callable[..., Any]) -> None:
                 pipe.send((function(*given), None))
             except Exception as error:
                 pipe.send((None, error))
+
+
+def _end_with(caller: int) -> None:
+    """End this process after the caller, also while a call hangs."""
+    while os.getppid() == caller:
+        time.sleep(1)
+    os._exit(1)

@@ -50,10 +50,7 @@ FILES = {
 WRONG = [
     # What is run
     (["run"], "study: got nothing, expected the name of a study"),
-    (
-        ["run", "unheard-of"],
-        "study: got 'unheard-of', expected one of backlash_servo, dc_servo, full_car, ",
-    ),
+    (["run", "unheard-of"], "study: got 'unheard-of', expected one of backlash_servo, dc_servo, full_car, "),
     (["run", ""], "study: got ''"),
     (["run", "Suspension"], "or a Python file. Did you mean suspension?"),
     (["run", "a"], "A file needs its ending: a.py."),

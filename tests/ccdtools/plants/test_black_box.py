@@ -3,6 +3,7 @@
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import time
 
@@ -306,3 +307,31 @@ def test_a_model_with_a_wrong_mass_learns_its_error_from_the_environment():
     log = deploy(plant, LinearFeedback([[10.0, 2.0]], -2, 2), [1.0], np.zeros((60, 0)), x0=start)
     (errors,) = DigitalTwin(model).remembering(log).logs
     np.testing.assert_allclose(errors.e_next[..., 1], 0.05 * (3.0 - 3.0 / 1.3) * log.inputs[..., 0], atol=1e-6)
+
+
+CALLER = """
+import os, sys, time
+from ccdtools.plants import BlackBox
+
+def hangs(x, u, w, p):
+    print(os.getpid(), flush=True)
+    while True:
+        time.sleep(0.1)
+
+BlackBox(hangs, nx=1, nu=1, nw=0, dt=0.1, step_limit=1000.0).step([1.0], [0.0], [], [])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_process_that_hangs_ends_after_the_one_that_called_it():
+    with subprocess.Popen([sys.executable, "-c", CALLER], stdout=subprocess.PIPE, text=True) as caller:
+        worker = int(caller.stdout.readline())
+        caller.kill()
+    for _ in range(300):
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    os.kill(worker, signal.SIGKILL)
+    pytest.fail("the process is still there")
