@@ -260,7 +260,7 @@ class LoopStages:
     def identify(self, rng: np.random.Generator, logs: Sequence[Trajectory]) -> Stage:
         """Unknown entries of the plant that logs tell."""
         fit = fit_plant(self.evaluation.problem, logs, plant=self.evaluation.study.unknown)
-        known = fit.status in (FitStatus.SOLVED, FitStatus.AT_BOUND)
+        known = fit.status is FitStatus.SOLVED
         pairs = ", ".join(f"{name} {value:.4g} ± {deviation:.2g}"
                           for name, value, deviation in zip(fit.names, fit.values, 1.96 * fit.deviations))  # fmt: skip
         text = f"the logs tell {pairs}" if known else f"the model stays: {fit.advice}"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
-from scipy.stats import norm
+from scipy.stats import norm, t
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
 from ccdtools.co_design.measured import kalman_filter
@@ -48,6 +48,10 @@ class FitStatus(Outcome):
     OPEN = (
         "The log leaves combinations of parameters open, see `open`. State a plant with fewer of them, measure another "
         "output, or excite what distinguishes them."
+    )
+    LASTING = (
+        "Errors last: they have a mean, or one tells the next. So the log may mistake a disturbance for dynamics: state "
+        "a constant part, a friction or a state of the disturbance as well, or excite the inputs more."
     )
     AT_BOUND = "A parameter is held by a bound of the stated plant: widen it, or doubt the plant."
     UNSOLVED = "The likelihood could not be maximised: narrow the bounds of the stated plant, or log longer."
@@ -116,7 +120,10 @@ class PlantFit(Immutable):
         Combinations that the log does not tell: changes by name, each in its own size.
     innovation_variance : float
         Mean square of the innovations beside what is expected of them.
+        1 by definition of a fit to states, whose errors are measured by their own size.
     unknown : UnknownPlant
+    freedom : float
+        Degrees of freedom of the intervals.
     """
 
     names: tuple[str, ...]
@@ -126,6 +133,7 @@ class PlantFit(Immutable):
     open: tuple[dict[str, float], ...]
     innovation_variance: float
     unknown: UnknownPlant
+    freedom: float = np.inf
 
     def __repr__(self) -> str:
         rows = zip(self.names, self.values, self.deviations)
@@ -163,8 +171,8 @@ class PlantFit(Immutable):
         return " ".join([self.status.advice, *(f"Open: {in_words(one)}." for one in self.open)])
 
     def intervals(self, level: float = 0.95) -> Array:
-        """Confidence intervals (m, 2), by the normal distribution."""
-        factor = norm.ppf((1 + as_share("level", level)) / 2)
+        """Confidence intervals (m, 2), by Student's distribution."""
+        factor = t.ppf((1 + as_share("level", level)) / 2, self.freedom)
         return np.asarray(self.values[:, None] + factor * self.deviations[:, None] * np.array([-1.0, 1.0]))
 
 
@@ -174,8 +182,8 @@ def fit_plant(
     """Likeliest parameters of a plant, by logged outputs or states.
 
     With sensors prediction errors are the innovations of the extended Kalman filter at each value of the parameters, so
-    inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the one-step errors of
-    the model, each state's weighed by their size; intervals allow for their correlation and scatter.
+    inputs that follow the errors of the filter in the loop mislead nothing. Of states they are the errors of one step,
+    less the part of the last one that a fitted correlation carries on; each state's are weighed by their size.
     Without a `plant` a change of the nominal model is fitted that enters where w does: w + Θx x + Θu u + θ in its
     place, at every design.
 
@@ -196,7 +204,8 @@ def fit_plant(
     Returns
     -------
     PlantFit
-        Never SOLVED where the log leaves a combination open, but for factors of noise alone, or a bound holds one.
+        Never SOLVED where the log leaves a combination open, but for factors of noise alone, a bound holds one, or the
+        errors of states last beyond what that correlation explains. Names that follow those of the plant are of noise.
 
     Raises
     ------
@@ -227,44 +236,61 @@ def fit_plant(
     scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
     if output is None:
         errors = [residuals(problem.model, log) for log in several]  # which checks the logs
-        p, measured = errors[-1].p, sum(log.e_next.size for log in errors)
+        p, measured = errors[-1].p, sum(log.e_next[:, 1:].size for log in errors)
     else:
         given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]
         p, measured = given[-1].design, sum(int(np.isfinite(log.outputs).sum()) for log in given)
     unknown = changed_plant(problem, p) if plant is None else stated_plant(problem, plant)
-    names = unknown.free + NOISE * scaled
+    noises = NOISE * scaled if output is not None else tuple(f"correlation of {x}" for x in problem.state_names)
+    names = unknown.free + noises
     if measured < len(names):
         got = f"{measured} measured values for {len(names)} unknowns, {', '.join(names)}"
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
     with np.errstate(all="ignore"):  # a filter may diverge
         if output is None:
-            found, z, scores = _of_states(problem, unknown, several)
+            found, z, left = _of_states(problem, unknown, several)
         else:
-            found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], scaled)
+            found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], len(noises))
             z = found.largest()
         values, held, (_, _, slopes, squares) = found.values(z), found.held(z), found.at(z)
     slopes = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
     known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
-    open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(NOISE))
+    open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(noises))
     status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
     status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
-    covariance = known.covariance(1.0)
+    covariance, freedom = known.covariance(1.0), np.inf
     if output is None:
         told = np.isfinite(covariance).all(axis=1)
-        moved = scores[:, told] @ covariance[np.ix_(told, told)]
-        covariance[np.ix_(told, told)] = moved.T @ moved
-    return PlantFit(names, values, covariance, status, open_, squares / measured, unknown)
+        inverse = np.where(np.outer(told, told), covariance, 0.0)
+        moved = np.concatenate([part.scores(values, inverse) for part in found.parts]) @ inverse
+        covariance = np.where(np.outer(told, told), moved.T @ moved, covariance)
+        freedom = max(len(moved) - len(names), 1)
+        status = FitStatus.LASTING if status is FitStatus.SOLVED and _lasting(left) else status
+    return PlantFit(names, values, covariance, status, open_, squares / measured, unknown, freedom)
+
+
+def _lasting(runs: Sequence[Array], level: float = 1e-3, size: float = 0.1) -> bool:
+    """Whether errors (n, T, nx) have a mean, or tell the next, beyond chance and by a tenth of their size."""
+    e = np.concatenate([run.reshape(-1, run.shape[2]) for run in runs])
+    pairs = np.concatenate([(run[:, 1:] * run[:, :-1]).reshape(-1, run.shape[2]) for run in runs])
+    square = (e**2).mean(axis=0)
+    with np.errstate(all="ignore"):
+        found = np.abs([e.mean(axis=0) / np.sqrt(square), pairs.mean(axis=0) / square])
+    chance = norm.isf(level / found.size / 2) / np.sqrt([[len(e)], [max(len(pairs), 1)]])
+    return bool((found > np.maximum(chance, size)).any())
 
 
 class _Likelihood:
     """Likelihood of parameters, in units from their guess."""
 
-    def __init__(self, unknown: UnknownPlant, parts: Sequence[Innovations | StateErrors], scaled: bool) -> None:
-        (lower, upper), none = unknown.bounds, np.zeros(2 * scaled)
+    def __init__(
+        self, unknown: UnknownPlant, parts: Sequence[Any], noises: int, end_of_noise: float = np.inf
+    ) -> None:  # fmt: skip
+        (lower, upper), none = unknown.bounds, np.zeros(noises)
         self.parts = parts
         self.guess = np.concatenate([(lower + upper) / 2, none])
         self.units = np.concatenate([(upper - lower) / 2, none + 1])
-        end = np.concatenate([np.full(len(lower), np.inf if unknown.constants else 1.0), none + np.inf])
+        end = np.concatenate([np.full(len(lower), np.inf if unknown.constants else 1.0), none + end_of_noise])
         self.bounds = Bounds(-end, end, keep_feasible=True)
         self._last: tuple[bytes, tuple[float, Array, Array, float]] | None = None
 
@@ -315,8 +341,8 @@ class _Likelihood:
 
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
-) -> tuple[_Likelihood, Array, Array]:
-    """Criterion of one-step errors, its least point, and scores (N, m).
+) -> tuple[_Likelihood, Array, list[Array]]:
+    """Criterion of prediction errors, where it is least, and the errors that it leaves.
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.
@@ -327,11 +353,12 @@ def _of_states(
     size = problem.state_scale
     for _ in range(rounds):
         parts = [StateErrors.of(step, mean, size, *log) for step, log in zip(steps, kept)]
-        found = _Likelihood(unknown, parts, scaled=False)
+        found = _Likelihood(unknown, parts, problem.model.nx, end_of_noise=1.0)
         z = found.largest()
-        e = size * np.concatenate([part.errors(found.values(z))[0] for part in parts])
-        size = np.sqrt((e**2).mean(axis=0) + (NEGLIGIBLE * problem.state_scale) ** 2)
-    return found, z, np.concatenate([part.scores(found.values(z)) for part in parts])
+        left = [part.predicted(found.values(z))[0] for part in parts]
+        square = np.concatenate([(size * e).reshape(-1, len(size)) ** 2 for e in left]).mean(axis=0)
+        size = np.sqrt(square + (NEGLIGIBLE * problem.state_scale) ** 2)
+    return found, z, left
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:

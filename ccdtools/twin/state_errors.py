@@ -1,4 +1,4 @@
-"""One-step errors of a plant along logged states, with slopes."""
+"""Prediction errors of a plant along logged states, with slopes."""
 
 from __future__ import annotations
 
@@ -13,18 +13,24 @@ from ccdtools.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class StateErrors:
-    """One-step errors of states by parameters θ (m,), in sizes of their own.
+    """Prediction errors of states by parameters (θ, ρ), in sizes of their own.
+
+    Those of one step, of which the part ρ (nx,) goes on to the next: a disturbance that lasts is not taken for a
+    consequence of the state.
 
     Attributes
     ----------
     told : casadi.Function
-        (x, u, x⁺, θ) → errors (nx,) and their slopes (nx, m).
-    samples : tuple of arrays (·, N)
-        x, u and x⁺.
+        (x, u, x⁺, θ) → errors (nx,) of one step and their slopes (nx, m).
+    samples : tuple of arrays (·, n T)
+        x, u and x⁺, run by run.
+    runs : int
+        n.
     """
 
     told: ca.Function
     samples: tuple[Array, Array, Array]
+    runs: int
 
     @classmethod
     def of(cls, step: ca.Function, w: Array, size: Array, states: Array, inputs: Array) -> StateErrors:
@@ -35,21 +41,39 @@ class StateErrors:
         with contextlib.suppress(RuntimeError):  # an implicit step has no scalar instructions, which are faster
             told = told.expand()
         columns = (states[:, :-1], inputs, states[:, 1:])
-        return cls(told, tuple(column.reshape(-1, column.shape[2]).T for column in columns))  # type: ignore[arg-type]
+        return cls(told, tuple(column.reshape(-1, column.shape[2]).T for column in columns), len(states))  # type: ignore[arg-type]
 
-    def errors(self, theta: Array) -> tuple[Array, Array]:
-        """Errors (N, nx) and slopes (N, nx, m)."""
+    def of_one_step(self, theta: Array) -> tuple[Array, Array]:
+        """Errors (n, T, nx) of one step, and slopes (n, T, nx, m)."""
         m, count = len(theta), self.samples[0].shape[1]
         error, slope = (np.asarray(part, dtype=float) for part in self.told.map(count)(*self.samples, theta))
-        return error.T, slope.reshape(len(error), count, m).transpose(1, 0, 2)
+        nx = len(error)
+        errors = error.T.reshape(self.runs, -1, nx)
+        return errors, slope.reshape(nx, count, m).transpose(1, 0, 2).reshape(*errors.shape, m)
 
-    def at(self, theta: Array) -> tuple[Array, Array, Array, Array]:
-        """Errors and variances (N nx,), with slopes (N nx, m)."""
-        error, slope = self.errors(theta)
-        slope = slope.reshape(error.size, len(theta))
+    def predicted(self, values: Array) -> tuple[Array, Array]:
+        """Errors (n, T − 1, nx) of predictions, and slopes by θ and ρ."""
+        nx = len(self.samples[0])
+        theta, rho = values[:-nx], values[-nx:]
+        error, slope = self.of_one_step(theta)
+        by_rho = -error[:, :-1, :, None] * np.eye(nx)
+        by_theta = slope[:, 1:] - rho[:, None] * slope[:, :-1]
+        return error[:, 1:] - rho * error[:, :-1], np.concatenate([by_theta, by_rho], axis=3)
+
+    def at(self, values: Array) -> tuple[Array, Array, Array, Array]:
+        """Errors and variances (N,), with slopes (N, m)."""
+        error, slope = self.predicted(values)
+        slope = slope.reshape(error.size, len(values))
         return error.ravel(), np.ones(error.size), slope, np.zeros_like(slope)
 
-    def scores(self, theta: Array) -> Array:
-        """Slopes (N, m) of half the square of each sample's errors."""
-        error, slope = self.errors(theta)
-        return np.asarray(np.einsum("ni,nim->nm", error, slope))
+    def scores(self, values: Array, covariance: Array) -> Array:
+        """Slopes (n (T − 1), m) of half the square of each sample's errors.
+
+        Errors are those that a fit without the sample would leave, to first order (HC3), by the inverse of Fisher's
+        information.
+        """
+        error, slope = self.predicted(values)
+        J = slope.reshape(-1, *slope.shape[2:])
+        kept = np.eye(J.shape[1]) - J @ covariance @ J.transpose(0, 2, 1)
+        left = np.linalg.solve(kept, error.reshape(len(J), -1, 1))[:, :, 0]
+        return np.asarray(np.einsum("ni,nim->nm", left, J))

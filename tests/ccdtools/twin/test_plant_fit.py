@@ -5,7 +5,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
+from scipy.signal import lfilter
 
 from ccdtools import (
     CoDesignProblem,
@@ -411,16 +412,63 @@ def test_of_states_a_gain_is_the_least_squares_solution_in_any_unit():
     for unit in (1.0, 1e4):
         problem, log = seen(spring(0.5, unit=unit), unit=unit)
         found.append(fit_plant(problem, log, plant=spring(unit=unit, names=("gain",))))
-        x, u, after = (part.reshape(-1, part.shape[2]) for part in (log.states[:, :-1], log.inputs, log.states[:, 1:]))
         A, B, E = problem.model.matrices(P)
         along = E[:, 0] / (E.T @ E)[0, 0]  # noise and input enter alike
-        error, moved = (after - x @ A.T) @ along, u[:, 0] * (B.T @ along)[0]
-        exact = error @ moved / (moved @ moved)
-        deviation = (error - exact * moved).std() / np.sqrt(moved @ moved)
+        error = (log.states[:, 1:] - log.states[:, :-1] @ A.T) @ along
+        moved = log.inputs[:, :, 0] * (B.T @ along)[0]
+
+        def left(z, error=error, moved=moved):
+            """What a gain and a correlation leave."""
+            one = error - z[0] * moved
+            return (one[:, 1:] - z[1] * one[:, :-1]).ravel()
+
+        own = least_squares(left, [1.0, 0.0], xtol=1e-12, ftol=1e-12)
+        spread = np.linalg.inv(own.jac.T @ own.jac) * left(own.x).var()
         assert found[-1].status.name == "SOLVED"
-        assert found[-1].values[0] == pytest.approx(exact, rel=1e-3)  # the mean of w is that of a sample
-        assert found[-1].deviations[0] == pytest.approx(deviation, rel=0.08)
-    assert found[0].values[0] == pytest.approx(found[1].values[0], rel=1e-9)
+        np.testing.assert_allclose(found[-1].values[:2], own.x, atol=1e-3)  # the mean of w is that of a sample
+        np.testing.assert_allclose(found[-1].deviations[:2], np.sqrt(np.diag(spread)), rtol=0.08)
+    assert found[0].values[0] == pytest.approx(found[1].values[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("carried", [0.5, 0.8])
+def test_of_states_a_disturbance_that_lasts_is_no_dynamics(carried):
+    held = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        w = 0.3 * lfilter([(1 - carried**2) ** 0.5], [1, -carried], rng.standard_normal((4, 200, 1)), axis=1)
+        problem = stated(measurement=None)
+        found = fit_plant(problem, deploy(spring(0.5), saturated_lqr(problem, P), P, w, x0=START),
+                          plant=spring(names=("gain",)))  # fmt: skip
+        assert found.status.name == "SOLVED"
+        held += bool(found.intervals()[0, 0] <= 0.5 <= found.intervals()[0, 1])
+    assert held >= 16  # without a correlation none
+
+
+def test_of_states_a_push_that_nothing_states_is_not_known_and_one_that_is_stated_is():
+    problem, log = seen(spring(0.5, push=0.3))
+    found = fit_plant(problem, log, plant=spring(names=("gain",)))
+    assert found.status.name == "LASTING"
+    assert "constant part" in found.advice
+    with pytest.raises(InputError, match="LASTING"):
+        updated_problem(problem, found)
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3)
+    space = DesignSpace(["k", "gain", "push"], [0.5, 0.2, -1.0], [4.0, 3.0, 1.0])
+    rates = [x[1], p[1] * u - p[0] * x[0] - 0.3 * x[1] + w + p[2]]
+    found = fit_plant(problem, log, plant=Plant(x, u, w, p, rates, space, dt=DT))
+    assert found.status.name == "SOLVED"
+    np.testing.assert_allclose(found.values[:2], [0.5, 0.3], atol=4 * found.deviations[:2].max())
+
+
+@pytest.mark.parametrize("steps", [5, 10, 30])
+def test_of_states_a_short_log_has_wide_intervals(steps):
+    held = 0
+    for seed in range(60):
+        problem = stated(measurement=None)
+        w = Gaussian([0.3]).sample(1, steps, np.random.default_rng(seed))
+        log = deploy(spring(0.5), saturated_lqr(problem, P), P, w, x0=START)
+        low, high = fit_plant(problem, log, plant=spring(names=("gain",))).intervals()[0]
+        held += bool(low <= 0.5 <= high)
+    assert held >= 50
 
 
 def test_of_states_intervals_hold_the_truth_as_often_as_they_say():
