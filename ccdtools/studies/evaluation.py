@@ -63,9 +63,14 @@ class Evaluation:
 
     def of_plant(self, values: Array) -> Evaluation:
         """Evaluation on the model with its unknown entries at values (m,)."""
-        assert self.study.unknown is not None
-        unknown = stated_plant(self.problem, self.study.unknown)
-        return replace(self, study=replace(self.study, plant=unknown.at(self.problem.design, values)))
+        own, unknown = self.study.plant, self.study.unknown
+        assert unknown is not None
+        plant = stated_plant(self.problem, unknown).at(self.problem.design, values)
+        plant = replace(
+            plant, outputs=own.output(plant.x, plant.u, plant.p) if own.ny else None, output_names=own.output_names,
+            output_limits=own.output_limits, state_names=own.state_names, input_names=own.input_names,
+        )  # fmt: skip
+        return replace(self, study=replace(self.study, plant=plant))
 
     @cached_property
     def deployment_steps(self) -> int:

@@ -30,11 +30,11 @@ def service_rows(evaluation: Evaluation, history: Sequence[GenerationRecord]) ->
         runs = [scenario.run(evaluation.deployed(one), design=one.design, limit=limit) for one in served]
         kept = ~np.any([run.diverged for run in runs], axis=0)
         rewards = [run.rewards(objective)[kept] for run in runs]
-        paid = float(objective.cost_of_design(served[0].design, scenario.steps))
+        paid = [float(objective.cost_of_design(one.design, scenario.steps)) for one in served]
         changes = [change_of_level(after - before, before, runs=len(kept)) for before, after in pairwise(rewards)]
         rows.append({
             "place": name, "runs": len(kept), "steps": scenario.steps, "left_out": 1 - kept.mean(),
-            "means": [one.sum(axis=1).mean() if len(one) else None for one in rewards], "design_cost": paid,
+            "means": [one.sum(axis=1).mean() if len(one) else None for one in rewards], "design_costs": paid,
             "changes": [asdict(change) for change in changes],
         })  # fmt: skip
     return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.method_names import STUDY_EXPERTS
@@ -12,11 +13,16 @@ from ccdtools.studies.options import CHOICES
 from ccdtools.studies.study import Study
 from ccdtools.twin.online import ONLINE_TRAINING, OnlineConfig
 from ccdtools.twin.trial import TrialConfig
-from ccdtools_ground.door import as_choice, as_flag, as_instance, as_positive, as_share
+from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, as_positive, as_share
 from learning.networks import NetworkConfig
 from learning.ppo import PPOConfig
 from learning.quantile import QuantileConfig
 from learning.warm_start import CloningConfig
+
+KINDS = {
+    "network": NetworkConfig, "cloning": CloningConfig, "codesign": CoDesignConfig, "redesign": CoDesignConfig,
+    "online": OnlineConfig, "quantile": QuantileConfig,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,13 @@ class StudyConfig:
     drift: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("samples", "model_runs", "real_runs", "mpc_runs", "held_out_runs", "held_out_steps"):
+            as_count(name, getattr(self, name))
+        as_choice("sets", self.sets, CHOICES["sets"])
+        as_choice("method", self.method, METHODS)
+        as_positive("sets_time_limit", self.sets_time_limit)
+        for name, kind in KINDS.items():
+            as_instance(name, getattr(self, name), kind, f"a {kind.__name__}")
         if self.drift is not None:
             as_share("drift", self.drift)
 
@@ -109,14 +122,16 @@ def configuration(
     """
     as_instance("study", study, Study, "a Study, as load_study returns")
     as_choice("preset", preset, CHOICES["preset"])
-    expert = study.expert if expert is None else as_choice("expert", expert, (*STUDY_EXPERTS, *study.laws))
-    sets = study.sets if sets is None else as_choice("sets", sets, CHOICES["sets"])
-    limit = study.sets_time_limit if sets_time_limit is None else as_positive("sets_time_limit", sets_time_limit)
-    config = StudyConfig(preset=preset, expert=expert, samples=study.samples, sets=sets, sets_time_limit=limit)
-    unknown = set(study.settings) - {field.name for field in fields(StudyConfig)}
+    unknown = set(study.settings) - ({field.name for field in fields(StudyConfig)} - {"preset", "quick"})
     if unknown:
-        raise InputError("settings", ", ".join(sorted(map(str, unknown))), "names of fields of StudyConfig")
-    config = replace(config, **study.settings)
+        expected = "names of fields of StudyConfig, but preset and quick"
+        raise InputError("settings", ", ".join(sorted(map(str, unknown))), expected)
+    own: dict[str, Any] = {name: getattr(study, name) for name in ("expert", "sets", "sets_time_limit")}
+    own |= study.settings
+    given = {"expert": expert, "sets": sets, "sets_time_limit": sets_time_limit}
+    own |= {name: value for name, value in given.items() if value is not None}
+    as_choice("expert", own["expert"], (*STUDY_EXPERTS, *study.laws))
+    config = StudyConfig(**({"samples": study.samples} | own), preset=preset)
     if drift is not None:
         config = replace(config, drift=as_share("drift", drift))
     if as_flag("trial", trial):
@@ -161,15 +176,20 @@ def _quick(config: StudyConfig) -> StudyConfig:
         config,
         quick=True,
         samples=min(config.samples, 200),
-        model_runs=400,
-        real_runs=400,
-        mpc_runs=10,
-        real_steps=3000,
-        held_out_runs=5,
-        held_out_steps=300,
-        cloning=replace(config.cloning, steps=1000),
+        model_runs=min(config.model_runs, 400),
+        real_runs=min(config.real_runs, 400),
+        mpc_runs=min(config.mpc_runs, 10),
+        real_steps=3000 if config.real_steps is None else min(config.real_steps, 3000),
+        held_out_runs=min(config.held_out_runs, 5),
+        held_out_steps=min(config.held_out_steps, 300),
+        cloning=replace(config.cloning, steps=min(config.cloning.steps, 1000)),
         codesign=fewer(config.codesign, 40),
         redesign=fewer(config.redesign, 20),
-        online=replace(config.online, updates=2, judged=200, training=replace(ONLINE_TRAINING, iterations=8)),
-        quantile=replace(config.quantile, steps=500),
+        online=replace(
+            config.online,
+            updates=min(config.online.updates, 2),
+            judged=min(config.online.judged, 200),
+            training=replace(ONLINE_TRAINING, iterations=8),
+        ),
+        quantile=replace(config.quantile, steps=min(config.quantile.steps, 500)),
     )

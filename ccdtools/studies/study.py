@@ -179,6 +179,10 @@ class Study(Immutable):
             from ccdtools.twin.unknown_plant import stated_plant  # estimation is loaded where it is asked for
 
             stated_plant(self.problem(), self.unknown)
+            kinds = [(one.dt, one.continuous) for one in (self.unknown, self.plant)]
+            if kinds[0] != kinds[1]:
+                got, expected = (f"{'continuous' if kind else 'discrete'}, dt = {dt:g} s" for dt, kind in kinds)
+                raise InputError("unknown", got, f"{expected}, as the plant")
         self._check_real(as_instance("real", self.real, RealPlant, "a RealPlant, or None for the model"))
 
     def _check_kinds(self) -> None:

@@ -62,7 +62,7 @@ def outside_data(twin: DigitalTwin, log: Trajectory) -> tuple[float, Array]:
     share : float
         Part of the samples in which a state or an input lies outside its range in the twin's logs.
     excess : (nx + nu,) array
-        How far each state, then each input, goes outside, in its range there.
+        How far each state, then each input, goes outside, in its range there; 1 of what did not move there.
 
     Raises
     ------
@@ -75,8 +75,9 @@ def outside_data(twin: DigitalTwin, log: Trajectory) -> tuple[float, Array]:
     known = np.concatenate([_samples(one) for one in twin.logs])
     fresh = _samples(residuals(twin.model, log))
     low, high = known.min(axis=0), known.max(axis=0)
-    size = np.where(high > low, high - low, np.maximum(np.abs(high), np.finfo(float).tiny))
-    beyond = np.maximum(np.maximum(low - fresh, fresh - high), 0.0) / size
+    beyond = np.maximum(np.maximum(low - fresh, fresh - high), 0.0)
+    most = beyond.max(axis=0)
+    beyond /= np.where(high > low, high - low, np.where(most > 0, most, 1.0))
     return float((beyond > 0).any(axis=1).mean()), np.asarray(beyond.max(axis=0))
 
 

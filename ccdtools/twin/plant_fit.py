@@ -50,8 +50,8 @@ class FitStatus(Outcome):
         "output, or excite what distinguishes them."
     )
     LASTING = (
-        "Errors last: they have a mean, or one tells the next. So the log may mistake a disturbance for dynamics: state "
-        "a constant part, a friction or a state of the disturbance as well, or excite the inputs more."
+        "Errors last: they have a mean, or one tells the next. So the log may mistake a disturbance for dynamics. "
+        "Excite the inputs more, or state a constant part, a friction or a state of the disturbance as well."
     )
     AT_BOUND = "A parameter is held by a bound of the stated plant: widen it, or doubt the plant."
     UNSOLVED = "The likelihood could not be maximised: narrow the bounds of the stated plant, or log longer."
@@ -97,7 +97,7 @@ class OutputLog(Immutable):
         if self.times is None:
             return
         steps = np.diff(self.times)
-        wrong = np.flatnonzero(~np.isclose(steps, dt, rtol=0.01))
+        wrong = np.flatnonzero(~np.isclose(steps, dt, rtol=0.01, atol=0.0))
         if len(wrong):
             got = f"{steps[wrong[0]]:g} s from sample {wrong[0]} to the next"
             cure = "Cut the log there, or put NaN where samples are missing."

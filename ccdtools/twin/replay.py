@@ -155,15 +155,15 @@ def updated_problem(
 
     Episodes start where the log was; the width of the quantiles is penalised. `window`, `warm_up` and `starts` as for
     `replay_problem`; by default an episode is that of the problem, or as long as the shortest log.
-    With sensors, by `fit_plant`: the problem with its model at the likeliest parameters, and a constant part of w.
+    By `fit_plant`: the problem with its model at the likeliest parameters, and a constant part of w.
 
     Raises
     ------
     InputError
-        If the twin has learned nothing yet, the problem has sensors but the twin is no `PlantFit`, that leaves
+        If the twin has learned nothing yet, the problem has sensors but the twin is no `PlantFit`, or one that leaves
         something open or was not solved, or no logged run is as long as `window` and `warm_up`.
     """
-    if hasattr(twin, "updated"):  # an PlantFit, whose import takes long
+    if hasattr(twin, "updated"):  # a PlantFit, whose import takes long
         return twin.updated(as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem"))
     as_seen_problem(problem)
     as_instance("twin", twin, DigitalTwin, "a DigitalTwin")

@@ -22,6 +22,7 @@ from mpc.optimal_control.program import NonlinearProgram, shaken
 from mpc.optimal_control.schemes import Collocation, Scheme
 from mpc.optimal_control.solution import Ends, OptimalControlStatus, Solution, merged
 from mpc.optimal_control.solving import optima, solve
+from mpc.optimal_control.starts import as_starts
 from mpc.optimal_control.transcription import build
 from mpc.tolerances import (
     AT_BOUND,
@@ -143,7 +144,7 @@ class _Rounds:
     def best_of(self, program: NonlinearProgram, starts: Any) -> tuple[Solution, str, tuple[Ends, ...]]:
         """Best refined solution of several starts, and how they ended."""
         rounds = self.left
-        if starts == 1:
+        if as_starts(starts) == 1:
             return *self.refined(self.solved(program, None)), ()
         first = optima(program, starts=starts, time_limit=self._seconds, **({"start": None} | self.options))
         self.iterations[0] += first[0].iterations

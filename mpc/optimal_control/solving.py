@@ -133,22 +133,31 @@ class _Tries:
             self.begin_at(place)
 
     def ranked(self) -> list[Solution]:
-        """Solutions, one for each optimum, the best first; without an optimum the first one."""
-        good = [pair for pair in self.tried if status_of(pair[1]) is OptimalControlStatus.SOLVED]
+        """Solutions, one for each optimum, the best first; without an optimum the best."""
+        solved, unbounded = OptimalControlStatus.SOLVED, OptimalControlStatus.UNBOUNDED
+        good = [pair for pair in self.tried if status_of(pair[1]) is solved]
         good.sort(key=lambda pair: pair[0].cost(pair[1]))
         solutions: list[Solution] = []
-        ends = [Ends(status, np.nan, 1) for _, found in self.tried
-                if (status := status_of(found)) is not OptimalControlStatus.SOLVED]  # fmt: skip
+        ends = [Ends(unbounded if run.falls(found) else status, np.nan, 1) for run, found in self.tried
+                if (status := status_of(found)) is not solved]  # fmt: skip
         for run, found in good:
             if not (solutions and alike(run.cost(found), solutions[-1].cost)):
                 solutions.append(run.judged(found))
             ends.append(Ends(solutions[-1].status, solutions[-1].cost, 1))
-        run, found = self.tried[0]
-        solutions = solutions or [run.judged(found)]
+        if not solutions:
+            run, found = min(self.tried, key=_missed)
+            solutions = [run.judged(found)]
         iterations = self.iterations + sum(run.iterations for run, _ in self.tried)
         told = merged(ends) if len(self.tried) > 1 else ()
         solutions = [replace(one, iterations=iterations, ends=told) for one in solutions]
         return sorted(solutions, key=lambda one: one.rank)
+
+
+def _missed(tried: tuple[Run, Found]) -> tuple[float, float]:
+    """Largest violation, if it is one, and the cost, of what is no optimum."""
+    run, found = tried
+    worst, cost = found.violations.max(initial=0.0), run.cost(found)
+    return (worst if not worst <= FEASIBLE else 0.0), (cost if np.isfinite(cost) else np.inf)
 
 
 def as_settings(tolerance: Any, iterations: Any, seconds: Any, options: Any) -> Settings:

@@ -77,11 +77,11 @@ def service_table(results: Values) -> list[list[str]]:
 def _service_cells(row: Values) -> list[str]:
     """Returns, each with the change from the one before."""
     cells = []
-    for mean, change in zip(row["means"], [None, *row["changes"]]):
+    for mean, change, paid in zip(row["means"], [None, *row["changes"]], [0.0, *row["design_costs"]]):
         shown = "n/a" if mean is None else with_minus(number(mean))
         if mean is not None and change is not None:
             before = mean - change["mean"]
-            shown += f", {gain_text({'start': before, 'design_cost': row['design_cost'], 'of': change}, 'of')}"
+            shown += f", {gain_text({'start': before, 'design_cost': paid, 'of': change}, 'of')}"
         cells.append(shown)
     return cells
 

@@ -53,6 +53,19 @@ def test_a_study_may_state_how_thoroughly_it_runs(illustrative):
         configuration(replace(illustrative, settings={"model_rum": 50}))
     with pytest.raises(InputError, match="settings"):
         replace(illustrative, settings=[("model_runs", 50)])
+    for wrong, words in [
+        ({"model_runs": "many"}, "model_runs: got"), ({"mpc_runs": 2.5}, "mpc_runs: got"),
+        ({"sets": "zzz"}, "sets: got"),
+        ({"expert": "foo"}, "expert: got 'foo'"), ({"online": 3}, "online: got 3, expected a OnlineConfig"),
+        ({"codesign": {"iterations": 3}}, "codesign: got"), ({"quick": True}, "settings: got quick"),
+        ({"preset": "paper"}, "settings: got preset"), ({"method": "x"}, "method: got 'x'"),
+    ]:  # fmt: skip
+        with pytest.raises(InputError, match=words):
+            configuration(replace(illustrative, settings=wrong))
+    stated = replace(illustrative, settings={"expert": "mpc", "sets": "none", "model_runs": 30})
+    asked = configuration(stated, expert="lqr", sets="lqr", quick=True)
+    assert (asked.expert, asked.sets, asked.model_runs) == ("lqr", "lqr", 30)
+    assert configuration(stated).expert == "mpc"
 
 
 def test_the_expert_of_a_study_may_be_one_of_its_laws(illustrative):

@@ -120,3 +120,37 @@ def test_a_start_beside_a_list_and_a_path_of_several_phases_are_refused():
               starts=[([0, 1], np.zeros((2, 2)), np.zeros((2, 2)))])  # fmt: skip
     by_shooting = solve(build(between_wells(), MultipleShooting(), 40), starts=[found])
     assert by_shooting.solved_on_mesh
+
+
+def test_of_starts_that_were_stopped_the_best_is_handed_out():
+    phase = Phase(
+        dynamics=lambda u: u, states=1, inputs=1, start=([-5], [5]), duration=1.0, u_bounds=([-1], [1]),
+        stage_cost=lambda x, u: (x - 3) ** 2 * (1 + (x + 1) ** 2) + u**2, x_bounds=([-5], [5]),
+    )  # fmt: skip
+    program = build(phase, intervals=10)
+    far, near = (([0, 1], [[at], [at]], np.zeros((2, 1))) for at in (-1.0, 3.0))
+    one, other = (solve(program, starts=[place], max_iterations=2) for place in (far, near))
+    assert one.cost > 2 * other.cost
+    both = solve(program, starts=[far, near], max_iterations=2)
+    assert both.status.name == other.status.name
+    assert both.cost == pytest.approx(other.cost)
+
+
+def test_a_cost_without_end_is_told_among_the_ends():
+    phase = Phase(
+        dynamics=lambda u: u, states=1, inputs=1, start=([-1e4], [1e4]), duration=1.0,
+        stage_cost=lambda x, u: x**2 - x**4 / 40 + u**2,
+    )  # fmt: skip
+    program = build(phase, intervals=5)
+    places = [([0, 1], [[at], [at]], np.zeros((2, 1))) for at in (0.1, 50.0)]
+    assert solve(program, starts=places[1:]).status.name == "UNBOUNDED"
+    found = solve(program, starts=places)
+    assert {one.status.name for one in found.ends} == {"SOLVED", "UNBOUNDED"}
+    assert "UNBOUNDED" in found.advice
+
+
+@pytest.mark.parametrize("wrong", [True, 1.0, 0, "two", []])
+def test_numbers_of_starts_are_whole(wrong):
+    for how in (solve, refine):
+        with pytest.raises(InputError, match="starts: got"):
+            how(between_wells(), starts=wrong)

@@ -53,10 +53,10 @@ def test_the_gains_say_what_their_per_cent_are_of():
     gain = {"mean": 1.0, "ci95": [0.5, 1.5]}
     sources = dict.fromkeys(("design", "policy", "updates", "redesign", "total"), gain)
     place = {"place": "real plant", "runs": 9, "steps": 5, "left_out": 0.0, "start": -20.0, "design_cost": 10.0}
-    served = {"place": "as deployed, model", "runs": 9, "steps": 5, "left_out": 0.0, "design_cost": 10.0,
-              "means": [-20.0, -19.0], "changes": [gain]}  # fmt: skip
+    served = {"place": "as deployed, model", "runs": 9, "steps": 5, "left_out": 0.0, "design_costs": [10.0, 14.0],
+              "means": [-20.0, -19.0, -18.0], "changes": [gain, gain]}  # fmt: skip
     first, second, _, title, row = console_lines({"gains": [place | sources], "in_service": [served]})
     assert "of what control costs LQR at the start design" in first
     assert "total +10 %" in second
     assert title.startswith("in service at the start and after each generation")
-    assert row == "  as deployed, model (9 runs of 5 steps): −20.00; −19.00, +10 % [+5, +15]"
+    assert row == "  as deployed, model (9 runs of 5 steps): −20.00; −19.00, +10 % [+5, +15]; −18.00, +20 % [+10, +30]"
