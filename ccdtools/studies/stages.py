@@ -260,12 +260,12 @@ class LoopStages:
     def identify(self, rng: np.random.Generator, logs: Sequence[Trajectory]) -> Stage:
         """Unknown entries of the plant that logs tell."""
         fit = fit_plant(self.evaluation.problem, logs, plant=self.evaluation.study.unknown)
-        known = fit.status is FitStatus.SOLVED
-        pairs = ", ".join(f"{name} {value:.4g} ± {deviation:.2g}"
-                          for name, value, deviation in zip(fit.names, fit.values, 1.96 * fit.deviations))  # fmt: skip
+        known, own = fit.status is FitStatus.SOLVED, slice(len(fit.unknown.free))  # names of noise follow
+        rows = zip(fit.names[own], fit.values, 1.96 * fit.deviations)
+        pairs = ", ".join(f"{name} {value:.4g} ± {half:.2g}" for name, value, half in rows)
         text = f"the logs tell {pairs}" if known else f"the model stays: {fit.advice}"
-        values = {"status": fit.status.name, "known": known, "names": fit.names, "text": text, "report": [text]}
-        return Stage(values, {"values": fit.values, "intervals": fit.intervals()})
+        values = {"status": fit.status.name, "known": known, "names": fit.names[own], "text": text, "report": [text]}
+        return Stage(values, {"values": fit.values[own], "intervals": fit.intervals()[own]})
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
         """Discrepancy learned from all logs, with its scores."""

@@ -352,6 +352,17 @@ def test_the_page_and_the_results_say_which_sets_the_samples_came_from(spring, m
         assert f"Sets: {sets['text']}." in (folder.path / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_run_that_began_with_mpc_or_identified_its_plant_says_so(spring):
+    folder, results = spring
+    told = {
+        "initialisation": {"expert": "nonlinear MPC", "samples": 12, "seconds": 1.0},
+        "generations": [one | {"identified": "the logs tell gain 0.5 ± 0.1"} for one in results["generations"]],
+    }
+    page = render(FinishedRun(load_study(folder.path.parent / "spring.py"), folder, results | told), [])
+    assert "the first policy imitates nonlinear MPC of the model, on 12 samples" in page
+    assert page.count("The logs tell gain 0.5 ± 0.1.") == len(results["generations"])
+
+
 def asked_for_no_sets(folder, results):
     """The same run, had it been asked for no sets."""
     return FinishedRun(two_masses(), folder, results | {"configuration": results["configuration"] | {"sets": "none"}})

@@ -1,6 +1,7 @@
 """A study whose plant has entries that are unknown: from each deployment on its model is what the logs tell."""
 
 import shutil
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -9,6 +10,7 @@ from small_runs import tiny
 
 from ccdtools import DesignSpace, Gaussian, InputError, Plant, QuadraticObjective, RealPlant, Study
 from ccdtools.studies import Generations, RunFolder, configuration
+from ccdtools.studies.evaluation import Evaluation
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin import fit_plant
 
@@ -53,7 +55,7 @@ def test_the_model_of_all_later_stages_is_what_the_logs_tell_also_when_a_run_is_
     stage = folder.read_stage("identification-1")
     deployed = folder.read_stage("deployment-1")
     log = Trajectory(**deployed.arrays, dt=0.33)
-    np.testing.assert_allclose(stage.arrays["values"], fit_plant(study.problem(), log, plant=spring()).values)
+    np.testing.assert_allclose(stage.arrays["values"], fit_plant(study.problem(), log, plant=spring()).values[:1])
     assert stage.values["status"] == "SOLVED"
     assert stage.arrays["values"][0] == pytest.approx(0.5, abs=0.1)
     assert results["generations"][0]["identified"].startswith("the logs tell gain 0.")
@@ -74,8 +76,23 @@ def test_the_model_of_all_later_stages_is_what_the_logs_tell_also_when_a_run_is_
     np.testing.assert_array_equal(again.evaluation.study.model.matrices([2.0])[1], model.matrices([2.0])[1])
 
 
+def test_the_limits_of_the_outputs_and_the_names_are_those_of_the_study():
+    own = spring(1.0)
+    named = replace(own, outputs=[own.x[0]], output_limits=([-1.5], [1.5]), state_names=["place", "speed"])
+    study = weak(plant=named)
+    after = Evaluation(study, configuration(study, quick=True), 0).of_plant(np.array([0.5])).study
+    for one in (study, after):
+        assert one.plant.state_names == ("place", "speed")
+        assert one.problem().output_limits is not None
+        np.testing.assert_allclose(one.plant.output_limits[1], [1.5])
+    B = [one.model.matrices([2.0])[1] for one in (study, after)]
+    np.testing.assert_allclose(B[1], 0.5 * B[0], rtol=1e-9)
+
+
 def test_a_plant_without_the_design_of_the_study_is_named():
     with pytest.raises(InputError, match="what is unknown besides"):
         weak(unknown=spring(1.0))
+    with pytest.raises(InputError, match=r"unknown: got continuous, dt = 0\.1 s, expected continuous, dt = 0\.33 s"):
+        weak(unknown=replace(spring(), dt=0.1))
     with pytest.raises(InputError, match="unknown entries in its design"):
         weak(unknown=0.5)
