@@ -4,7 +4,7 @@
 
 The real plant is the environment itself: a rod of 1 kg whose length is designed, within 2 N·m, from Gymnasium's starts.
 Generation 1 is `codesign` with its defaults on a model of another mass, and of Runge–Kutta steps where Gymnasium takes
-Euler's. Its policy is deployed in eight episodes; their states tell the mass (`fit_plant`); generation 2
+Euler's. Its policy is deployed in eight episodes; their states tell the mass (`fit_plant`), also where errors last; generation 2
 goes on from the policy and the length in service, on the model with that mass. Both are driven on the environment from
 400 fresh common starts: the gain in pairs, with its 95 % interval. One thread.
 """
@@ -34,7 +34,7 @@ from ccdtools import (
 )
 from ccdtools.plants import BlackBox, from_gymnasium
 from ccdtools.statistics import paired_difference
-from ccdtools.twin import fit_plant, updated_problem
+from ccdtools.twin import fit_plant
 
 STEPS, DEPLOYED, FRESH = 200, 8, 400
 DT = 0.05
@@ -110,7 +110,7 @@ def main() -> None:
         midway = time.process_time()
         log = driven(real, first.controller, first.design, rng, DEPLOYED)
         fit = fit_plant(stated, log, plant=pendulum(None))
-        second: Any = codesign(updated_problem(stated, fit), agent=first.agent, design=first.design, rng=rng)
+        second: Any = codesign(problem(float(fit.values[0])), agent=first.agent, design=first.design, rng=rng)
         ended = time.process_time()
         runs = []
         for one in (first, second):
@@ -118,7 +118,7 @@ def main() -> None:
             runs.append(returns(driven(real, LearnedPolicy(one.agent, one.design), one.design, fresh, FRESH)))
         gain = paired_difference(runs[1], runs[0])
         designs = [f"{one.design[0]:.3f} m, {one.status.name}" for one in (first, second)]
-        told = f"{fit.values[0]:.4f} ± {1.96 * fit.deviations[0]:.4f} kg"
+        told = f"{fit.values[0]:.4f} ± {1.96 * fit.deviations[0]:.4f} kg, {fit.status.name}"
         earned = f"{gain.mean:+.2f} [{gain.ci95[0]:+.2f}, {gain.ci95[1]:+.2f}]"
         times = f"{midway - began:.0f}, {ended - midway:.0f} s"
         means = f"{runs[0].mean():.1f}, {runs[1].mean():.1f}"
