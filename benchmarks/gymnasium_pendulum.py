@@ -4,7 +4,7 @@
 
 The real plant is the environment itself: a rod of 1 kg whose length is designed, within 2 N·m, from Gymnasium's starts.
 Generation 1 is `codesign` with its defaults on a model of another mass, and of Runge–Kutta steps where Gymnasium takes
-Euler's. Its policy is deployed in eight episodes; their states tell the mass (`fit_plant`), also where errors last; generation 2
+Euler's. Its policy is deployed in eight episodes; their states tell the mass (`fit_plant`). Generation 2
 goes on from the policy and the length in service, on the model with that mass. Both are driven on the environment from
 400 fresh common starts: the gain in pairs, with its 95 % interval. One thread.
 """
