@@ -71,12 +71,13 @@ def test_loops_show_what_a_law_does_after_other_inputs():
 
 @pytest.mark.check
 def test_a_co_design_gets_up_and_is_held_against_mpc_that_does():
-    problem, p = hanging(), np.array([0.85])
+    problem, p = hanging(steps=90), np.array([0.85])
     config = CoDesignConfig(iterations=10, design_rate=0.0)
     found = codesign(problem, design=p, rng=np.random.default_rng(0), config=config)
     hangs = closed_loop_returns(problem, saturated_lqr(problem, p), p, np.random.default_rng(5), runs=50)
     assert found.closed_loop.summary.mean > hangs.summary.mean / 2  # negative
-    claimed = replace(found, status=CoDesignStatus.CONVERGED)
-    judged = Settling(problem, np.random.default_rng(0), designing=False).checked(claimed)
-    (mpc,) = [one.gain.mean for one in judged.baselines if "MPC" in one.name]
+    if not found.baselines:  # still improving, of which nothing is claimed
+        claimed = replace(found, status=CoDesignStatus.CONVERGED)
+        found = Settling(problem, np.random.default_rng(0), designing=False).checked(claimed)
+    (mpc,) = [one.gain.mean for one in found.baselines if "MPC" in one.name]
     assert -0.5 < mpc < 0.02  # that of the tangent hangs, too
