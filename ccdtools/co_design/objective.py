@@ -96,7 +96,7 @@ class Objective(Immutable):
         return self.design_cost.scalar(p.shape[-1])(p)[..., 0] * (steps / (self.episode or steps))
 
     def terms(self, run: Any) -> dict[str, float]:
-        """Mean costs of a run's states, inputs, end and design: metrics for `compare`.
+        """Mean costs of a run's states, inputs, end and design.
 
         States cost what the same states would without inputs, and inputs the rest of the steps. Their sum is minus the
         mean return.

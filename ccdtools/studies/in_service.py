@@ -1,4 +1,4 @@
-"""What is in service after each generation, on every distribution that it serves."""
+"""What is in service after each generation, and where."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def service_rows(evaluation: Evaluation, history: Sequence[GenerationRecord]) ->
 
 
 def _places(evaluation: Evaluation, design: np.ndarray) -> Iterator[tuple[str, Scenario]]:
-    """Places on the real plant, and the same starts and disturbances on the model."""
+    """Places on the real plant, and on the model."""
     study, rng = evaluation.study, evaluation.rng(BOX)
     places = places_of(evaluation)
     x0 = evaluation.served.box(design, rng)

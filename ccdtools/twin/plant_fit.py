@@ -93,7 +93,7 @@ class OutputLog(Immutable):
             self._set(times=as_array("times", self.times, (steps,)))
 
     def check_clock(self, argument: str, dt: float) -> None:
-        """Raise an `InputError` that names the first step of another length than dt."""
+        """Raise where a step has another length than dt."""
         if self.times is None:
             return
         steps = np.diff(self.times)
@@ -270,7 +270,7 @@ def fit_plant(
 
 
 def _lasting(runs: Sequence[Array], level: float = 1e-3, size: float = 0.1) -> bool:
-    """Whether errors (n, T, nx) have a mean, or tell the next, beyond chance and by a tenth of their size."""
+    """Whether errors (n, T, nx) have a mean, or tell the next."""
     e = np.concatenate([run.reshape(-1, run.shape[2]) for run in runs])
     pairs = np.concatenate([(run[:, 1:] * run[:, :-1]).reshape(-1, run.shape[2]) for run in runs])
     square = (e**2).mean(axis=0)
@@ -342,7 +342,7 @@ class _Likelihood:
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
 ) -> tuple[_Likelihood, Array, list[Array]]:
-    """Criterion of prediction errors, where it is least, and the errors that it leaves.
+    """Criterion, its least point, and the errors left there.
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.

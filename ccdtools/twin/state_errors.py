@@ -13,7 +13,7 @@ from ccdtools.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class StateErrors:
-    """Prediction errors of states by parameters (θ, ρ), in sizes of their own.
+    """Prediction errors of states by parameters (θ, ρ).
 
     Those of one step, of which the part ρ (nx,) goes on to the next: a disturbance that lasts is not taken for a
     consequence of the state.
@@ -67,7 +67,7 @@ class StateErrors:
         return error.ravel(), np.ones(error.size), slope, np.zeros_like(slope)
 
     def scores(self, values: Array, covariance: Array) -> Array:
-        """Slopes (n (T − 1), m) of half the square of each sample's errors.
+        """Slopes (n (T − 1), m) of half of each squared error.
 
         Errors are those that a fit without the sample would leave, to first order (HC3), by the inverse of Fisher's
         information.

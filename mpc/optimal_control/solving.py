@@ -154,7 +154,7 @@ class _Tries:
 
 
 def _missed(tried: tuple[Run, Found]) -> tuple[float, float]:
-    """Largest violation, if it is one, and the cost, of what is no optimum."""
+    """Violation and cost of what is no optimum."""
     run, found = tried
     worst, cost = found.violations.max(initial=0.0), run.cost(found)
     return (worst if not worst <= FEASIBLE else 0.0), (cost if np.isfinite(cost) else np.inf)

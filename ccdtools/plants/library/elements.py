@@ -34,7 +34,7 @@ class Parameters:
             object.__setattr__(self, field.name, self._checked(field.name, getattr(self, field.name)))
 
     def varied(self, share: float = 0.2) -> dict[str, Self]:
-        """Parameters as they are, then each alone smaller and larger by a share, by names.
+        """Parameters as they are, then each alone varied by a share.
 
         Raises
         ------

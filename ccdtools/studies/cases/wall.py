@@ -1,4 +1,4 @@
-"""A mass that flies towards a wall behind its target; the mass is the design.
+"""A mass that flies towards a wall; the mass is the design.
 
 The wall may serve as a brake. In the model the speed jumps there; the real wall gives way, as Hunt and Crossley have
 it ("Coefficient of restitution interpreted as damping in vibroimpact", J. Appl. Mech. 42, 1975).
@@ -23,7 +23,7 @@ NAMES = ["position [m]", "speed [m/s]"]
 
 
 def bouncing(*, wall: float = -0.5, restitution: float = 0.8, dt: float = 0.1) -> Plant:
-    """Mass that is thrown back at once by a wall [m], with a part of its speed."""
+    """Mass that is thrown back at once by a wall."""
     x, u, w, m = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("m")
     pull = u / m + w
     place, speed = x[0] + dt * x[1] + dt**2 / 2 * pull, x[1] + dt * pull
@@ -33,7 +33,7 @@ def bouncing(*, wall: float = -0.5, restitution: float = 0.8, dt: float = 0.1) -
 
 
 def yielding(*, wall: float = -0.5, stiffness: float = 2000.0, loss: float = 0.15, dt: float = 0.1) -> Plant:
-    """Mass that presses a spring [N/m] with losses [s/m]; of 3 m/s about as much is left."""
+    """Mass that presses a spring with losses."""
     x, u, w, m = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("m")
     depth = ca.fmax(wall - x[0], 0)
     force = ca.fmax(stiffness * depth * (1 - loss * x[1]), 0)
