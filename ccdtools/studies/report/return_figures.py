@@ -58,7 +58,7 @@ def _draw_gains(ax: style.Axes, places: Sequence[Mapping[str, Any]]) -> None:
     ax.axvline(0, color="#444444", lw=1)
     ax.set_yticks(range(len(places)), [place["place"] for place in places])
     ax.set_ylim(len(places) - 0.4, -0.6)
-    ax.set_xlabel("gain in return [% of what control costs LQR at the start design], by source")
+    ax.set_xlabel("gain in return, by source\n[% of what control costs LQR at the start design]")
     ax.legend(loc="best")
 
 
