@@ -29,7 +29,8 @@ METHODS = (*MODEL_BASED, *LEARNED)
 class Method(Protocol):
     """Way to co-design.
 
-    One with a method `instead(result)` is asked for another that goes on from a result, or None.
+    One with a method `instead(result)` is asked for another that goes on from a result, or None. One with
+    `following(agent)` is asked for the same from the policy of a former generation.
     """
 
     @property

@@ -261,11 +261,12 @@ class LoopStages:
         """Unknown entries of the plant that logs tell."""
         fit = fit_plant(self.evaluation.problem, logs, plant=self.evaluation.study.unknown)
         known, own = fit.status is FitStatus.SOLVED, slice(len(fit.unknown.free))  # names of noise follow
-        rows = zip(fit.names[own], fit.values, 1.96 * fit.deviations)
-        pairs = ", ".join(f"{name} {value:.4g} ± {half:.2g}" for name, value, half in rows)
+        ends = fit.intervals()[own]
+        rows = zip(fit.names[own], fit.values, ends)
+        pairs = ", ".join(f"{name} {value:.4g} [{low:.4g}, {high:.4g}]" for name, value, (low, high) in rows)
         text = f"the logs tell {pairs}" if known else f"the model stays: {fit.advice}"
         values = {"status": fit.status.name, "known": known, "names": fit.names[own], "text": text, "report": [text]}
-        return Stage(values, {"values": fit.values[own], "intervals": fit.intervals()[own]})
+        return Stage(values, {"values": fit.values[own], "intervals": ends})
 
     def learn(self, rng: np.random.Generator, twin: DigitalTwin, log: Trajectory, deployed: Stage) -> Stage:
         """Discrepancy learned from all logs, with its scores."""

@@ -32,7 +32,7 @@ def pendulum(*, real: bool = False, most: float = 2.0, fastest: float = 8.0, dt:
     if real:
         angle, speed = ca.vertsplit(x)
         for _ in range(2):
-            speed = limited(speed + dt * acceleration(angle, limited(u, most) + w), fastest)
+            speed = cut_off(speed + dt * acceleration(angle, cut_off(u, most) + w), fastest)
             angle = angle + dt * speed
         dynamics = ca.vertcat(angle, speed)
     return Plant(
@@ -41,8 +41,8 @@ def pendulum(*, real: bool = False, most: float = 2.0, fastest: float = 8.0, dt:
     )  # fmt: skip
 
 
-def limited(value: Any, bound: float) -> Any:
-    """Value within ± a bound."""
+def cut_off(value: Any, bound: float) -> Any:
+    """Value cut at ± a bound, as the environment does."""
     return ca.fmax(-bound, ca.fmin(bound, value))
 
 
