@@ -245,7 +245,7 @@ class ActorCritic(nn.Module):
         variance += (1 - share) * share * gap.square() if before else 0.0
         offset = (self.observation_offset + share * gap).float()
         rounding = (LEAST_PART * offset.abs()).clamp(min=LEAST_SPREAD)
-        scale = torch.maximum(variance.sqrt(), rounding).float().clamp(min=torch.as_tensor(least))
+        scale = torch.maximum(variance.sqrt(), rounding).float().clamp(min=torch.as_tensor(least, device=offset.device))
         first = len(offset) - given
         offset[first:], scale[first:] = self.observation_offset[first:], self.observation_scale[first:]
         if self.imitates if keep is None else keep:

@@ -325,7 +325,8 @@ class PPO:
         passes = 0
         for _ in range(config.passes):
             rows = []
-            for i in torch.randperm(len(batch.targets), generator=generator).split(config.minibatch):
+            order = torch.randperm(len(batch.targets), generator=generator).to(batch.targets.device)
+            for i in order.split(config.minibatch):
                 losses = ppo_losses(agent, _part(batch, i), config)
                 norm = self._step(losses, actor=actor and losses.kl < 1.5 * config.kl_limit)
                 rows.append((losses.kl, losses.clip_fraction, losses.entropy.item(), norm))

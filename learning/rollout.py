@@ -147,7 +147,7 @@ class Collector:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
         self.env.restore(state["env"])  # type: ignore[attr-defined]
-        self._observation = state["observation"]
+        self._observation = state["observation"].to(self._observation.device)
         self._sums = state["sums"].clone()
         self.returns = [*state["returns"]]
         self.episodes = state["episodes"].clone()

@@ -138,7 +138,7 @@ def train(
     generator : torch.Generator
         Of the exploration and of the order of samples, on the CPU.
     device : str or torch.device, optional
-        Where the networks are trained, "cuda" for instance; by default where they are.
+        Where the networks are trained, "cuda" for instance; by default where they are. Afterwards they are back there.
     checkpoint : path, optional
         The training is kept in this file after every update. Where the file exists the training goes on from it, with
         the same numbers on a CPU as without a break. It is read by pickle: use files of your own only.
@@ -168,22 +168,27 @@ def train(
     as_count("steps", steps)
     if callback is not None and not callable(callback):
         raise InputError("callback", repr(callback)[:60], "a function of a TrainingRow")
+    home = agent.log_std.device
     if device is not None:
         _move(agent, device)
     ppo = PPO(agent, config, given=getattr(env, "given", 0))
     run = _Run(ppo, Collector(env, agent, generator=generator), Training(agent, agent, config))
-    file = None if checkpoint is None else Path(as_instance("checkpoint", checkpoint, (str, os.PathLike), "a path"))
-    if file is not None and file.exists():
-        run.load(file)
-    elif file is not None:
-        run.collector.state()  # raises before any work is lost
-    for k in trange(len(run.result.rows), iterations, desc="PPO", disable=not progress, leave=False):
-        done = k / max(iterations - 1, 1)
-        row = run.iterate(k, steps, done)
-        if file is not None:
-            run.save(file)
-        if callback is not None:
-            callback(row)
+    try:
+        file = None if checkpoint is None else Path(as_instance("checkpoint", checkpoint, (str, os.PathLike), "a path"))
+        if file is not None and file.exists():
+            run.load(file)
+        elif file is not None:
+            run.collector.state()  # raises before any work is lost
+        for k in trange(len(run.result.rows), iterations, desc="PPO", disable=not progress, leave=False):
+            done = k / max(iterations - 1, 1)
+            row = run.iterate(k, steps, done)
+            if file is not None:
+                run.save(file)
+            if callback is not None:
+                callback(row)
+    finally:
+        for kept in (agent, run.result.best):
+            kept.to(home)
     return run.result
 
 
