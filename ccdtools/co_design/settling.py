@@ -28,10 +28,11 @@ from ccdtools.co_design.landscape import start_points
 from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.nested import Nested
+from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
-from ccdtools.co_design.risk import measure
+from ccdtools.co_design.risk import Mean, measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
@@ -281,7 +282,19 @@ class Settling:
         found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2))
         retuned = self._in_parts("its last layer retuned", result.design, found, loop)
         result = replace(result, baselines=(*result.baselines, retuned))
+        if not _better(retuned) and self._may_have_other_optima:
+            from ccdtools.co_design.rollouts import better_by_plans  # loaded where a policy is judged
+
+            ahead = better_by_plans(self.problem, policy, copy.deepcopy(self.scenarios))
+            retuned = self._in_parts("other inputs held from the start", result.design, ahead, loop)
+            result = replace(result, baselines=(*result.baselines, retuned))
         return replace(result, status=CoDesignStatus.NOT_STATIONARY) if _better(retuned) else result
+
+    @property
+    def _may_have_other_optima(self) -> bool:
+        """Whether plans may; those of a linear model with quadratic costs are MPC's, a baseline."""
+        plain = isinstance(self.problem.model, LinearModel) and isinstance(self.problem.objective, QuadraticObjective)
+        return isinstance(self.problem.risk, Mean) and not plain
 
 
 def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:

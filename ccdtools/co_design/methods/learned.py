@@ -27,6 +27,7 @@ from ccdtools.co_design.loops import lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import check_followed, measure
+from ccdtools.co_design.rollouts import improved
 from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -64,6 +65,9 @@ class Learned:
         What leaving X costs, see `StateLimitPenalty`; by default what `judge.limit_tolerance` asks for.
     history : int
         Of a problem with a `measurement` the policy sees so many last outputs and inputs; it begins by imitating LQG.
+    rollouts : int
+        Rounds of policy iteration at the first design before the climb: other inputs are held for a while, and what
+        returns more is imitated, jumps or not. `codesign` takes some where it goes on from a climb.
     """
 
     by: str = "pathwise"
@@ -72,6 +76,7 @@ class Learned:
     judge: CoDesignProblem | None = None
     limits: StateLimitPenalty | None = None
     history: int = 8
+    rollouts: int = 0
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
@@ -80,6 +85,7 @@ class Learned:
         config = CoDesignConfig() if self.config is None else self.config
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
         as_count("history", self.history)
+        as_count("rollouts", self.rollouts, least=0)
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
         if self.limits is not None:
@@ -115,6 +121,8 @@ class Learned:
         first = partial(_first_agent, task, known, design, rng, progress=progress)
         agent = first() if self.agent is None else self.agent
         check_agent(problem, agent)
+        if self.rollouts:
+            agent = improved(judge, agent, design, rng, rounds=self.rollouts)
         limits = self.limits
         if limits is None and judge.limit_tolerance != "off":
             limits = StateLimitPenalty(judge)
@@ -141,7 +149,7 @@ class Learned:
         config: Any = self.config
         if self.by != "pathwise" or config.policy_rate == 0 or not (known or behind):
             return None
-        return replace(self, by="ppo", agent=getattr(result, "agent", None))
+        return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=5)
 
 
 def _first_agent(
