@@ -21,7 +21,7 @@ from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.progress import at
 from learning.networks import ActorCritic, NetworkConfig
-from learning.warm_start import CloningConfig, fit_actor_critic
+from learning.warm_start import CloningConfig, fit_actor_critic, fit_further
 from mpc import MPCError
 
 EXPERTS: dict[str, Callable[[CoDesignProblem, Array], Any]] = {
@@ -133,7 +133,8 @@ def planned_start(
     for share in shares:
         driver = LearnedPolicy(agents[-1], design)
         data.append(_shared(problem, at_first, driver, design, share, runs // 2, rng))
-        agents.append(_imitating_all(problem, data, rng, options))
+        seen, inputs, _ = (np.concatenate(part) for part in zip(*data))
+        agents.append(fit_further(agents[-1], seen, inputs, rng, steps=cloning.steps))
     best = max(agents, key=lambda agent: _worth(problem, agent, design, rng))
     return FirstPolicy(best, name, sum(len(part[0]) for part in data))
 

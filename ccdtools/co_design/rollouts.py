@@ -12,7 +12,6 @@ Tesauro and Galperin, "On-line policy improvement using Monte-Carlo search", NIP
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -37,7 +36,8 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
-from learning.networks import ActorCritic, scaled
+from learning.networks import ActorCritic
+from learning.warm_start import fit_further
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,8 @@ def improved(
     plans: list[tuple[Tensor, Tensor, Tensor]] = []
     for _ in range(rounds):
         plans.append(along_plans(problem, last, p, rng))
-        last = _imitating(last, p, plans, rng)
+        seen, inputs, weights = (torch.cat(part) for part in zip(*plans))
+        last = fit_further(last, seen, inputs, rng, weights=weights)
         if _better(problem, last, best, p, judged):
             best = last
     return best
@@ -177,23 +178,3 @@ def _better(problem: CoDesignProblem, one: ActorCritic, other: ActorCritic, p: T
     a, b = (episode(problem, agent, p, judged, depths=True) for agent in (one, other))
     further = problem.limit_tolerance != "off" and a.depth.mean() > b.depth.mean()
     return not (further or a.diverged.sum() > b.diverged.sum()) and bool(a.total.mean() > b.total.mean())
-
-
-def _imitating(
-    agent: ActorCritic, p: Tensor, plans: list[tuple[Tensor, Tensor, Tensor]], rng: np.random.Generator, *,
-    steps: int = 1500, batch: int = 2048, rate: float = 2e-3, leak: float = 0.1,
-) -> ActorCritic:  # fmt: skip
-    """Agent that goes on to imitate the plans of all rounds."""
-    seen, inputs, weights = (torch.cat(part) for part in zip(*plans))
-    agent = copy.deepcopy(agent)
-    optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    middle, half = agent.action_range(p)
-    for _ in range(steps):
-        i = torch.from_numpy(rng.integers(0, len(seen), min(batch, len(seen))))
-        error = (scaled(agent.latent(seen[i]), (middle, half), leak=leak) - inputs[i]) / half
-        optimiser.zero_grad()
-        (weights[i] * error.square().sum(-1)).mean().backward()
-        optimiser.step()
-        schedule.step()
-    return agent

@@ -142,12 +142,13 @@ class Learned:
         return replace(self, agent=agent)
 
     def instead(self, result: CoDesignResult) -> Learned | None:
-        """PPO, from where a climb ended whose policy its gradient led to no optimum; else None."""
+        """PPO, after rollouts, from where a climb led to no optimum of the policy; else None."""
         known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY
         ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
         behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
         config: Any = self.config
-        if self.by != "pathwise" or config.policy_rate == 0 or not (known or behind):
+        climbed = self.by == "pathwise" and config.policy_rate > 0 and (known or behind)
+        if self.rollouts or not (climbed or (self.by == "ppo" and result.status in LED_ASTRAY)):
             return None
         return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=5)
 
