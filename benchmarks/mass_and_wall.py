@@ -1,6 +1,6 @@
 """A mass that bounces off a wall: what the gradient through the model finds, where it is blind, beside the optimum.
 
-    python benchmarks/mass_and_wall.py [--seeds 5] [--case 0]
+    python benchmarks/mass_and_wall.py [--seeds 5] [--case 0] [--methods pathwise ppo]
 
 The mass flies towards a wall behind its target and may use it as a brake. At the bounce the speed jumps, which no
 derivative through the model sees. The optimum is that of dynamic programming over position, speed and time, on a grid
@@ -127,6 +127,7 @@ def main() -> None:
     """Print a row per case, method and seed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--methods", nargs="+", default=["pathwise", "ppo"])
     parser.add_argument("--case", type=int, choices=range(len(CASES)))
     asked = parser.parse_args()
     torch.set_num_threads(1)
@@ -142,7 +143,7 @@ def main() -> None:
 
         print(f"{case}\ndynamic programming {best:.3f} ± {2 * optimum.std() / RUNS**0.5:.3f}")
         print(f"saturated LQR {mean(saturated_lqr(problem, DESIGN)):.3f}", flush=True)
-        for method in ("pathwise", "ppo"):
+        for method in asked.methods:
             for seed in range(asked.seeds):
                 start = time.process_time()
                 config = CoDesignConfig(design_rate=0.0)

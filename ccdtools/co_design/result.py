@@ -58,7 +58,8 @@ class CoDesignStatus(Outcome):
     )
     NOT_STATIONARY = (
         "not at an optimum of the policy",
-        "Start again from another policy or with more iterations: a plain search over its last layer is better.",
+        "Start again from another policy or with more iterations: a plain search over its last layer, or other inputs "
+        "held from the start, are better.",
     )
     INFEASIBLE = (
         "no trajectory within the limits",

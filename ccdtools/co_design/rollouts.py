@@ -42,7 +42,10 @@ from learning.warm_start import fit_further
 
 @dataclass(frozen=True, eq=False)
 class Plans:
-    """Best inputs to hold from n states, and the returns in two draws of the disturbance that did not choose them."""
+    """Inputs to hold from n states, and what they return.
+
+    Returns are means over draws of the disturbance that did not choose the inputs.
+    """
 
     first: Tensor  # (n, nu)
     samples: Tensor  # (n,): 0 where the policy's own inputs are best
@@ -56,7 +59,7 @@ class Plans:
 
 
 class Held:
-    """Law that begins by holding inputs, in each run for a number of samples of its own."""
+    """Law that begins by holding inputs, each run for samples of its own."""
 
     def __init__(self, law: Law, first: Tensor, samples: Tensor) -> None:
         self.law, self.first, self.samples, self.k = law, first, samples, -1
@@ -68,14 +71,19 @@ class Held:
 
 
 def improved(
-    problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator, *, rounds: int = 5
-) -> ActorCritic:
-    """Best agent of some rounds; the given one where none is better.
+    problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np.random.Generator, *, rounds: int = 5,
+    work: int = 5_000_000,
+) -> ActorCritic:  # fmt: skip
+    """Best agent of some rounds.
+
+    It is the given one where none is better.
 
     Parameters
     ----------
     design : (np,) array
         Where it drives.
+    work : int
+        Steps of the model in a round.
     """
     at("rollouts of the policy, with other inputs held")
     p = torch.tensor(design, dtype=torch.float32)
@@ -83,7 +91,7 @@ def improved(
     best = last = agent
     plans: list[tuple[Tensor, Tensor, Tensor]] = []
     for _ in range(rounds):
-        plans.append(along_plans(problem, last, p, rng))
+        plans.append(along_plans(problem, last, p, rng, work=work))
         seen, inputs, weights = (torch.cat(part) for part in zip(*plans))
         last = fit_further(last, seen, inputs, rng, weights=weights)
         if _better(problem, last, best, p, judged):
@@ -94,9 +102,9 @@ def improved(
 def better_by_plans(
     problem: CoDesignProblem, policy: LearnedPolicy, rng: np.random.Generator, *, work: int = 1_500_000
 ) -> PairedDifference:
-    """Gain of holding other inputs from the start, then doing what the policy does.
+    """Gain of holding other inputs from the start.
 
-    `work` is how many steps of the model it may take.
+    The policy goes on. `work` is how many steps of the model it may take.
     """
     p = torch.tensor(policy.design, dtype=torch.float32)
     starts, _ = scenario_tensors(problem, 1024, rng)
@@ -106,13 +114,13 @@ def better_by_plans(
 
 @torch.no_grad()
 def along_plans(
-    problem: CoDesignProblem, agent: ActorCritic, p: Tensor, rng: np.random.Generator, *, work: int = 5_000_000,
+    problem: CoDesignProblem, agent: ActorCritic, p: Tensor, rng: np.random.Generator, *, work: int,
     further: int = 16,
 ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-    """Observations (k, n_obs) along the best plans from states that a policy visits, inputs (k, nu), weights (k,).
+    """Samples of the best plans.
 
-    What is held weighs as much more as it gains; of what the policy does afterwards about `further` samples of a run
-    are among them.
+    They are observations (k, n_obs) from states on that a policy visits, inputs (k, nu) and weights (k,). What is held
+    weighs as much more as it gains; of what the policy does afterwards about `further` samples of a run are among them.
     """
     T, step, law = problem.steps, Stepper.at(problem, p), mean_law(agent, p)
     x, *_ = visited(step, law, scenario_tensors(problem, fewer_runs(256, T), rng))
@@ -135,10 +143,11 @@ def best_plans(
     problem: CoDesignProblem, agent: ActorCritic, p: Tensor, x: Tensor, rng: np.random.Generator, *, work: int,
     levels: int = 5, draws: int = 4,
 ) -> tuple[Plans, Tensor]:  # fmt: skip
-    """Best plans from as many of the states as `work` steps of the model allow, and a disturbance of each.
+    """Best plans, and a disturbance of each.
 
-    Held are `levels` values of one input, the others as the policy has them, for 1, 2, 4, ... samples, at most half an
-    episode. Half of the `draws` of the disturbance choose. No plan counts that loses runs or leaves the limits further.
+    They are from as many of the states as `work` steps of the model allow. Held are `levels` values of one input, the
+    others as the policy has them, for 1, 2, 4, ... samples, at most half an episode. Half of the `draws` of the
+    disturbance choose. No plan counts that loses runs or leaves the limits further.
     """
     T, nu = problem.steps, problem.model.nu
     tries = list(product(range(nu), np.linspace(-1, 1, levels), [2**k for k in range(T.bit_length() - 1)]))
@@ -174,7 +183,10 @@ def best_plans(
 
 @torch.no_grad()
 def _better(problem: CoDesignProblem, one: ActorCritic, other: ActorCritic, p: Tensor, judged: ScenarioTensors) -> bool:
-    """Whether an agent returns more than another, loses no more runs and leaves the limits no further."""
+    """Whether an agent is better.
+
+    It returns more than the other, loses no more runs and leaves the limits no further.
+    """
     a, b = (episode(problem, agent, p, judged, depths=True) for agent in (one, other))
     further = problem.limit_tolerance != "off" and a.depth.mean() > b.depth.mean()
     return not (further or a.diverged.sum() > b.diverged.sum()) and bool(a.total.mean() > b.total.mean())

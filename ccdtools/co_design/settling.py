@@ -4,8 +4,9 @@ It is made once, of the controller handed out, after its closed loop was measure
 
 What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
 far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, MPC
-of its design neither, its gradient is that of the closed loop and a plain search over its last layer finds nothing
-better. Where LQR brings nothing to rest that MPC is of the model itself, and looks ahead over an episode.
+of its design neither, its gradient is that of the closed loop, and neither a plain search over its last layer nor other
+inputs that are held from the start are better. Where LQR brings nothing to rest that MPC is of the model itself, and
+looks ahead over an episode.
 """
 
 from __future__ import annotations

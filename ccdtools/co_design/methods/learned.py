@@ -121,6 +121,7 @@ class Learned:
         first = partial(_first_agent, task, known, design, rng, progress=progress)
         agent = first() if self.agent is None else self.agent
         check_agent(problem, agent)
+        given = agent
         if self.rollouts:
             agent = improved(judge, agent, design, rng, rounds=self.rollouts)
         limits = self.limits
@@ -134,7 +135,7 @@ class Learned:
         if task.moves_policy and self.agent is not None and not problem.hidden and _spoilt(judge, agent, design, rng):
             agents.append(first())
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
-        result = _result(task, ascents, agent, design, found)
+        result = _result(task, ascents, given, design, found)
         return replace(result, output_history=self.history) if problem.hidden else result
 
     def following(self, agent: ActorCritic) -> Learned:
