@@ -1,10 +1,11 @@
 """Do bands of 80 % hold 80 % on fresh drives? Per output, per regime, jointly over outputs, and over 1 to 100 steps.
 
-Fresh drives come from simulators of this file: both case studies, a plant under Student's t noise of three degrees, and
-one under noise of two regimes that change at random. A twin learns one log and its bands are judged on others. Regimes
-are the calmest and the roughest third of windows by the disturbance of the last 25 samples before each.
+Fresh drives come from simulators of this file: both case studies, a plant under Student's t noise of three degrees, one
+under noise of two regimes that change at random, and one under noise whose size changes slowly. A twin learns one log
+and its bands are judged on others. Regimes are the calmest and the roughest third of windows by the disturbance of the
+last 25 samples before each.
 
-    python benchmarks/band_coverage.py free [--cases ...] [--seeds 8]    bands of a twin
+    python benchmarks/band_coverage.py free [--cases ...] [--seeds 24]   bands of a twin
     python benchmarks/band_coverage.py few                               200 fits at n = 50 … 300
     python benchmarks/band_coverage.py stream                            adaptive factors after a shift
     python benchmarks/band_coverage.py time                              beside scikit-learn's gradient boosting
@@ -14,12 +15,13 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from scipy.linalg import solve_discrete_are
+from scipy.signal import lfilter
 
 from ccdtools import DesignSpace, DigitalTwin, Plant, discretise, load_study
 from ccdtools.trajectory import Trajectory
@@ -28,6 +30,7 @@ from learning import AdaptiveConformal, Conformal, InputError, QuantileConfig, f
 
 Array = np.ndarray
 STEPS = (1, 10, 50, 100)
+DRAWS = 60
 BEFORE = 25  # samples of disturbance that tell the regime of a window
 
 
@@ -49,15 +52,16 @@ class World:
         """Saturated state feedback."""
         return np.clip(-x @ self.gain.T, -self.limit, self.limit)
 
-    def drive(self, runs: int, steps: int, rng: np.random.Generator) -> Trajectory:
-        """A log of so many runs."""
-        w = self.disturbance(runs, steps, rng)
-        states, inputs = [np.tile(self.start, (runs, 1))], []
+    def drives(self, runs: int, steps: int, rngs: Sequence[np.random.Generator]) -> list[Trajectory]:
+        """A log of so many runs by each generator, all simulated at once."""
+        w = np.concatenate([self.disturbance(runs, steps, rng) for rng in rngs])
+        states, inputs = [np.tile(self.start, (len(w), 1))], []
         for k in range(steps):
             inputs.append(self.law(states[-1]))
             states.append(self.step(states[-1], inputs[-1], w[:, k]))
         x, u = np.stack(states, axis=1), np.stack(inputs, axis=1)
-        return Trajectory(x, u, w, np.full(runs, -1), self.design, self.model.dt)
+        parts = [slice(i * runs, (i + 1) * runs) for i in range(len(rngs))]
+        return [Trajectory(x[i], u[i], w[i], np.full(runs, -1), self.design, self.model.dt) for i in parts]
 
 
 def regulator(A: Array, B: Array, Q: Array, R: Array) -> Array:
@@ -142,57 +146,53 @@ def regimes() -> World:
     return bent(noise)
 
 
-WORLDS = {"illustrative": illustrative, "suspension": suspension, "student": student, "regimes": regimes}
+def slow() -> World:
+    """Noise of an oscillation with memory, whose size changes slowly: by e^0.5, over some 300 samples."""
+
+    def noise(runs: int, steps: int, rng: np.random.Generator) -> Array:
+        keep, before = np.exp(-1 / 300), 1000
+        size = lfilter([0.5 * np.sqrt(1 - keep**2)], [1, -keep], rng.standard_normal((runs, steps + before)), axis=1)
+        signal = rng.standard_normal((runs, steps + before, 2)) * np.exp(size)[:, :, None]
+        return lfilter([1], [1, -1.2, 0.5], signal, axis=1)[:, before:]
+
+    return bent(noise)
 
 
-def wilson(share: float, count: float) -> tuple[float, float]:
-    """The 95 % interval of a share of so many."""
-    z = 1.96
-    middle = (share + z**2 / (2 * count)) / (1 + z**2 / count)
-    half = z / (1 + z**2 / count) * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
-    return middle - half, middle + half
-
-
-def tube(bands: object, k: int) -> tuple[Array, Array]:
-    """Ends (k, n, nx) of what holds jointly up to step k."""
-    return bands.tube(k)
+WORLDS = {
+    "illustrative": illustrative, "student": student, "suspension": suspension, "regimes": regimes, "slow": slow,
+}  # fmt: skip
 
 
 def judge(name: str, seeds: int, windows: int) -> None:
-    """Print coverage of the bands of so many twins."""
+    """Print coverage of the bands of so many twins, its mean and the standard error of that."""
+    world = WORLDS[name]()
+    train, test, learning, drawing = zip(*(np.random.default_rng([seed, len(name)]).spawn(4) for seed in range(seeds)))
     found: dict[int, list[list[float]]] = {k: [] for k in STEPS}
-    crossed, world = 0, WORLDS[name]()
-    for seed in range(seeds):
-        train, test, learning, drawing = np.random.default_rng([seed, len(name)]).spawn(4)
-        log, fresh = world.drive(*world.learned, train), world.drive(*world.judged, test)
-        twin = DigitalTwin(world.model).update(log, weight=np.eye(world.model.nx), rng=learning)
-        bands = free_running_bands(twin, fresh, world.law, rng=drawing, steps=STEPS, windows=windows, draws=60)
-        longest = int(bands.steps[-1])
-        run, first = starts(fresh, longest, windows)
+    crossed = 0
+    for seed, (log, fresh) in enumerate(zip(world.drives(*world.learned, train), world.drives(*world.judged, test))):
+        twin = DigitalTwin(world.model).update(log, weight=np.eye(world.model.nx), rng=learning[seed])
+        bands = free_running_bands(twin, fresh, world.law, rng=drawing[seed], steps=STEPS, windows=windows, draws=DRAWS)
+        run, first = starts(fresh, int(bands.steps[-1]), windows)
         third = rough_third(fresh.disturbances, run, first)
         for i, k in enumerate(bands.steps.tolist()):
             actual = np.stack([fresh.states[run, first + h] for h in range(1, k + 1)])
-            lower, upper = tube(bands, k)
+            lower, upper = bands.tube(k)
             crossed += int((lower > upper).sum() + (bands.lower > bands.upper).sum())
             inside = (actual[-1] >= bands.lower[i]) & (actual[-1] <= bands.upper[i])
             held = ((actual >= lower) & (actual <= upper)).all(axis=(0, 2))
             row = [*inside.mean(axis=0), *(inside[third == j].mean() for j in (0, 2)), held.mean(),
                    *(held[third == j].mean() for j in (0, 2))]  # fmt: skip
             found[k].append(row)
-        print(f"  {name}, seed {seed}: joint " + ", ".join(f"{k}: {found[k][-1][-3]:.1%}" for k in STEPS if found[k]),
-              flush=True)  # fmt: skip
-    print(f"{name}: {seeds} twins, {windows} windows each, {crossed} crossings; per output; each in calm, rough; joint "
-          "[Wilson, of windows without overlap] (deviation between twins); joint in calm, rough")  # fmt: skip
-    for k in STEPS:
-        if not found[k]:
+    print(f"{name}: {seeds} twins, {windows} windows each, {crossed} crossings")
+    for k, rows in found.items():
+        if not rows:
             print(f"  {k:3d} steps: too few windows calibrate")
             continue
-        mean, deviation = np.mean(found[k], axis=0), np.std(found[k], axis=0)
-        count = seeds * min(windows, world.judged[0] * world.judged[1] // k)
-        low, high = wilson(mean[-3], count)
-        print(f"  {k:3d} steps: {', '.join(f'{c:.1%}' for c in mean[:-5])}; {mean[-5]:.1%}, {mean[-4]:.1%}; "
-              f"{mean[-3]:.1%} [{low:.1%}, {high:.1%}] ({deviation[-3]:.1%}); {mean[-2]:.1%}, {mean[-1]:.1%}",
-              flush=True)  # fmt: skip
+        error = np.std(rows, axis=0, ddof=1) / np.sqrt(seeds)
+        cells = [f"{c:.1%} ± {e:.1%}" for c, e in zip(np.mean(rows, axis=0), error)]
+        print(f"  {k:3d} steps: outputs {', '.join(cells[:-5])}; in calm, rough {', '.join(cells[-5:-3])}; joint "
+              f"{cells[-3]} (deviation {np.std(rows, axis=0, ddof=1)[-3]:.1%}); in calm, rough "
+              f"{', '.join(cells[-2:])}", flush=True)  # fmt: skip
 
 
 def starts(log: Trajectory, length: int, windows: int) -> tuple[Array, Array]:
@@ -252,7 +252,7 @@ def stream(streams: int) -> None:
             rows = []
             for seed in range(streams):
                 rng = np.random.default_rng(seed)
-                known = Conformal.fit(np.abs(draw(rng, 500)), 0.8).factors[0]
+                known = Conformal.fit(np.abs(draw(rng, 500)), 0.8).factor
                 scores = np.abs(np.concatenate([draw(rng, 1000), change(draw(rng, 1500))]))
                 one = AdaptiveConformal(0.8, float(known))
                 inside, fixed, lost = np.zeros((2, len(scores))), scores <= known, np.zeros(len(scores))
@@ -301,8 +301,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("free", "few", "stream", "time"))
     parser.add_argument("--cases", default=",".join(WORLDS))
-    parser.add_argument("--seeds", type=int, default=8)
-    parser.add_argument("--windows", type=int, default=600)
+    parser.add_argument("--seeds", type=int, default=24)
+    parser.add_argument("--windows", type=int, default=400)
     parser.add_argument("--fits", type=int, default=200)
     asked = parser.parse_args()
     if asked.what == "free":

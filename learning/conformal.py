@@ -5,7 +5,9 @@ run, makes it joint.
 
 References
 ----------
-Vovk, Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005 (split and Mondrian conformal prediction);
+Vovk, Gammerman and Shafer, "Algorithmic Learning in a Random World", 2005 (split conformal prediction);
+Papadopoulos, Gammerman and Vovk, "Normalized nonconformity measures for regression conformal prediction", AIA 2008;
+Hyndman and Fan, "Sample quantiles in statistical packages", The American Statistician 50(4), 1996 (Weibull's: type 6);
 Gibbs and Candès, "Adaptive conformal inference under distribution shift", NeurIPS 2021;
 Angelopoulos, Candès and Tibshirani, "Conformal PID control for time series prediction", NeurIPS 2023, section 2.
 """
@@ -16,11 +18,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
 
 from ccdtools_ground.door import as_count, as_floats
 from learning.checks import check_number
 from learning.exceptions import InputError
-from learning.tolerances import FALSE_ALARM, PER_REGIME
+from learning.tolerances import FALSE_ALARM
 
 Array = NDArray[np.float64]
 
@@ -32,29 +35,38 @@ def samples_needed(level: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Conformal:
-    """Factors that hold a level, one for each regime.
+    """Factor that holds a level, and the power of a scale it grows with.
 
     Attributes
     ----------
     level : float
         Probability that a fresh score is at most its factor.
-    edges : (G − 1,) array
-        Scales that part the regimes, increasing.
-    factors : (G,) array
+    factor : float
+        At a scale of one.
+    exponent : float
+        From 0 to 1.
     """
 
     level: float
-    edges: Array
-    factors: Array
+    factor: float
+    exponent: float = 0.0
 
     @classmethod
     def fit(
-        cls, scores: ArrayLike, level: float = 0.8, *, scale: ArrayLike | None = None, independent: int | None = None
+        cls,
+        scores: ArrayLike,
+        level: float = 0.8,
+        *,
+        scale: ArrayLike | None = None,
+        exponent: float | None = None,
+        independent: int | None = None,
+        at_least: bool = True,
     ) -> Conformal:
-        """Factors from scores of samples that trained nothing.
+        """Factor from scores of samples that trained nothing.
 
-        Their rank is that of finitely many samples: a fresh score, exchangeable with them, is within the factor of its
-        regime with at least the level's probability.
+        Their rank is that of finitely many samples, n. A fresh score, exchangeable with them, is within the factor with
+        at least the level's probability. Interpolated between two ranks, that differs from the level by less than
+        1 / (n + 1), on either side. Over regimes of the scale it holds as far as the power of the scale is right.
 
         Parameters
         ----------
@@ -62,10 +74,13 @@ class Conformal:
         level : float
             In (0, 1).
         scale : (n,) array_like, optional
-            What was known before each score of how large it may become. Regimes are parted by it, as many as have a
-            hundred independent scores each; one by default.
+            What was known before each score of how large it may become, and positive.
+        exponent : float, optional
+            From `scale_exponent` of other samples. Fitted to these it costs exactness of the order of 1 / n.
         independent : int, optional
-            How many of the scores do not overlap, if not all: windows of a series do.
+            How many of the scores do not overlap, if not all: windows of a series do, and are given in time order.
+        at_least : bool
+            Whether to round up to the next rank rather than interpolate.
 
         Raises
         ------
@@ -76,33 +91,69 @@ class Conformal:
         level = check_number(level, "level", 0.0, 1.0)
         if s.ndim != 1 or np.isnan(s).any():
             raise InputError("scores", f"shape {s.shape}" if s.ndim != 1 else "NaN", "(n,) numbers")
+        if not at_least and np.isinf(s).any():
+            raise InputError("scores", "an infinite one", "finite numbers to interpolate between")
         count = len(s) if independent is None else min(as_count("independent", independent, least=0), len(s))
         if count < samples_needed(level):
             got = f"{count} independent samples to calibrate a level of {level:g}"
             raise InputError("scores", got, f"at least {samples_needed(level)}: more samples, or a lower level")
-        known = np.zeros(len(s)) if scale is None else as_floats("scale", scale)
-        if known.shape != s.shape or not np.isfinite(known).all():
-            raise InputError("scale", f"shape {known.shape}", f"{s.shape} finite numbers, one for each score")
-        regimes = 1 if scale is None else max(1, min(count // PER_REGIME, count // samples_needed(level)))
-        edges = np.unique(np.quantile(known, np.arange(1, regimes) / regimes))
-        group = np.searchsorted(edges, known, side="right")
-        share = count / len(s)
-        factors = [_factor(s[group == g], level, share) for g in range(len(edges) + 1)]
-        return cls(level, edges, np.array(factors))
+        known = np.ones(len(s)) if scale is None else _as_scale(scale, s)
+        power = cls.scale_exponent(s, known, level) if exponent is None else exponent
+        power = check_number(power, "exponent", 0.0, 1.0, closed=True)
+        factor = (_at_least if at_least else _interpolated)(s / known**power, level, count)
+        return cls(level, factor, power)
+
+    @staticmethod
+    def scale_exponent(scores: ArrayLike, scale: ArrayLike, level: float = 0.8) -> float:
+        """Power of a scale that a quantile of scores grows with.
+
+        From 0 to 1, by quantile regression of log score on log scale.
+
+        Parameters
+        ----------
+        scores : (n,) array_like
+        scale : (n,) array_like
+            As in `fit`.
+        level : float
+            Of the quantile, in (0, 1).
+        """
+        s = as_floats("scores", scores)
+        level = check_number(level, "level", 0.0, 1.0)
+        x = np.log(_as_scale(scale, s))
+        y = np.log(np.maximum(s, np.finfo(float).eps))
+
+        def loss(exponent: float) -> float:
+            off = y - exponent * x
+            off -= np.quantile(off, level, method="inverted_cdf")  # the best intercept
+            return float(np.maximum(level * off, (level - 1) * off).mean())
+
+        return float(minimize_scalar(loss, bounds=(0, 1), method="bounded").x) if np.ptp(x) > 0 else 0.0
 
     def at(self, scale: ArrayLike) -> Array:
         """Factors (n,) at scales (n,)."""
-        return np.asarray(self.factors[np.searchsorted(self.edges, as_floats("scale", scale), side="right")])
+        return np.asarray(self.factor * as_floats("scale", scale) ** self.exponent)
 
 
-def _factor(scores: Array, level: float, share: float) -> float:
-    """Return the score whose rank holds the level, of which a share are independent."""
-    if len(scores) == 0:
-        return np.inf
-    independent = share * len(scores)
+def _as_scale(scale: ArrayLike, scores: Array) -> Array:
+    """Return positive numbers, one for each score."""
+    known = as_floats("scale", scale)
+    if known.shape != scores.shape or not (np.isfinite(known) & (known > 0)).all():
+        got = f"shape {known.shape}" if known.shape != scores.shape else "one that is not positive"
+        raise InputError("scale", got, f"{scores.shape} positive numbers, one for each score")
+    return known
+
+
+def _at_least(scores: Array, level: float, independent: int) -> float:
+    """Return the score whose rank holds the level, of which so many are independent."""
     part = np.ceil(round((independent + 1) * level, 9)) / independent
     rank = max(1, int(np.ceil(round(part * len(scores), 9))))
-    return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
+    return float(np.sort(scores)[rank - 1])
+
+
+def _interpolated(scores: Array, level: float, independent: int) -> float:
+    """Return Weibull's quantile, averaged over sets of independent scores."""
+    apart = len(scores) // independent
+    return float(np.mean([np.quantile(scores[first::apart], level, method="weibull") for first in range(apart)]))
 
 
 @dataclass(frozen=True)

@@ -298,7 +298,7 @@ def _calibrate(network: QuantileNetwork, x: Array, y: Array) -> None:
             gap = quantiles[:, k] - quantiles[:, k - side]
             ratio = (y - inner) / np.where(gap == 0, np.finfo(float).eps, gap)
             level = network.levels[k] if side > 0 else 1 - network.levels[k]
-            factor = np.array([max(Conformal.fit(column, level).factors[0], least) for column in ratio.T])
+            factor = np.array([max(Conformal.fit(column, level).factor, least) for column in ratio.T])
             network.calibration[min(k, k - side)] = torch.tensor(factor, dtype=torch.float32)
             inner = inner + factor * gap
 

@@ -7,5 +7,4 @@ LEAST_SPREAD = 1e-8  # What is normalised by its standard deviation is divided b
 LEAST_PART = 1e-4  # Observations are divided by this part of their mean or more: single precision rounds the mean.
 SCALE_MEMORY = 0.1  # A rollout moves the unit of values by this part of the way to its own, or more at first.
 WIDEST = 1e6  # A wider range of an observation [its unit] says nothing of its size.
-PER_REGIME = 100  # A regime of its own is calibrated where it has at least this many samples.
 FALSE_ALARM = 1e-4  # A promise that holds is reported as lost in about this part of independent samples.

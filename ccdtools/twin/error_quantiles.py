@@ -90,4 +90,4 @@ class ErrorQuantiles(Immutable):
         if self.normal:
             return np.asarray(along.mean(axis=0) + norm.ppf(self.level) * along.std(axis=0, ddof=1))
         columns = along.T
-        return np.array([Conformal.fit(one, self.level, independent=independent).factors[0] for one in columns])
+        return np.array([Conformal.fit(one, self.level, independent=independent).factor for one in columns])

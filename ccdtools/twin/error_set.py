@@ -88,7 +88,7 @@ def disturbance_set(
     away = np.abs(unseen_scores - middle)
     rounding = np.finfo(float).eps * away.max(initial=np.finfo(float).tiny)
     half = np.where((away > rounding).any(axis=0), np.maximum(half, rounding), half)  # what is left is not flat
-    factor = Conformal.fit((away / np.maximum(half, rounding)).max(axis=1), level).factors[0]
+    factor = Conformal.fit((away / np.maximum(half, rounding)).max(axis=1), level).factor
     return Polytope.from_bounds(middle - factor * half, middle + factor * half).affine_map(back)
 
 

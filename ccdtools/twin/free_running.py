@@ -96,9 +96,10 @@ def free_running_bands(
 
     The draws know the state and the error at the start of a window, and nothing of what follows. They are calibrated on
     windows that trained nothing: of the parts of the twin's newest log that `update` held out. Each state at each step
-    is calibrated alone, and a tube over all states and steps jointly. Widths follow the recent error, by an exponent of
-    the windows that trained, and regimes of it are calibrated apart where a hundred windows are left for each. As many
-    windows count as do not overlap.
+    is calibrated alone, and a tube over all states and steps jointly. Widths follow a power of the recent error, which
+    a quantile regression over the windows that trained gives. As many windows count as do not overlap, n. Were these
+    exchangeable with fresh ones, the level would be held but for 1 / (n + 1) on average over twins. That of one twin
+    deviates by √(level (1 − level) / (n + 2)).
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def free_running_bands(
     judged = drawing.on(errors, spans, rng)
     own = twin.logs[-1]
     former = part_spans(own, twin.held_out, twin.blocks, last=False)
-    trained = drawing.on(own, former, rng) if apart(former, drawing.length) else None
+    trained = drawing.on(own, former, rng) if apart(former, drawing.length, 1) else None
     if split is None:
         calibrating = [drawing.on(own, folds[0], rng)]
     else:
@@ -197,7 +198,7 @@ def _fitting(steps: Sequence[int], spans: Sequence[Span], folds: Sequence[Sequen
         raise InputError("steps", shown(tuple(wanted)), f"at most {longest}, the longest stretch that the log offers")
     kept = _calibrable(wanted, spans, folds, level)
     if not kept:
-        found = min(apart(fold, wanted[0]) for fold in folds)
+        found = min(apart(fold, wanted[0], wanted[0]) for fold in folds)
         got = f"{found} windows of {wanted[0]} steps, held out and without overlap, to calibrate a level of {level:g}"
         raise InputError("twin", got, f"at least {samples_needed(level)}: a longer log, fewer blocks or fewer steps")
     return np.array(kept)
@@ -209,7 +210,7 @@ def _calibrable(
     """Horizons that the spans are long enough for, and that enough windows without overlap calibrate."""
     longest = max((end - first for _, first, end in spans), default=0)
     return [h for h in wanted
-            if h <= longest and min(apart(fold, h) for fold in folds) >= samples_needed(level)]  # fmt: skip
+            if h <= longest and min(apart(fold, h, h) for fold in folds) >= samples_needed(level)]  # fmt: skip
 
 
 def _calibrated(
@@ -220,16 +221,15 @@ def _calibrated(
     fold = judged.span % len(folds)
     nx = judged.path.shape[2]
     factors = np.empty((len(horizons), nx + 1, len(fold)))  # of each state alone, and last of all jointly
-    for k, windows in enumerate(calibrating):
-        for i, h in enumerate(horizons):
-            scores = windows.scores_at(h)
-            known = np.zeros(nx + 1) if trained is None else trained.exponents(h)
-            for j, exponent in enumerate(known):
+    for i, h in enumerate(horizons):
+        exponents = np.zeros(nx + 1) if trained is None else trained.exponents(h, level)
+        for k, windows in enumerate(calibrating):
+            count = apart(folds[k], int(horizons[-1]), h)
+            for j, scores in enumerate(windows.scores_at(h)):
                 fitted = Conformal.fit(
-                    scores[j] / windows.scale**exponent, level, scale=windows.scale, independent=apart(folds[k], h)
+                    scores, level, scale=windows.scale, exponent=exponents[j], independent=count, at_least=False
                 )
-                scale = judged.scale[fold == k]
-                factors[i, j, fold == k] = fitted.at(scale) * scale**exponent
+                factors[i, j, fold == k] = fitted.at(judged.scale[fold == k])
     at = horizons - 1
     single = np.moveaxis(factors[:, :-1], 1, 2)
     lower, upper = judged.ends(at, single)

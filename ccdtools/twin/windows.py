@@ -16,6 +16,7 @@ from ccdtools.twin.residuals import Residuals, block_spans
 from ccdtools.twin.tolerances import RECENT, RUNAWAY
 from ccdtools.twin.transport import carried
 from ccdtools.twin.twin import DigitalTwin
+from learning.conformal import Conformal
 
 Span = tuple[int, int, int]  # run, first sample, one past the last
 
@@ -39,9 +40,9 @@ def since_spans(errors: Residuals, spans: Sequence[Span], since: int) -> list[Sp
     return [(run, first, end) for run, first, end in firsts if later[run] >= 0 and first < end]
 
 
-def apart(spans: Sequence[Span], length: int) -> int:
-    """Number of windows within spans that do not overlap."""
-    return sum((end - first) // length for _, first, end in spans)
+def apart(spans: Sequence[Span], length: int, step: int) -> int:
+    """Number of windows within spans that start a step apart."""
+    return sum(max((end - first - length) // step + 1, 0) for _, first, end in spans)
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,9 @@ class Windows:
         scores = np.abs(off) / np.maximum(width, np.finfo(float).eps * np.abs(self.actual).max())
         return np.concatenate([scores[-1].T, scores.max(axis=(0, 2))[None]])
 
-    def exponents(self, step: int) -> Array:
-        """Powers (nx + 1,) of the scale that scores grow with, from 0 to 1."""
-        x = np.log(self.scale) - np.log(self.scale).mean()
-        y = np.log(np.maximum(self.scores_at(step), np.finfo(float).eps))
-        slope = y @ x / max(float(x @ x), np.finfo(float).tiny)
-        return np.asarray(np.clip(slope, 0.0, 1.0))
+    def exponents(self, step: int, level: float) -> Array:
+        """Powers (nx + 1,) of the scale that scores grow with."""
+        return np.array([Conformal.scale_exponent(scores, self.scale, level) for scores in self.scores_at(step)])
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,8 @@ class Drawing:
         size[:, 0] = 1.0
         total = np.cumsum(np.concatenate([np.ones((len(size), RECENT)), size], axis=1), axis=1)
         run, first = starts[:, 0], starts[:, 1]
-        return np.asarray((total[run, first + RECENT] - total[run, first]) / RECENT)
+        mean = (total[run, first + RECENT] - total[run, first]) / RECENT
+        return np.asarray(np.maximum(mean, np.finfo(float).eps))
 
     def _drawn(
         self, errors: Residuals, starts: NDArray[np.int64], past: Array, limit: Array, rng: np.random.Generator

@@ -10,16 +10,42 @@ from learning import AdaptiveConformal, Conformal, InputError
 @pytest.mark.parametrize("n", [4, 9, 30])
 def test_few_samples_hold_the_level_exactly(n):
     rng = np.random.default_rng(n)
-    factors = np.array([Conformal.fit(np.abs(rng.standard_normal(n)), 0.8).factors[0] for _ in range(2000)])
+    factors = np.array([Conformal.fit(np.abs(rng.standard_normal(n)), 0.8).factor for _ in range(2000)])
     rank = int(np.ceil(0.8 * (n + 1)))
     covered = 2 * norm.cdf(factors) - 1
     assert covered.mean() == pytest.approx(betabinom(1, rank, n + 1 - rank).mean(), abs=0.01)
     assert covered.mean() > 0.79
 
 
+@pytest.mark.parametrize("draw", [np.random.Generator.random, np.random.Generator.exponential])
+@pytest.mark.parametrize("n", [5, 12, 20, 40])
+def test_interpolated_the_level_is_held_on_average_and_not_more(draw, n):
+    rng = np.random.default_rng(n)
+    samples = draw(rng, size=(3000, n))
+    factors = np.array([Conformal.fit(scores, 0.8, at_least=False).factor for scores in samples])
+    covered = factors if draw is np.random.Generator.random else 1 - np.exp(-factors)
+    below, rest = divmod(0.8 * (n + 1), 1)
+    between = (below / (n + 1), (below + (rest > 1e-9)) / (n + 1))  # what the two ranks hold
+    error = 3 * 0.4 / np.sqrt(3000 * (n + 2))
+    assert between[0] - error < np.minimum(covered, 1).mean() < between[1] + error
+    assert np.minimum(covered, 1).mean() == pytest.approx(0.8, abs=0.015)
+
+
+@pytest.mark.parametrize("memory", [1, 5, 20])
+def test_windows_that_overlap_hold_the_level_interpolated_however_alike_they_are(memory):
+    # Twenty windows of twenty steps that do not overlap, and all between; scores last one step, or all of a window.
+    rng = np.random.default_rng(memory)
+    covered = []
+    for _ in range(800):
+        scores = np.abs(np.convolve(rng.standard_normal(400 + memory), np.ones(memory) / np.sqrt(memory), "same"))
+        factor = Conformal.fit(scores[:400], 0.8, independent=20, at_least=False).factor
+        covered.append(2 * norm.cdf(factor) - 1)
+    assert np.mean(covered) == pytest.approx(0.8, abs=0.02)
+
+
 @pytest.mark.parametrize(("level", "needed"), [(0.8, 4), (0.9, 9), (0.99, 99)])
 def test_too_few_samples_are_refused_with_the_number_needed(level, needed):
-    assert np.isfinite(Conformal.fit(np.ones(needed), level).factors).all()
+    assert np.isfinite(Conformal.fit(np.ones(needed), level).factor)
     with pytest.raises(InputError, match=f"scores: got {needed - 1} independent samples .* expected at least {needed}"):
         Conformal.fit(np.ones(needed - 1), level)
     with pytest.raises(InputError, match=f"got {needed - 1} independent samples"):
@@ -27,7 +53,7 @@ def test_too_few_samples_are_refused_with_the_number_needed(level, needed):
 
 
 def test_a_level_near_zero_takes_the_least_score_and_no_number_is_named():
-    assert Conformal.fit(np.arange(10.0), 1e-12).factors == 0.0
+    assert Conformal.fit(np.arange(10.0), 1e-12).factor == 0.0
     with pytest.raises(InputError, match="scores: got NaN"):
         Conformal.fit([np.nan] * 10, 0.5)
 
@@ -42,17 +68,33 @@ def test_every_regime_holds_the_level():
         assert held[fresh == regime].mean() == pytest.approx(0.8, abs=0.03)
 
 
-def test_a_regime_of_its_own_takes_a_hundred_samples():
-    scale = np.arange(399.0)
-    assert len(Conformal.fit(scale, 0.8, scale=scale).factors) == 3
-    assert len(Conformal.fit(scale, 0.8, scale=scale, independent=250).factors) == 2
-    assert len(Conformal.fit(scale[:120], 0.8, scale=scale[:120]).factors) == 1
+def test_a_power_of_the_scale_takes_no_number_of_samples_in_a_regime():
+    # Thirty scores, as many in each regime as chance has it: the rough one holds its level as the calm one does.
+    rng = np.random.default_rng(1)
+    held = []
+    for _ in range(400):
+        size = rng.choice([1.0, 5.0], 30)
+        known = Conformal.fit(size * np.abs(rng.standard_normal(30)), 0.8, scale=size, exponent=1.0, at_least=False)
+        held.append(2 * norm.cdf(known.at([1.0, 5.0]) / [1.0, 5.0]) - 1)
+    np.testing.assert_allclose(np.mean(held, axis=0), 0.8, atol=0.015)
+
+
+def test_the_exponent_is_that_of_the_quantile_asked_for():
+    # The median of these scores does not grow with the scale; their 80 % quantile does, as its square root.
+    rng = np.random.default_rng(3)
+    scale = np.exp(rng.standard_normal(4000))
+    large = rng.random(4000) > 0.7
+    scores = np.where(large, 10 * np.sqrt(scale), 0.1) * np.exp(0.01 * rng.standard_normal(4000))
+    assert Conformal.scale_exponent(scores, scale, 0.8) == pytest.approx(0.5, abs=0.01)
+    assert Conformal.scale_exponent(scores, scale, 0.5) == pytest.approx(0.0, abs=0.01)
+    assert Conformal.scale_exponent(scores, np.ones(4000), 0.8) == 0.0
+    assert Conformal.scale_exponent(1e6 * scores, 1e-3 * scale, 0.8) == pytest.approx(0.5, abs=0.01)
 
 
 def test_overlapping_scores_count_as_those_that_do_not():
     scores = np.arange(1.0, 101.0)
-    assert Conformal.fit(scores, 0.8).factors[0] == 81  # of 101
-    assert Conformal.fit(scores, 0.8, independent=10).factors[0] == 90  # the ninth of ten, of 11
+    assert Conformal.fit(scores, 0.8).factor == 81  # of 101
+    assert Conformal.fit(scores, 0.8, independent=10).factor == 90  # the ninth of ten, of 11
 
 
 @pytest.mark.parametrize("change", [lambda e: 2 * e, lambda e: e + 1, lambda e: e / 2])
@@ -96,6 +138,10 @@ def test_the_flag_takes_evidence_of_one_in_ten_thousand():
         (lambda: Conformal.fit([np.nan] * 9), "scores"),
         (lambda: Conformal.fit(np.ones(9), 1.0), "level"),
         (lambda: Conformal.fit(np.ones(9), scale=np.ones(8)), "scale"),
+        (lambda: Conformal.fit(np.ones(9), scale=np.zeros(9)), "scale"),
+        (lambda: Conformal.fit(np.ones(9), exponent=2.0), "exponent"),
+        (lambda: Conformal.fit([*range(9), np.inf], at_least=False), "scores"),
+        (lambda: Conformal.scale_exponent(np.ones(9), np.ones(9), 1.0), "level"),
         (lambda: AdaptiveConformal(level=0.0), "level"),
         (lambda: AdaptiveConformal(factor=0.0), "factor"),
         (lambda: AdaptiveConformal(calibrated=-1.0), "calibrated"),

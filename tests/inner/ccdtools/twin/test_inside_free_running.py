@@ -13,7 +13,7 @@ from ccdtools.twin import free_running_bands
 from ccdtools.twin.discrepancy import TwinPlant
 from ccdtools.twin.free_running import held_out_bands
 from ccdtools.twin.residuals import residuals
-from ccdtools.twin.windows import Drawing, Windows
+from ccdtools.twin.windows import Drawing, Windows, apart
 from learning import QuantileConfig
 from mpc import lqr
 
@@ -138,6 +138,20 @@ def test_the_scale_of_a_window_is_the_mean_of_twenty_recent_errors(illustrative,
     assert windows.scale[-1] == pytest.approx(size[980:1000].mean())
 
 
+def test_a_window_after_no_error_at_all_has_a_positive_scale(twin, log):
+    errors = residuals(twin.model, log)
+    exact = replace(errors, e=np.zeros_like(errors.e))
+    windows = Drawing(twin, LAW, 1, 2, 2, 0.8).on(exact, [(0, 1000, 1002)], np.random.default_rng(0))
+    assert (windows.scale > 0).all()
+    assert (windows.scale < 1e-12).all()
+
+
+def test_windows_that_lie_apart_are_counted_among_those_drawn():
+    spans = [(0, 0, 150), (0, 750, 900), (1, 0, 99)]  # those of 100 steps start within 51 samples, the last has none
+    assert [apart(spans, 100, step) for step in (1, 10, 50, 100)] == [102, 12, 4, 2]
+    assert apart(spans, 33, 33) == 4 + 4 + 3
+
+
 def test_scores_that_grow_with_the_scale_have_its_exponent():
     scale = np.geomspace(0.1, 10.0, 50)
     ones = np.ones((3, 50, 1))
@@ -145,4 +159,4 @@ def test_scores_that_grow_with_the_scale_have_its_exponent():
     windows = Windows(0 * ones, ones, ones, off, np.ones((3, 1)), scale, np.zeros(50, int), np.ones(1))
     np.testing.assert_allclose(windows.scores_at(2), [2 * scale**0.5, 2 * scale**0.5])
     np.testing.assert_allclose(windows.scores_at(3), [scale**0.5, 2 * scale**0.5])
-    np.testing.assert_allclose(windows.exponents(3), 0.5)
+    np.testing.assert_allclose(windows.exponents(3, 0.8), 0.5, atol=1e-4)
