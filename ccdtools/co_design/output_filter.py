@@ -28,6 +28,7 @@ from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.simulated_model import SimulatedModel
+from ccdtools_ground.door import as_instance
 
 
 def estimator_at(problem: CoDesignProblem, p: Array) -> Any:
@@ -44,9 +45,9 @@ def estimator_at(problem: CoDesignProblem, p: Array) -> Any:
 
 def memory_at(problem: CoDesignProblem, p: Array, history: int | None) -> Callable[[Any], Any]:
     """What stands around a policy that sees so many outputs and inputs, or the estimate."""
-    return (
-        partial(Observed, estimator=estimator_at(problem, p)) if history is None else partial(History, length=history)
-    )
+    if history is not None:
+        return partial(History, length=history)
+    return partial(Observed, estimator=estimator_at(problem, p))
 
 
 def measured_problem(problem: CoDesignProblem, history: int | None) -> CoDesignProblem:
@@ -55,26 +56,37 @@ def measured_problem(problem: CoDesignProblem, history: int | None) -> CoDesignP
 
 
 def filter_problem(problem: CoDesignProblem) -> CoDesignProblem:
-    """Problem whose policies see the estimate x̂ of the state, of `estimator_at`.
+    """Problem whose policies see a Kalman filter's estimate.
 
-    Its state is (x, 1, P, x̂), of which x̂ alone is not `hidden`; P is the lower triangle of the covariance. Its
+    The filter is that of the design: extended where the model has expressions, else linearised at rest. The state is
+    (x, 1, P, x̂), of which x̂ alone is not `hidden`; P is the lower triangle of the covariance, by columns. The
     disturbance is (w, v). The 1 stands at W in P⁺ = F P Fᵀ + W, so that the model rests at 0. What is measured at the
-    start is that of the design in the middle of the box.
+    start is that of the design in the middle of the box. Where a step or an output is no expression, see
+    `history_problem`, the problem's model is a simulator, too.
+
+    Parameters
+    ----------
+    problem : CoDesignProblem
+        With a `measurement`.
+
+    Raises
+    ------
+    InputError
+        If the problem measures nothing.
     """
-    nu = problem.model.nu
-    scale = problem.state_scale
+    as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     known = cache(lambda p: estimator_at(problem, np.array(p)))
+    centre = known(tuple(problem.design.project(problem.design.centre)))
+    scale = problem.state_scale
 
     def first(y: Array) -> Array:
         """Memory (n, ·) of a first measurement."""
-        estimator = known(tuple(problem.design.project(problem.design.centre)))
-        return _row(estimator.update(estimator.start(len(y)), y, np.zeros((len(y), nu))))
+        return _row(centre.update(centre.start(len(y)), y, np.zeros((len(y), centre.nu))))
 
     unseen = PREVIEW_ROOM * np.r_[1.0, _packed(np.outer(scale, scale))]
     room = np.r_[unseen, PREVIEW_ROOM * scale]
-    return with_memory(
-        problem, SensedScenarios(problem, first), room, len(unseen), partial(_with_filter, problem, known)
-    )
+    modelled = partial(_with_filter, problem, known, centre.V)
+    return with_memory(problem, SensedScenarios(problem, first), room, len(unseen), modelled)
 
 
 def _packed(P: Array) -> Array:
@@ -132,12 +144,11 @@ class FilterStep(ExplicitStep):
     few_rows = np.inf  # type: ignore[assignment]
 
 
-def _with_filter(problem: CoDesignProblem, known: Any, extent: Array) -> FilteredModel | SimulatedModel:
+def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) -> FilteredModel | SimulatedModel:
     """Model with state (x, 1, P, x̂) and disturbance (w, v); a simulator where it is no expression."""
     model: Any = problem.model
     measurement: Any = problem.measurement
     output, nx, nu, nw = measurement.output, model.nx, model.nu, model.nw
-    V = kalman_filter(problem, problem.design.project(problem.design.centre)).V
     ends = np.cumsum([0, nx, 1, nx * (nx + 1) // 2, nx]).tolist()
     sampled = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
     if not (sampled or isinstance(model, LinearModel)) or not isinstance(output, Plant | np.ndarray):

@@ -19,6 +19,7 @@ from ccdtools.co_design.preview import previewed_objective, previewed_output_lim
 from ccdtools.co_design.problem import CoDesignProblem, Scenarios
 from ccdtools.co_design.tolerances import LEAST_ACTION, PREVIEW_ROOM
 from ccdtools.design_limits import DesignLimits
+from ccdtools.estimation.measurement import Measurement
 from ccdtools.exceptions import InputError
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.discretisation import discretise
@@ -75,9 +76,8 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     if (np.abs(rest) > MODEL_AT_REST * seen).any():
         raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract those.")
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
-    return with_memory(
-        problem, scenarios, room, 0, partial(_with_history, problem.model, measurement, y.shape[1], length)
-    )
+    modelled = partial(_with_history, problem.model, measurement, y.shape[1], length)
+    return with_memory(problem, scenarios, room, 0, modelled)
 
 
 def with_memory(
@@ -98,14 +98,11 @@ def with_memory(
     w = np.abs(scenarios.sample(256, problem.steps, np.random.default_rng(0))[1]).max(axis=(0, 1))
     extent = np.r_[problem.state_scale, room, np.abs(problem.input_bounds).max(axis=0), w + (w == 0)]
     X = problem.X
-    within = (
-        X.followed_by(-room, room)
-        if isinstance(X, DesignLimits)
-        else X.cartesian_product(as_set((-room, room), "X", len(room)))
-    )
+    box = as_set((-room, room), "X", len(room))
     return replace(
         problem, model=modelled(extent), scenarios=scenarios, measurement=None, hidden=problem.model.nx + hidden,
-        objective=previewed_objective(problem.objective, len(room)), X=within,
+        objective=previewed_objective(problem.objective, len(room)), 
+        X=X.followed_by(-room, room) if isinstance(X, DesignLimits) else X.cartesian_product(box),
         output_limits=previewed_output_limits(problem.output_limits, problem.model.nx),
     )  # fmt: skip
 

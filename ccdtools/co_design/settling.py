@@ -293,8 +293,9 @@ def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignR
 
 
 def _learned(controller: Any) -> bool:
-    """Whether a controller is a policy, or has one behind a memory."""
-    return isinstance(getattr(controller, "controller", controller), LearnedPolicy)
+    """Whether a controller is a policy, or one of outputs has it behind a memory."""
+    policy = controller.controller if "output" in getattr(controller, "needs", ()) else controller
+    return isinstance(policy, LearnedPolicy)
 
 
 def _better(baseline: Baseline) -> bool:
