@@ -21,6 +21,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.estimation.belief import Belief
 from ccdtools.estimation.expressions import next_belief
 from ccdtools.estimation.extended import ExtendedKalmanFilter
+from ccdtools.estimation.outputs import linear_outputs
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.pathwise_step import pathwise
@@ -34,10 +35,12 @@ from ccdtools_ground.door import as_instance
 def estimator_at(problem: CoDesignProblem, p: Array) -> Any:
     """Kalman filter of a problem's sensors at a design (np,).
 
-    It is extended, linearised about its estimate, where the model has expressions; else linearised at rest.
+    It is extended, linearised about its estimate, where the model or its outputs are not linear; linearised at rest of
+    a simulator, which has no expressions.
     """
-    linear = kalman_filter(problem, p)
-    if not isinstance(problem.model, SampledModel | LinearModel):
+    linear, output = kalman_filter(problem, p), problem.measurement.output
+    exact = isinstance(output, np.ndarray) or (isinstance(output, Plant) and linear_outputs(output))
+    if not isinstance(problem.model, SampledModel | LinearModel) or (exact and isinstance(problem.model, LinearModel)):
         return linear
     start = {"P0": linear.P0, "x0": linear.x0}
     return ExtendedKalmanFilter(problem.model, problem.measurement, W=linear.W, V=linear.V, design=p, **start)
