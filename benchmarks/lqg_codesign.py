@@ -139,7 +139,7 @@ def stiff(x: Any, u: Any, w: Any, p: Any) -> Any:
 
 def pushed(x: Any, u: Any, w: Any, p: Any) -> Any:
     """Acceleration of a mass with drag."""
-    return (u - p[1] * x[1] * (1 + x[1] ** 2 / 4)) / p[0] + w
+    return (u - p[1] * x[1] * (1 + x[1] ** 2 / 50)) / p[0] + w
 
 
 FAR = {
