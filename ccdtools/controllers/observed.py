@@ -122,6 +122,15 @@ class Observed(Around):
         policy, known = self._parts()
         return policy.to_c(folder, name=name, scalar=scalar, estimator=known)
 
+    def to_onnx(self, path: str | Path) -> Path:
+        """Write a learned policy as an ONNX model: estimates (n, nx) to u (n, nu).
+
+        `Observed(OnnxPolicy(path), estimator)` is the controller again. It raises what `LearnedPolicy.to_onnx` raises,
+        and an `InputError` if the controller is no `LearnedPolicy`.
+        """
+        policy: LearnedPolicy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
+        return policy.to_onnx(path)
+
     def save(self, path: str | Path, **notes: str) -> None:
         """Save a learned policy, its `KalmanFilter` and notes for `load_policy`; raises as `to_c`."""
         policy, known = self._parts()

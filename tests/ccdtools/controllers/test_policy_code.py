@@ -5,6 +5,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -302,9 +303,9 @@ def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, 
     assert again(x[0]).shape == (2,)
 
 
-def test_an_onnx_model_of_histories_is_the_controller_again(tmp_path, rng):
-    law = of_outputs()
-    again = History(OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")), M)
+@pytest.mark.parametrize("law", [of_outputs(), of_estimate()], ids=["history", "filter"])
+def test_an_onnx_model_of_a_memory_is_the_controller_again(tmp_path, rng, law):
+    again = replace(law, controller=OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")))
     _, u = closed_loop(law, np.random.default_rng(1))
     np.testing.assert_allclose(closed_loop(again, np.random.default_rng(1))[1], u, rtol=0, atol=1e-11)
 
