@@ -89,7 +89,19 @@ def filter_problem(problem: CoDesignProblem) -> CoDesignProblem:
     unseen = PREVIEW_ROOM * np.r_[1.0, _packed(np.outer(scale, scale))]
     room = np.r_[unseen, PREVIEW_ROOM * scale]
     modelled = partial(_with_filter, problem, known, centre.V)
-    return with_memory(problem, SensedScenarios(problem, first), room, len(unseen), modelled)
+    extent = np.r_[1.0, _packed(_largest_covariance(problem)), scale]
+    return with_memory(problem, SensedScenarios(problem, first), room, extent, len(unseen), modelled)
+
+
+def _largest_covariance(problem: CoDesignProblem) -> Array:
+    """Sizes (nx, nx) of the covariance along an episode at the design in the middle."""
+    linear = kalman_filter(problem, problem.design.project(problem.design.centre))
+    u, belief = np.zeros((1, linear.nu)), linear.start(1)
+    largest = np.zeros(linear.nx)
+    for _ in range(problem.steps):
+        belief = linear.predict(linear.update(belief, linear.y0[None], u), u)
+        largest = np.maximum(largest, np.diag(belief.covariance))
+    return np.sqrt(np.outer(largest, largest))
 
 
 def _packed(P: Array) -> Array:
@@ -117,7 +129,7 @@ class FilteredModel(SampledModel):
     """Discrete model with a filter, whose matrices at p are found once for all runs."""
 
     linear: LinearModel | None = None
-    given: ca.Function | None = None  # (z, u, (w, v), (A B E, p)) → z⁺ of the matrices of `linear`
+    given: Any = None  # (z, u, (w, v), (A B E, p)) → z⁺ of the matrices of `linear`
 
     @cached_property
     def _own_step(self) -> ExplicitStep:
@@ -162,7 +174,8 @@ def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) 
             after = np.asarray(model.stepper(p, batch=len(x))(x, u, w[:, :nw]))
             y = measurement.at(nx, nu, p).of(after, u) + w[:, nw:]
             estimator = known(tuple(p))
-            belief = estimator.update(estimator.predict(Belief(mean, _unpacked(P, nx)), u), y, u)
+            with np.errstate(all="ignore"):  # of a run that is lost
+                belief = estimator.update(estimator.predict(Belief(mean, _unpacked(P, nx)), u), y, u)
             return np.hstack([after, _row(belief)])
 
         return SimulatedModel(

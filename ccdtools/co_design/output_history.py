@@ -77,11 +77,11 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
         raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract those.")
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
     modelled = partial(_with_history, problem.model, measurement, y.shape[1], length)
-    return with_memory(problem, scenarios, room, 0, modelled)
+    return with_memory(problem, scenarios, room, room, 0, modelled)
 
 
 def with_memory(
-    problem: CoDesignProblem, scenarios: SensedScenarios, room: Array, hidden: int,
+    problem: CoDesignProblem, scenarios: SensedScenarios, room: Array, size: Array, hidden: int,
     modelled: Callable[[Array], Model | SimulatedModel],
 ) -> CoDesignProblem:  # fmt: skip
     """Problem whose policies see a memory of what was measured.
@@ -90,13 +90,15 @@ def with_memory(
     ----------
     room : (m,) array
         Bounds of the memory.
+    size : (m,) array
+        Extents of the memory, which differences of a simulator are parts of.
     hidden : int
         So many of its first numbers the policy does not see.
     modelled : callable
         Model with the memory, from the extents of its states, inputs and disturbances.
     """
     w = np.abs(scenarios.sample(256, problem.steps, np.random.default_rng(0))[1]).max(axis=(0, 1))
-    extent = np.r_[problem.state_scale, room, np.abs(problem.input_bounds).max(axis=0), w + (w == 0)]
+    extent = np.r_[problem.state_scale, size, np.abs(problem.input_bounds).max(axis=0), w + (w == 0)]
     X = problem.X
     box = as_set((-room, room), "X", len(room))
     return replace(

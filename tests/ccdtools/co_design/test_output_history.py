@@ -137,12 +137,13 @@ def test_a_law_of_the_estimate_returns_as_much_as_behind_its_filter():
     noise = {"W": known.W, "V": known.V, "P0": known.P0, "x0": known.x0}
     deployed = Observed(law, ExtendedKalmanFilter(problem.model, problem.measurement, design=p, **noise))
     behind, of_estimate = (
-        closed_loop_returns(one, controller, p, np.random.default_rng(0)).summary
+        closed_loop_returns(one, controller, p, np.random.default_rng(0), runs=200).summary
         for one, controller in ((problem, deployed), (filter_problem(problem), lambda z: law(z[:, -2:])))
     )
     assert of_estimate.mean == pytest.approx(behind.mean, abs=behind.ci95[1] - behind.ci95[0])
 
 
+@pytest.mark.check
 def test_a_policy_begins_at_lqg_and_is_handed_out_behind_its_filter():
     problem = stated(lambda x, u, p, f: [x[0]], stiff=True, steps=40)
     config = CoDesignConfig(iterations=2, starts=1, pathwise_runs=16, evaluation_runs=64)

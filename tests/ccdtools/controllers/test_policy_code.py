@@ -13,7 +13,6 @@ import pytest
 
 from ccdtools import (
     DesignSpace,
-    ExtendedKalmanFilter,
     InputError,
     KalmanFilter,
     LearnedPolicy,
@@ -25,6 +24,7 @@ from ccdtools import (
 )
 from ccdtools.cli import main
 from ccdtools.controllers import History, Observed, OnnxPolicy
+from ccdtools.estimation import ExtendedKalmanFilter
 from ccdtools.plants import BlackBox
 from learning import ActorCritic, NetworkConfig
 
