@@ -13,7 +13,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.differentiable_model import matrices
 from ccdtools.co_design.measured import kalman_filter
-from ccdtools.co_design.output_history import SensedScenarios, history_problem, with_memory
+from ccdtools.co_design.output_history import SensedScenarios, history_problem, in_expressions, with_memory
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import PREVIEW_ROOM
 from ccdtools.controllers.history import History
@@ -165,8 +165,7 @@ def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) 
     measurement: Any = problem.measurement
     output, nx, nu, nw = measurement.output, model.nx, model.nu, model.nw
     ends = np.cumsum([0, nx, 1, nx * (nx + 1) // 2, nx]).tolist()
-    sampled = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
-    if not (sampled or isinstance(model, LinearModel)) or not isinstance(output, Plant | np.ndarray):
+    if not in_expressions(model, output):
 
         def advance(z: Array, u: Array, w: Array, p: Array) -> Array:
             """States (n, nz) one sample later."""

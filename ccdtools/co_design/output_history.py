@@ -133,6 +133,12 @@ class SensedScenarios(Immutable):
         return np.hstack([x0, self.first(y)]), np.concatenate([w, v[:, 1:]], axis=2)
 
 
+def in_expressions(model: Any, output: Any) -> bool:
+    """Whether steps and outputs are explicit expressions."""
+    explicit = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
+    return (explicit or isinstance(model, LinearModel)) and isinstance(output, Plant | np.ndarray)
+
+
 def warm_start_of_outputs(
     problem: CoDesignProblem, known: CoDesignProblem, rng: np.random.Generator, *, gamma: float = 0.99
 ) -> ActorCritic:
@@ -196,8 +202,7 @@ def _with_history(model: Any, measurement: Measurement, ny: int, length: int, ex
     nx, nu, nw, output = model.nx, model.nu, model.nw, measurement.output
     size = nx + length * (ny + nu)
     ends = [0, nx, nx + (length - 1) * ny, nx + length * ny, size - nu, size]  # the last output and input are forgotten
-    sampled = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
-    if not (sampled or isinstance(model, LinearModel)) or not isinstance(output, Plant | np.ndarray):
+    if not in_expressions(model, output):
         measured = cache(lambda p: measurement.at(nx, nu, np.array(p)).of)
 
         def advance(z: Array, u: Array, w: Array, p: Array) -> Array:
