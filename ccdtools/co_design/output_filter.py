@@ -196,10 +196,11 @@ def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) 
 
     x, one, P, mean = ca.vertsplit(z, ends)
     belief = mean, ca.tril2symm(ca.SX(ca.Sparsity.lower(nx), P))
-    after = step(x, u, w[:nw])
+    disturbance, noise = ca.vertsplit(w, [0, nw, nw + len(V)])
+    after = step(x, u, disturbance)
     W = one * (E @ ca.DM(problem.moments[2]) @ E.T)
     still = ca.DM.zeros(nw, 1)
-    mean, P = next_belief(lambda x, u: step(x, u, still), seen, belief, u, seen(after, u) + w[nw:], W, V)
+    mean, P = next_belief(lambda x, u: step(x, u, still), seen, belief, u, seen(after, u) + noise, W, V)
     triangle = [P[i, j] for j in range(nx) for i in range(j, nx)]
     moved = ca.cse(ca.vertcat(after, one, *triangle, mean))
     plain = ca.substitute(moved, M, ca.reshape(model.function.expand()(p), M.shape))

@@ -129,6 +129,39 @@ def test_the_states_are_the_plant_and_what_its_filter_believes(kind, stiff, rng)
     np.testing.assert_allclose(at_first, np.tile([1, 0, 1, 0, 0, 0, 1, 0], (4, 1)), atol=1e-12)
 
 
+class Undisturbed:
+    """Random starts and nothing else."""
+
+    def sample(self, runs, steps, rng):
+        """Initial states and disturbances."""
+        return rng.standard_normal((runs, 2)), np.zeros((runs, steps, 0))
+
+
+def test_without_disturbances_the_estimate_comes_near_the_state():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 2)
+    box = DesignSpace(["k", "c"], [0.5, 0.1], [3.0, 2.0])
+    plant = Plant(x, u, None, p, [x[1], -p[0] * x[0] - p[1] * x[1] + u], box, dt=0.1, outputs=[x[0]])
+    limits = {"X": lambda p: ([-20 - p[0], -20], [20 + p[0], 20]), "U": lambda p: (-3 - p[1], 3 + p[1])}
+    sensor = Measurement(plant, noise=[0.1])
+    problem = replace(
+        stated(lambda x, u, p, f: [x[0]]),
+        model=discretise(plant),
+        scenarios=Undisturbed(),
+        measurement=sensor,
+        **limits,
+    )
+    longer = filter_problem(problem)
+    z, w = longer.scenarios.sample(200, 80, np.random.default_rng(0))
+    step = longer.model.stepper(problem.design.lower, batch=200)
+    errors = []
+    for k in range(80):
+        z = np.asarray(step(z, np.zeros((200, 1)), w[:, k]))
+        errors.append(np.sqrt(np.mean((z[:, -2:] - z[:, :2]) ** 2)))
+    assert errors[-1] < 0.05 < errors[0]
+    low, high = longer.X.bounds(np.array([2.0, 1.0]))
+    np.testing.assert_allclose([low[:2], high[:2]], [[-22, -20], [22, 20]])
+
+
 def test_a_law_of_the_estimate_returns_as_much_as_behind_its_filter():
     problem = stated(lambda x, u, p, f: [u - f], stiff=True, scenarios=RandomStarts(Gaussian([1, 1]), Gaussian([1.0])))
     p = problem.design.centre
