@@ -23,6 +23,7 @@ from ccdtools.co_design.methods.sequential import Sequential as Sequential
 from ccdtools.co_design.methods.simultaneous import Simultaneous as Simultaneous
 from ccdtools.co_design.multi_start import MultiStart as MultiStart
 from ccdtools.co_design.objective import QuadraticObjective as QuadraticObjective
+from ccdtools.co_design.output_filter import filter_problem as filter_problem
 from ccdtools.co_design.output_history import history_problem as history_problem
 from ccdtools.co_design.preview import (
     previewed_limits as previewed_limits,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 from ccdtools.arrays import Array, ArrayField, Immutable, frozen
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.tolerances import LEVEL_SLOPE, SIGNIFICANT, TRUSTED_SLOPE
-from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference
 from ccdtools_ground.door import as_vector
@@ -157,8 +157,8 @@ class LearnedCoDesign(CoDesignResult):
         What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
         one found, "policy" the gain of the policy found over the first one there.
     convergence : Convergence or None
-    output_history : int
-        So many last outputs and inputs the policy sees in the place of the state, as `History`; 0 for the state.
+    memory : callable, optional
+        What stands around a policy of measured outputs, a `History` or `Observed`; None where it sees the state.
     """
 
     agent: ActorCritic
@@ -166,17 +166,17 @@ class LearnedCoDesign(CoDesignResult):
     policy_gradients: GradientCheck | None = None
     gains: dict[str, float] = field(default_factory=dict)
     convergence: Convergence | None = None
-    output_history: int = 0
+    memory: Callable[[LearnedPolicy], Any] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         policy = LearnedPolicy(self.agent, self.design)
-        self._set(controller=History(policy, self.output_history) if self.output_history else policy)
+        self._set(controller=policy if self.memory is None else self.memory(policy))
 
     @property
     def policy(self) -> LearnedPolicy:
         """Policy at the design found, as a controller."""
-        policy = self.controller.controller if isinstance(self.controller, History) else self.controller
+        policy = self.controller if self.memory is None else getattr(self.controller, "controller", None)
         assert isinstance(policy, LearnedPolicy)
         return policy
 

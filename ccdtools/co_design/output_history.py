@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import casadi as ca
@@ -58,51 +59,84 @@ def history_problem(problem: CoDesignProblem, length: int) -> CoDesignProblem:
     length = as_count("length", length)
     if problem.measurement is None:
         raise InputError("problem", "one without a measurement", "CoDesignProblem(measurement=Measurement(…))")
-    model, measurement, nu = problem.model, problem.measurement, problem.model.nu
+    measurement, nx, nu = problem.measurement, problem.model.nx, problem.model.nu
     lower, upper = problem.input_bounds
-    scenarios = HistoryScenarios(problem.scenarios, measurement, model, length)
-    drawn = scenarios.sample(256, problem.steps, np.random.default_rng(0))
-    x = np.random.default_rng(0).uniform(-1, 1, (1024, model.nx)) * problem.state_scale
-    y = measurement.at(model.nx, nu, problem.design.centre).of(x, np.zeros((len(x), nu)))
-    ny = y.shape[1]
-    seen = np.abs(y).max(axis=0) + np.abs(drawn[1][..., model.nw :]).max(axis=(0, 1))
-    zero = np.zeros((1, model.nx)), np.zeros((1, nu))
-    rest = [measurement.at(model.nx, nu, p).of(*zero)[0] for p in problem.design.spread()]
+
+    def first(y: Array) -> Array:
+        """History (n, ·) of a first measurement."""
+        return np.hstack([y, np.zeros((len(y), (length - 1) * y.shape[1] + length * nu))])
+
+    scenarios = SensedScenarios(problem, first)
+    v = scenarios.sample(256, problem.steps, np.random.default_rng(0))[1][..., problem.model.nw :]
+    x = np.random.default_rng(0).uniform(-1, 1, (1024, nx)) * problem.state_scale
+    y = measurement.at(nx, nu, problem.design.centre).of(x, np.zeros((len(x), nu)))
+    seen = np.abs(y).max(axis=0) + np.abs(v).max(axis=(0, 1))
+    zero = np.zeros((1, nx)), np.zeros((1, nu))
+    rest = [measurement.at(nx, nu, p).of(*zero)[0] for p in problem.design.spread()]
     if (np.abs(rest) > MODEL_AT_REST * seen).any():
         raise InputError("measurement", "outputs that are not 0 at rest", "0 at every design", "Subtract those.")
     room = PREVIEW_ROOM * np.r_[np.tile(seen, length), np.tile(np.maximum(-lower, upper), length)]
-    box = as_set((-room, room), "X", len(room))
+    modelled = partial(_with_history, problem.model, measurement, y.shape[1], length)
+    return with_memory(problem, scenarios, room, room, 0, modelled)
+
+
+def with_memory(
+    problem: CoDesignProblem, scenarios: SensedScenarios, room: Array, size: Array, hidden: int,
+    modelled: Callable[[Array], Model | SimulatedModel],
+) -> CoDesignProblem:  # fmt: skip
+    """Problem whose policies see a memory of what was measured.
+
+    Parameters
+    ----------
+    room : (m,) array
+        Bounds of the memory.
+    size : (m,) array
+        Extents of the memory, which differences of a simulator are parts of.
+    hidden : int
+        So many of its first numbers the policy does not see.
+    modelled : callable
+        Model with the memory, from the extents of its states, inputs and disturbances.
+    """
+    w = np.abs(scenarios.sample(256, problem.steps, np.random.default_rng(0))[1]).max(axis=(0, 1))
+    extent = np.r_[problem.state_scale, size, np.abs(problem.input_bounds).max(axis=0), w + (w == 0)]
     X = problem.X
-    w = np.abs(drawn[1]).max(axis=(0, 1))
-    extent = np.r_[problem.state_scale, room, np.abs([lower, upper]).max(axis=0), w + (w == 0)]
+    box = as_set((-room, room), "X", len(room))
     return replace(
-        problem, model=_with_history(model, measurement, ny, length, extent), scenarios=scenarios, measurement=None,
-        hidden=model.nx, objective=previewed_objective(problem.objective, length, channels=ny + nu),
+        problem, model=modelled(extent), scenarios=scenarios, measurement=None, hidden=problem.model.nx + hidden,
+        objective=previewed_objective(problem.objective, len(room)), 
         X=X.followed_by(-room, room) if isinstance(X, DesignLimits) else X.cartesian_product(box),
-        output_limits=previewed_output_limits(problem.output_limits, model.nx),
+        output_limits=previewed_output_limits(problem.output_limits, problem.model.nx),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class HistoryScenarios(Immutable):
-    """Scenarios of a model with a history."""
+class SensedScenarios(Immutable):
+    """Scenarios of a model with a memory of what is measured."""
 
-    own: Scenarios
-    measurement: Measurement
-    model: Model  # without the history
-    length: int
+    problem: CoDesignProblem  # without the memory
+    first: Callable[[Array], Array]  # memory (n, m) of the first measurements (n, ny)
+
+    @property
+    def own(self) -> Scenarios:
+        """Scenarios without the memory."""
+        return self.problem.scenarios
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Initial states (runs, nx + m (ny + nu)), disturbances (runs, steps, nw + ny)."""
+        """Initial states (runs, nx + m), disturbances (runs, steps, nw + ny)."""
+        problem = self.problem
         x0, w = self.own.sample(runs, steps, rng)
-        assert self.model.design is not None
-        h = self.measurement.at(self.model.nx, self.model.nu, self.model.design.centre)
-        v = self.measurement.drawn(runs, steps + 1, rng).noise
+        h = problem.measurement.at(problem.model.nx, problem.model.nu, problem.design.centre)
+        v = problem.measurement.drawn(runs, steps + 1, rng).noise
         assert v is not None
         v = np.broadcast_to(v[:, : steps + 1], (runs, steps + 1, v.shape[2]))
-        first = h.of(x0, np.zeros((runs, self.model.nu))) + v[:, 0]
-        before = np.zeros((runs, (self.length - 1) * first.shape[1] + self.length * self.model.nu))
-        return np.hstack([x0, first, before]), np.concatenate([w, v[:, 1:]], axis=2)
+        y = h.of(x0, np.zeros((runs, problem.model.nu))) + v[:, 0]
+        return np.hstack([x0, self.first(y)]), np.concatenate([w, v[:, 1:]], axis=2)
+
+
+def in_expressions(model: Any, output: Any) -> bool:
+    """Whether steps and outputs are explicit expressions."""
+    explicit = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
+    return (explicit or isinstance(model, LinearModel)) and isinstance(output, Plant | np.ndarray)
 
 
 def warm_start_of_outputs(
@@ -168,8 +202,7 @@ def _with_history(model: Any, measurement: Measurement, ny: int, length: int, ex
     nx, nu, nw, output = model.nx, model.nu, model.nw, measurement.output
     size = nx + length * (ny + nu)
     ends = [0, nx, nx + (length - 1) * ny, nx + length * ny, size - nu, size]  # the last output and input are forgotten
-    sampled = isinstance(model, SampledModel) and (not model.plant.continuous or model.method == "rk4")
-    if not (sampled or isinstance(model, LinearModel)) or not isinstance(output, Plant | np.ndarray):
+    if not in_expressions(model, output):
         measured = cache(lambda p: measurement.at(nx, nu, np.array(p)).of)
 
         def advance(z: Array, u: Array, w: Array, p: Array) -> Array:

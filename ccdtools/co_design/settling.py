@@ -38,7 +38,6 @@ from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
 from ccdtools.controllers.controllers import LinearFeedback
-from ccdtools.controllers.history import History
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
@@ -46,8 +45,6 @@ from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference
 from ccdtools.tolerances import NOT_WORSE
 from mpc import MPCError
-
-POLICIES = (LearnedPolicy, History)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +69,7 @@ class Settling:
         result = replace(result, baselines=tuple(self._baselines(result, loop)))
         if any(map(_better, result.baselines)):
             return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
-        return self._policy_checked(result, loop) if isinstance(result.controller, POLICIES) else result
+        return self._policy_checked(result, loop) if _learned(result.controller) else result
 
     def continued(self, first: CoDesignResult, further: CoDesignResult) -> CoDesignResult:
         """The result that went on from a first one where it gained beyond chance, else the first."""
@@ -134,7 +131,7 @@ class Settling:
                 found.append(self._baseline(name, lqr, result.design, loop, None))
         found += self._constant(result.design, loop)
         runs = fewer_runs(MPC_RUNS, self.problem.steps)
-        if isinstance(result.controller, POLICIES) and not too_few(self.problem.risk, np.arange(runs)):
+        if _learned(result.controller) and not too_few(self.problem.risk, np.arange(runs)):
             with suppress(MPCError, InputError):
                 if result.design.tobytes() not in self.by_mpc:
                     name, planned = self._mpc(result.design)
@@ -262,13 +259,12 @@ class Settling:
     def _policy_checked(self, result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result of a policy, settled if its gradient and a search confirm it."""
         policy: Any = result.controller
-        if not isinstance(policy, History):
+        if isinstance(policy, LearnedPolicy):
             return self.confirmed(result, policy, loop)
-        from ccdtools.co_design.output_history import history_problem
+        from ccdtools.co_design.output_filter import measured_problem
 
-        inner: Any = policy.controller  # on the problem whose states its histories are
-        of_histories = replace(self, problem=history_problem(self.problem, policy.length))
-        return of_histories.confirmed(result, inner, loop)
+        of_memory = measured_problem(self.problem, getattr(policy, "length", None))
+        return replace(self, problem=of_memory).confirmed(result, policy.controller, loop)
 
     def confirmed(self, result: CoDesignResult, policy: LearnedPolicy, loop: ClosedLoopReturns) -> CoDesignResult:
         """Result with the status that gradient and search leave its policy."""
@@ -308,6 +304,12 @@ def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignR
     if result.limits is not None and not result.limits.kept:
         return replace(result, status=CoDesignStatus.LIMITS_BROKEN)
     return result
+
+
+def _learned(controller: Any) -> bool:
+    """Whether a controller is a policy, or one of outputs has it behind a memory."""
+    policy = controller.controller if "output" in getattr(controller, "needs", ()) else controller
+    return isinstance(policy, LearnedPolicy)
 
 
 def _better(baseline: Baseline) -> bool:

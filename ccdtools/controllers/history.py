@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array
 from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy, saved_with
+from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.policy_code import PolicyCode
 from ccdtools.controllers.signals import Around, needs_of
 from ccdtools.design_limits import DesignLimits
+from ccdtools.estimation.kalman import KalmanFilter
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_count, as_floats, as_instance
 from learning import checkpoint
@@ -125,8 +127,8 @@ class History(Around):
         return policy
 
 
-def load_policy(path: str | Path) -> LearnedPolicy | History:
-    """Policy saved in a file, with its memory where it has one.
+def load_policy(path: str | Path) -> LearnedPolicy | History | Observed:
+    """Policy saved in a file, with its memory or filter where it has one.
 
     Raises
     ------
@@ -140,6 +142,8 @@ def load_policy(path: str | Path) -> LearnedPolicy | History:
     if not isinstance(agent, ActorCritic) or "design" not in extra:
         raise CheckpointError(path, f"a {type(agent).__name__} without a design", "a saved policy")
     policy = LearnedPolicy(agent, extra["design"])
+    if "filter" in extra:
+        return Observed(policy, KalmanFilter(**extra["filter"]))
     return History(policy, extra["history"]) if "history" in extra else policy
 
 

@@ -118,7 +118,8 @@ class LearnedPolicy(Immutable):
         return ca.Function("policy", [x], [u], ["x"], ["u"])
 
     def to_c(
-        self, folder: str | Path, *, name: str = "policy", scalar: str = "double", history: int = 0
+        self, folder: str | Path, *, name: str = "policy", scalar: str = "double", history: int = 0,
+        estimator: Any = None,
     ) -> PolicyCode:  # fmt: skip
         """Write the mean action in C99 without allocation or libraries, and report its costs.
 
@@ -135,6 +136,8 @@ class LearnedPolicy(Immutable):
             Type of the numbers.
         history : int
             Samples that the code remembers, where x is a history: `History.to_c` gives its length.
+        estimator : KalmanFilter, optional
+            What the code estimates x with: `Observed.to_c` gives its own.
 
         Raises
         ------
@@ -142,7 +145,8 @@ class LearnedPolicy(Immutable):
             An unknown option, or a folder that cannot be written to.
         """
         where = Path(as_instance("folder", folder, (str, Path), "the path of a folder"))
-        return write_c(*self._normalised(), self._range, where, name=name, scalar=scalar, length=history)
+        memory = {"length": history, "estimator": estimator}
+        return write_c(*self._normalised(), self._range, where, name=name, scalar=scalar, **memory)
 
     def to_onnx(self, path: str | Path) -> Path:
         """Write the mean action as an ONNX model in double precision: x (n, nx) to u (n, nu).

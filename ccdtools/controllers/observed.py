@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,10 +11,13 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
 from ccdtools.controllers.controllers import Controller
+from ccdtools.controllers.learned import LearnedPolicy, saved_with
+from ccdtools.controllers.policy_code import PolicyCode
 from ccdtools.controllers.signals import Around, needs_in_loop, needs_of, opened
 from ccdtools.estimation.belief import Belief
+from ccdtools.estimation.kalman import KalmanFilter
 from ccdtools.exceptions import InputError
-from ccdtools_ground.door import as_count, as_floats, has_method
+from ccdtools_ground.door import as_count, as_floats, as_instance, has_method
 
 SIGNAL_OF = {"y": "output", "u_prev": "last_input"}
 EXPECTED = "an estimator, such as a KalmanFilter or an ExtendedKalmanFilter"
@@ -104,6 +108,43 @@ class Observed(Around):
         states = np.where(known, belief.mean, 0.0)
         u = np.where(known, self._inputs(states, outputs, last, signals), np.nan)
         return u[0] if single else u
+
+    def to_c(self, folder: str | Path, *, name: str = "policy", scalar: str = "double") -> PolicyCode:
+        """Write a learned policy and its `KalmanFilter` in C99, and report the costs of the policy.
+
+        As `History.to_c`; x of `name_law` is the estimate. An output that is not finite leaves none until a reset.
+
+        Raises
+        ------
+        InputError
+            As `LearnedPolicy.to_c`; or if the controller is no `LearnedPolicy`, or the estimator no `KalmanFilter`.
+        """
+        policy, known = self._parts()
+        return policy.to_c(folder, name=name, scalar=scalar, estimator=known)
+
+    def to_onnx(self, path: str | Path) -> Path:
+        """Write a learned policy as an ONNX model: estimates (n, nx) to u (n, nu).
+
+        `Observed(OnnxPolicy(path), estimator)` is the controller again. It raises what `LearnedPolicy.to_onnx` raises,
+        and an `InputError` if the controller is no `LearnedPolicy`.
+        """
+        policy: LearnedPolicy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
+        return policy.to_onnx(path)
+
+    def save(self, path: str | Path, **notes: str) -> None:
+        """Save a learned policy, its `KalmanFilter` and notes for `load_policy`; raises as `to_c`."""
+        policy, known = self._parts()
+        saved_with(policy, path, notes, {"filter": known.to_dict()})
+
+    def _parts(self) -> tuple[LearnedPolicy, KalmanFilter]:
+        """Policy and filter that leave Python."""
+        policy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
+        cure = "The model of another filter stays in Python: save the policy, and put the filter around it again."
+        known = as_instance("estimator", self.estimator, KalmanFilter, "a KalmanFilter", cure)
+        if policy.nx != known.nx or policy.nu != known.nu:
+            got = f"{known.nx} states and {known.nu} inputs"
+            raise InputError("estimator", got, f"{policy.nx} and {policy.nu}, of the policy")
+        return policy, known
 
     def _inputs(self, states: Array, y: Array, last: Array, signals: dict[str, Any]) -> Array:
         """Inputs (n, nu) at the estimates (n, nx) of all runs."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import factorial, log
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ccdtools.arrays import Array
+from ccdtools.controllers.filter_code import FILTER, FILTER_HEADER, filter_fields
 from learning.networks import Layers
 from mpc.explicit.codegen.c_source import HEADER, LARGEST, as_name, as_scalar, fill, real, table, table_bytes, written
 
@@ -181,12 +183,13 @@ class PolicyCode:
 
 def write_c(
     layers: Layers, centre: Array, width: Array, action_range: tuple[Array, Array], folder: Path, *, name: str,
-    scalar: str, length: int = 0,
+    scalar: str, length: int = 0, estimator: Any = None,
 ) -> PolicyCode:  # fmt: skip
     """Report of `name`.h and `name`.c, written for layers in normalised states.
 
     States are normalised by `centre` and half-`width` (nx,); `action_range` is middle and half-width (nu,) of the
-    inputs. With a `length` the states are histories of so many outputs and inputs, and the code remembers them.
+    inputs. With a `length` the states are histories of so many outputs and inputs, and the code remembers them; with an
+    `estimator` they are the estimate of a `KalmanFilter`, which the code has within it.
     """
     as_name(name)
     as_scalar(scalar)
@@ -211,6 +214,9 @@ def write_c(
         outputs = len(centre) - length * len(middle)
         fields |= {"length": length, "outputs": outputs, "ny": outputs // length}
         source, header = SOURCE + MEMORY, HEADER.removesuffix("\n#endif\n") + MEMORY_HEADER
+    elif estimator is not None:
+        fields |= filter_fields(estimator, scalar)
+        source, header = SOURCE + FILTER, HEADER.removesuffix("\n#endif\n") + FILTER_HEADER
     source = fill(source, fields)
     files = written(folder, name, fill(header, fields), source)
     weights = [W for W, _ in layers.maps] + ([] if layers.skip is None else [layers.skip[0]])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -141,6 +142,11 @@ class KalmanFilter(Filter):
     def __repr__(self) -> str:
         kind = "steady" if self.steady else "time-varying"
         return f"KalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {kind})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Filter as plain values, which `KalmanFilter` takes."""
+        given = ((one.name, getattr(self, one.name)) for one in fields(self))
+        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in given}
 
     @property
     def nu(self) -> int:

@@ -127,6 +127,12 @@ def output_at(stated: Any, nx: int, nu: int, p: Array) -> Output:
     return Output(lambda x, u: x @ stated.T, lambda x, u, spread: stated)
 
 
+def linear_outputs(plant: Plant) -> bool:
+    """Whether a plant's outputs are linear in x and u."""
+    z = ca.vertcat(plant.x, plant.u)
+    return not ca.depends_on(ca.jacobian(plant.outputs, z), z)
+
+
 def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:
     """Matrices C (ny, nx), D (ny, nu) and y0 (ny,) of linear outputs.
 
@@ -138,7 +144,7 @@ def output_matrices(plant: Plant, p: Array) -> tuple[Array, Array, Array]:
     as_stated_output(plant)
     z = ca.vertcat(plant.x, plant.u)
     slope = ca.jacobian(plant.outputs, z)
-    if ca.depends_on(slope, z):
+    if not linear_outputs(plant):
         raise InputError("plant", "outputs that are not linear in x and u", "linear ones", LINEARISED)
     rest = ca.Function("rest", [z, plant.p], [ca.densify(plant.outputs)])(np.zeros(z.shape), p)
     both = np.asarray(ca.Function("both", [plant.p], [ca.densify(slope)])(p), dtype=float)

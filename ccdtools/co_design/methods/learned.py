@@ -63,8 +63,10 @@ class Learned:
         the problem holds a learned model whose errors an optimiser may exploit.
     limits : optional
         What leaving X costs, see `StateLimitPenalty`; by default what `judge.limit_tolerance` asks for.
-    history : int
-        Of a problem with a `measurement` the policy sees so many last outputs and inputs; it begins by imitating LQG.
+    history : int, optional
+        Of a problem with a `measurement` the policy sees the estimate of a Kalman filter of its design, extended where
+        the model has expressions; it begins by imitating LQR, behind it LQG. With a number it sees so many last outputs
+        and inputs instead, and begins by imitating LQG.
     rollouts : int
         Rounds of policy iteration at the first design before the climb: other inputs are held for a while, and what
         returns more is imitated, jumps or not. `codesign` takes some where it goes on from a climb.
@@ -75,7 +77,7 @@ class Learned:
     config: CoDesignConfig | None = None
     judge: CoDesignProblem | None = None
     limits: StateLimitPenalty | None = None
-    history: int = 8
+    history: int | None = None
     rollouts: int = 0
 
     def __post_init__(self) -> None:
@@ -84,7 +86,8 @@ class Learned:
         as_instance("agent", self.agent, kinds, "an ActorCritic", "fit_actor_critic makes one.")
         config = CoDesignConfig() if self.config is None else self.config
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
-        as_count("history", self.history)
+        if self.history is not None:
+            as_count("history", self.history)
         as_count("rollouts", self.rollouts, least=0)
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
@@ -107,9 +110,9 @@ class Learned:
         if self.judge is not None and not known.measurement is self.judge.measurement is None:
             raise InputError("judge", "a problem to score by, beside a measurement", "nothing")
         if known.measurement is not None:
-            from ccdtools.co_design.output_history import history_problem
+            from ccdtools.co_design.output_filter import measured_problem
 
-            problem = history_problem(known, self.history)
+            problem = measured_problem(known, self.history)
         config: Any = self.config
         work = config.iterations * config.pathwise_runs * problem.steps
         problem = replace(problem, model=for_long_work(problem.model, work))
@@ -118,7 +121,7 @@ class Learned:
         _check_judge(problem, judge)
         _check_objective(problem)
         task = Task(problem, judge, self.by, config, self.limits)
-        first = partial(_first_agent, task, known, design, rng, progress=progress)
+        first = partial(_first_agent, task, known, design, self.history, rng, progress=progress)
         agent = first() if self.agent is None else self.agent
         check_agent(problem, agent)
         given = agent
@@ -136,7 +139,11 @@ class Learned:
             agents.append(first())
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
         result = _result(task, ascents, given, design, found)
-        return replace(result, output_history=self.history) if problem.hidden else result
+        if not problem.hidden:
+            return result
+        from ccdtools.co_design.output_filter import memory_at
+
+        return replace(result, memory=memory_at(known, result.design, self.history))
 
     def following(self, agent: ActorCritic) -> Learned:
         """Method that goes on from an agent."""
@@ -155,14 +162,15 @@ class Learned:
 
 
 def _first_agent(
-    task: Task, known: CoDesignProblem, design: Array, rng: np.random.Generator, *, progress: bool
-) -> ActorCritic:
+    task: Task, known: CoDesignProblem, design: Array, history: int | None, rng: np.random.Generator, *,
+    progress: bool,
+) -> ActorCritic:  # fmt: skip
     """Agent that imitates LQG, LQR or MPC of the model."""
-    problem = task.problem
-    if problem.hidden:
+    problem = replace(known, measurement=None)
+    if known.measurement is not None and history is not None:
         from ccdtools.co_design.output_history import warm_start_of_outputs
 
-        return warm_start_of_outputs(problem, known, rng)
+        return warm_start_of_outputs(task.problem, known, rng)
     expert = "auto" if task.moves_policy else "lqr"
     return first_policy(problem, design, rng, expert=expert, all_over=task.designing, progress=progress).agent
 

@@ -20,14 +20,17 @@ from ccdtools import (
     Nested,
     Plant,
     QuadraticObjective,
+    RandomStarts,
     Scenario,
     WorstCase,
     codesign,
     discretise,
+    saturated_lqr,
 )
-from ccdtools.co_design import history_problem, previewed_problem
-from ccdtools.controllers import History
+from ccdtools.co_design import closed_loop_returns, filter_problem, history_problem, kalman_filter, previewed_problem
+from ccdtools.controllers import History, Observed
 from ccdtools.disturbances import Cases
+from ccdtools.estimation import ExtendedKalmanFilter
 from ccdtools.plants import BlackBox
 
 M = 6
@@ -59,21 +62,29 @@ def simulated(problem):
     return replace(problem, model=box)
 
 
-@pytest.mark.parametrize(
+def of_kind(kind, stiff):
+    """The problem with one of several sensors, or with another kind of model."""
+    problem = stated((lambda x, u, p, f: [u - f]) if kind == "of design" else (lambda x, u, p, f: [x[0]]), stiff=stiff)
+    if kind == "simulator":
+        return simulated(problem)
+    if kind == "function":
+        return replace(problem, measurement=Measurement(lambda x, u, p: x[:, :1] * p[0] - u, noise=[0.1]))
+    if kind == "collocation":
+        model = discretise(problem.model.plant, X=problem.X, U=problem.U, method="collocation")
+        return replace(problem, model=model)
+    return problem
+
+
+KINDS = pytest.mark.parametrize(
     ("kind", "stiff"),
     [("state", False), ("state", True), ("of design", False), ("of design", True), ("simulator", False),
      ("function", True), ("collocation", True)],
 )  # fmt: skip
+
+
+@KINDS
 def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(kind, stiff, rng):
-    problem = stated((lambda x, u, p, f: [u - f]) if kind == "of design" else (lambda x, u, p, f: [x[0]]), stiff=stiff)
-    if kind == "simulator":
-        problem = simulated(problem)
-    elif kind == "function":
-        function = Measurement(lambda x, u, p: x[:, :1] * p[0] - u, noise=[0.1])
-        problem = replace(problem, measurement=function)
-    elif kind == "collocation":
-        model = discretise(problem.model.plant, X=problem.X, U=problem.U, method="collocation")
-        problem = replace(problem, model=model)
+    problem = of_kind(kind, stiff)
     longer = history_problem(problem, M)
     p, x = np.array([1.3, 0.4]), rng.standard_normal((4, 2))
     h = problem.measurement.at(2, 1, p).of
@@ -88,12 +99,106 @@ def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(kind, s
         np.testing.assert_allclose(z, np.hstack([x, *seen, *applied]), rtol=1e-12, atol=1e-12)
 
 
+@KINDS
+def test_the_states_are_the_plant_and_what_its_filter_believes(kind, stiff, rng):
+    problem = of_kind(kind, stiff)
+    longer = filter_problem(problem)
+    p = np.array([1.3, 0.4])
+    h = problem.measurement.at(2, 1, p).of
+    known = kalman_filter(problem, p)
+    if kind != "simulator":
+        noise = {"W": known.W, "V": known.V, "P0": np.diag([0.2, 0.1])}
+        known = ExtendedKalmanFilter(problem.model, problem.measurement, design=p, **noise)
+    step, own = longer.model.stepper(p, batch=4), problem.model.stepper(p, batch=4)
+    x = rng.standard_normal((4, 2))
+    belief = known.update(known.start(4), rng.standard_normal((4, 1)), np.zeros((4, 1)))
+
+    def row():
+        """States of the longer model."""
+        triangle = np.broadcast_to(belief.covariance, (4, 2, 2))[:, [0, 0, 1], [0, 1, 1]]
+        return np.hstack([x, np.ones((4, 1)), triangle, belief.mean])
+
+    z = row()
+    for _ in range(6):
+        u, w, v = 0.3 * rng.standard_normal((3, 4, 1))
+        x = own(x, u, w)
+        belief = known.update(known.predict(belief, u), h(x, u) + v, u)
+        z = np.asarray(step(z, u, np.hstack([w, v])))
+        np.testing.assert_allclose(z, row(), rtol=1e-6, atol=1e-9)
+    at_first = longer.scenarios.sample(4, 3, rng)[0]  # of a start that is known
+    np.testing.assert_allclose(at_first, np.tile([1, 0, 1, 0, 0, 0, 1, 0], (4, 1)), atol=1e-12)
+
+
+class Undisturbed:
+    """Random starts and nothing else."""
+
+    def sample(self, runs, steps, rng):
+        """Initial states and disturbances."""
+        return rng.standard_normal((runs, 2)), np.zeros((runs, steps, 0))
+
+
+def test_without_disturbances_the_estimate_comes_near_the_state():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 2)
+    box = DesignSpace(["k", "c"], [0.5, 0.1], [3.0, 2.0])
+    plant = Plant(x, u, None, p, [x[1], -p[0] * x[0] - p[1] * x[1] + u], box, dt=0.1, outputs=[x[0]])
+    limits = {"X": lambda p: ([-20 - p[0], -20], [20 + p[0], 20]), "U": lambda p: (-3 - p[1], 3 + p[1])}
+    sensor = Measurement(plant, noise=[0.1])
+    problem = replace(
+        stated(lambda x, u, p, f: [x[0]]),
+        model=discretise(plant),
+        scenarios=Undisturbed(),
+        measurement=sensor,
+        **limits,
+    )
+    longer = filter_problem(problem)
+    z, w = longer.scenarios.sample(200, 80, np.random.default_rng(0))
+    step = longer.model.stepper(problem.design.lower, batch=200)
+    errors = []
+    for k in range(80):
+        z = np.asarray(step(z, np.zeros((200, 1)), w[:, k]))
+        errors.append(np.sqrt(np.mean((z[:, -2:] - z[:, :2]) ** 2)))
+    assert errors[-1] < 0.05 < errors[0]
+    low, high = longer.X.bounds(np.array([2.0, 1.0]))
+    np.testing.assert_allclose([low[:2], high[:2]], [[-22, -20], [22, 20]])
+
+
+def test_a_law_of_the_estimate_returns_as_much_as_behind_its_filter():
+    problem = stated(lambda x, u, p, f: [u - f], stiff=True, scenarios=RandomStarts(Gaussian([1, 1]), Gaussian([1.0])))
+    p = problem.design.centre
+    law = saturated_lqr(problem, p)
+    known = kalman_filter(problem, p)
+    noise = {"W": known.W, "V": known.V, "P0": known.P0, "x0": known.x0}
+    deployed = Observed(law, ExtendedKalmanFilter(problem.model, problem.measurement, design=p, **noise))
+    behind, of_estimate = (
+        closed_loop_returns(one, controller, p, np.random.default_rng(0), runs=200).summary
+        for one, controller in ((problem, deployed), (filter_problem(problem), lambda z: law(z[:, -2:])))
+    )
+    assert of_estimate.mean == pytest.approx(behind.mean, abs=behind.ci95[1] - behind.ci95[0])
+
+
 @pytest.mark.check
-def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_the_sensor():
+def test_a_policy_begins_at_lqg_and_is_handed_out_behind_its_filter():
+    problem = stated(lambda x, u, p, f: [x[0]], stiff=True, steps=40)
+    config = CoDesignConfig(iterations=2, starts=1, pathwise_runs=16, evaluation_runs=64)
+    found = codesign(problem, method=Learned(config=config), rng=np.random.default_rng(0))
+    assert isinstance(found.controller, Observed)
+    assert isinstance(found.controller.estimator, ExtendedKalmanFilter)
+    assert found.controller.needs == {"output", "last_input"}
+    assert found.policy.nx == 2
+    mine, lqg = (
+        closed_loop_returns(problem, controller, found.design, np.random.default_rng(0)).summary.mean
+        for controller in (found.controller, saturated_lqr(problem, found.design))
+    )
+    assert mine > lqg - 0.02 * abs(lqg)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("history", [M, None])
+def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_the_sensor(history):
     problem = stated(lambda x, u, p, f: [x[0]])
     config = CoDesignConfig(iterations=40, starts=1, pathwise_runs=128, evaluation_runs=256)
-    found = codesign(problem, method=Learned(history=M, config=config), rng=np.random.default_rng(0))
-    assert isinstance(found.controller, History)
+    found = codesign(problem, method=Learned(history=history, config=config), rng=np.random.default_rng(0))
+    assert isinstance(found.controller, History if history else Observed)
     assert found.controller.needs == {"output", "last_input"}
     lqg = codesign(problem, method=Nested("lqg"), rng=np.random.default_rng(0))
     mine, its = found.closed_loop.summary, lqg.closed_loop.summary
@@ -106,12 +211,12 @@ def test_a_policy_of_outputs_and_design_learn_together_and_are_measured_behind_t
 
 
 @pytest.mark.check
-@pytest.mark.parametrize("by", ["pathwise", "ppo"])
-def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by):
+@pytest.mark.parametrize(("by", "history"), [("pathwise", 2), ("ppo", 2), ("pathwise", None)])
+def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by, history):
     open_plant = stated(lambda x, u, p, f: [x[0]])
     config = CoDesignConfig(iterations=3, starts=1, pathwise_runs=16, evaluation_runs=64)
     own, found = (
-        codesign(problem, method=Learned(by=by, history=2, config=config), rng=np.random.default_rng(0))
+        codesign(problem, method=Learned(by=by, history=history, config=config), rng=np.random.default_rng(0))
         for problem in (open_plant, simulated(open_plant))
     )
     np.testing.assert_allclose(found.design, own.design, rtol=1e-3)
@@ -119,10 +224,11 @@ def test_a_policy_of_outputs_is_learned_on_a_simulator_as_on_its_plant(by):
 
 
 @pytest.mark.check
-def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it():
+@pytest.mark.parametrize("history", [M, None])
+def test_the_design_follows_the_gradient_through_outputs_that_depend_on_it(history):
     problem = stated(lambda x, u, p, f: [u - f])
     config = CoDesignConfig(iterations=10, starts=1, pathwise_runs=128, evaluation_runs=256)
-    found = codesign(problem, method=Learned(history=M, config=config), rng=np.random.default_rng(0))
+    found = codesign(problem, method=Learned(history=history, config=config), rng=np.random.default_rng(0))
     assert found.gradients.trusted
 
 
@@ -172,8 +278,11 @@ def test_what_no_history_can_be_learned_from_is_told():
         codesign(history_problem(problem, 2), method=Learned(), **given)
     with pytest.raises(InputError, match="not 0 at rest"):
         history_problem(stated(lambda x, u, p, f: [x[0] + p[0]]), 2)
-    with pytest.raises(InputError, match="problem: got 3"):
-        history_problem(3, 2)
+    for of_nothing in (history_problem, lambda problem, _: filter_problem(problem)):
+        with pytest.raises(InputError, match="problem: got 3"):
+            of_nothing(3, 2)
+        with pytest.raises(InputError, match="measurement"):
+            of_nothing(replace(problem, measurement=None), 2)
     with pytest.raises(InputError, match="measurement"):
         previewed_problem(problem, 3)
 

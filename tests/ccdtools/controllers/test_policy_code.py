@@ -5,13 +5,26 @@ import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from ccdtools import DesignSpace, InputError, LearnedPolicy, LinearFeedback, Measurement, load_policy, simulate
+from ccdtools import (
+    DesignSpace,
+    InputError,
+    KalmanFilter,
+    LearnedPolicy,
+    LinearFeedback,
+    Measurement,
+    Plant,
+    load_policy,
+    simulate,
+)
 from ccdtools.cli import main
-from ccdtools.controllers import History, OnnxPolicy
+from ccdtools.controllers import History, Observed, OnnxPolicy
+from ccdtools.estimation import ExtendedKalmanFilter
 from ccdtools.plants import BlackBox
 from learning import ActorCritic, NetworkConfig
 
@@ -134,9 +147,8 @@ def test_inputs_that_a_design_limits_are_limited_in_c(tmp_path, rng):
 M, NY, NU = 5, 2, 2
 
 
-def of_outputs(size=1.5):
+def of_outputs(size=1.5, n=M * (NY + NU)):
     """A policy of the last five pairs of outputs and inputs."""
-    n = M * (NY + NU)
     bounds = -np.arange(1.0, n + 2), np.full(n + 1, 2.0), [-2.0, 0.0], [2.0, 3.0]
     agent = ActorCritic(*bounds, config=NetworkConfig((16, 16)), imitates=True, seed=4)
     for weight in agent.mean_network.parameters():
@@ -144,10 +156,21 @@ def of_outputs(size=1.5):
     return History(LearnedPolicy(agent, [0.5]), M)
 
 
+A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.3], [0.0, 0.0, 0.7]])
+B = np.array([[0.0, 0.1], [0.3, 0.0], [0.2, 0.4]])
+
+
+def of_estimate(*, steady=False):
+    """A policy of the estimate of a filter that begins anywhere, with outputs of correlated noise."""
+    known = {"D": [[0.1, 0.0], [0.0, 0.2]], "y0": [0.05, -0.1], "x0": [0.3, -0.2, 0.1], "steady": steady}
+    start = {} if steady else {"P0": [1.0, 0.5, 2.0]}
+    V = np.array([[0.01, 0.005], [0.005, 0.04]])
+    estimator = KalmanFilter(A, B, np.eye(NY, 3), 0.01 * np.eye(3), V, **known, **start)
+    return Observed(of_outputs(n=3, size=2.5).controller, estimator)
+
+
 def closed_loop(law, rng):
     """Outputs and inputs (runs, T, ·) of a loop of three states in which two are measured."""
-    A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.3], [0.0, 0.0, 0.7]])
-    B = np.array([[0.0, 0.1], [0.3, 0.0], [0.2, 0.4]])
     space = DesignSpace(["p"], [0.0], [1.0])
     plant = BlackBox(lambda x, u, w, p: x @ A.T + u @ B.T, nx=3, nu=NU, dt=0.1, design=space, batched=True)
     output = Measurement(np.eye(NY, 3), noise=[0.1, 0.2])
@@ -158,8 +181,12 @@ def closed_loop(law, rng):
 @needs_compiler
 @pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-6)])
 @pytest.mark.parametrize("before", ["sent + 1 + POLICY_NY", "u"], ids=["as applied", "its own"])
-def test_the_c_code_of_a_policy_of_outputs_is_the_controller_in_a_closed_loop(tmp_path, rng, scalar, tolerance, before):
-    of_outputs().save(tmp_path / "policy.safetensors", origin="a test")
+@pytest.mark.parametrize("kind", ["history", "filter", "steady filter"])
+def test_the_c_code_of_a_policy_of_outputs_is_the_controller_in_a_closed_loop(
+    tmp_path, rng, scalar, tolerance, before, kind
+):  # fmt: skip
+    law = of_outputs() if kind == "history" else of_estimate(steady=kind == "steady filter")
+    law.save(tmp_path / "policy.safetensors", origin="a test")
     law = load_policy(tmp_path / "policy.safetensors")
     report = law.to_c(tmp_path, scalar=scalar)
     y, u = closed_loop(law, rng)
@@ -190,6 +217,21 @@ def test_a_history_that_is_not_finite_is_told_until_it_is_over(tmp_path, rng):
     assert code.ravel().tolist() == [0] * 3 + [2] * M + [0] * 4
     expected = np.array([law(y=row[1 : 1 + NY], u_prev=row[1 + NY :]) for row in sent])
     np.testing.assert_allclose(found, np.nan_to_num(expected), atol=1e-12)  # zero is within the limits
+
+
+def test_a_policy_behind_another_filter_does_not_leave_python(tmp_path):
+    known = of_estimate()
+    noise = {"W": known.estimator.W, "V": known.estimator.V, "P0": known.estimator.P0}
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
+    model = Plant(x, u, None, None, A @ x + B @ u, DesignSpace([], [], []), dt=0.1, continuous=False)
+    for law, argument in (
+        (Observed(known.controller, ExtendedKalmanFilter(model, np.eye(NY, 3), **noise)), "estimator.*filter around"),
+        (Observed(LinearFeedback(np.ones((2, 3))), known.estimator), "controller"),
+        (Observed(policy(), known.estimator), "estimator: got 3 states"),
+    ):  # fmt: skip
+        for leave in (lambda law=law: law.to_c(tmp_path), lambda law=law: law.save(tmp_path / "p.safetensors")):
+            with pytest.raises(InputError, match=argument):
+                leave()
 
 
 def test_a_history_of_no_learned_policy_does_not_leave_python(tmp_path):
@@ -261,9 +303,9 @@ def test_an_onnx_model_gives_the_mean_action_and_is_a_controller(tmp_path, rng, 
     assert again(x[0]).shape == (2,)
 
 
-def test_an_onnx_model_of_histories_is_the_controller_again(tmp_path, rng):
-    law = of_outputs()
-    again = History(OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")), M)
+@pytest.mark.parametrize("law", [of_outputs(), of_estimate()], ids=["history", "filter"])
+def test_an_onnx_model_of_a_memory_is_the_controller_again(tmp_path, rng, law):
+    again = replace(law, controller=OnnxPolicy(law.to_onnx(tmp_path / "policy.onnx")))
     _, u = closed_loop(law, np.random.default_rng(1))
     np.testing.assert_allclose(closed_loop(again, np.random.default_rng(1))[1], u, rtol=0, atol=1e-11)
 
