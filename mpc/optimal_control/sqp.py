@@ -135,6 +135,11 @@ class Local:
         """Largest gap in the plan, or to the state that it begins at, in sizes of the states."""
         return max(largest(part / self.sizes[0]) for part in self.about[2:])
 
+    @property
+    def force(self) -> float:
+        """Largest slope of the cost, in sizes of states and inputs."""
+        return max(largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
+
     def priced(self, relaxed: bool, dear: float) -> Array | None:
         """Prices of violations; where all are relaxed at the price `dear`, that."""
         return np.full((self.rows.violations, 2), dear) if relaxed and self.prices is None else self.prices
