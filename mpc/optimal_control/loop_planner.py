@@ -136,7 +136,7 @@ class LoopPlanner:
         """Optimum that quadratic programs lead to from a plan with multipliers, None where that is not one."""
         states, inputs, on = before.states, before.inputs, carried(before)
         last: Step | None = None
-        for _ in range(self.most if on is not None else 0):
+        for _ in range(PROGRAMS_TO_GO if on is not None else 0):
             local = self._local(x, given, states, inputs)
             step = next_step(local, PRICE * local.force, multipliers=on, last=last)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
@@ -144,8 +144,6 @@ class LoopPlanner:
             if step.error <= KKT:
                 found = self._optimum(local, step)
                 return found if found.violation <= FEASIBLE else None
-            if last is not None and not step.soon(last, PROGRAMS_TO_GO):
-                return None
             states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
             last, on = step, step.multipliers
         return None

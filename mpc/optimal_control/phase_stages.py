@@ -57,6 +57,7 @@ class PhaseStages:
         found = Rows.of_kinds(kinds)
         soft = np.flatnonzero(np.isfinite(self._prices[:, 0]))
         found.slots[soft] = np.arange(len(soft))
+        found.later[self._free] = self._free
         return found
 
     @cached_property
@@ -97,10 +98,9 @@ class PhaseStages:
         rows, room = self._rows(inputs, values, slopes, by_inputs, sizes)
         about = _columns(A, nx), _columns(B, nu), after - states[1:], z - states[0]
         size = max(largest(sizes[:nx] * cost_x), largest(sizes[nx:] * cost_u)) or 1.0
-        hessian = np.tile(np.diag(size / sizes**2), (N + 1, 1, 1))
 
-        def curvature(multipliers: Multipliers) -> Array:
-            """Hessian of the Lagrangian, less what stands for that of the cost."""
+        def hessian(multipliers: Multipliers) -> Array:
+            """Hessian of the Lagrangian."""
             along, on_end = self._on_values(multipliers.pushes)
             costates = np.hstack([multipliers.costates, np.zeros((N, nx - multipliers.costates.shape[1]))])
             stages = self._stage_bent(states[:-1], inputs, p, steps, costates, along[:-1])[0]
@@ -108,7 +108,14 @@ class PhaseStages:
             bent = np.concatenate([stages, last]).reshape(N + 1, nx + nu, nx + nu)
             bent[N - 1, nx:, nx:] += bent[N, nx:, nx:]
             bent[N, nx:], bent[N, :, nx:] = 0.0, 0.0
-            return bent - hessian
+            return bent
+
+        def convex() -> Array:
+            """Hessian of the cost, its negative eigenvalues turned."""
+            none = Multipliers(np.zeros((N, nx)), np.zeros(len(room)))
+            values, vectors = np.linalg.eigh(sizes[:, None] * hessian(none) * sizes)
+            turned = np.maximum(np.abs(values), NEGLIGIBLE * size)
+            return (vectors * turned[:, None, :]) @ vectors.transpose(0, 2, 1) / sizes[:, None] / sizes
 
         over, soft = np.maximum(-room, 0.0), rows.slots >= 0
         prices = self._prices[soft] * np.stack([rows.units, rows.units**2], axis=1)[soft]
@@ -116,7 +123,7 @@ class PhaseStages:
         # a violation that costs linearly is found by proximal steps from the present one
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
         prices += np.stack([-2 * near * (over / rows.units)[soft], near], axis=1)
-        return Local(states, inputs, about, cost_x, cost_u, hessian, curvature, rows, room, (sizes[:nx], sizes[nx:]),
+        return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
                      self.extent, total, prices=prices if soft.any() else None)  # fmt: skip
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],

@@ -84,16 +84,16 @@ class QuadraticStages:
             along = 2 * (self._weights @ both[:, :, None])[:, :, 0]
             return along[:, :nx], along[:-1, nx:]
 
-        def curvature(multipliers: Multipliers) -> Array:
-            """Second derivatives of the model times the costates."""
-            w, found = disturbance(problem, given), np.zeros_like(self._weights)
-            found[:-1] = self.model.curvature(states[:-1], inputs, w, self.p, multipliers.costates)
+        def hessian(multipliers: Multipliers) -> Array:
+            """Hessian of the Lagrangian."""
+            w, found = disturbance(problem, given), 2 * self._weights
+            found[:-1] += self.model.curvature(states[:-1], inputs, w, self.p, multipliers.costates)
             return found
 
         error, effort = deviations(states, inputs, given)
         referred, soft, extent = "x_ref" in given or "u_ref" in given, problem.soft, problem.input_extent
         return Local(
-            states, inputs, about, *slopes(error, effort), 2 * self._weights, curvature, self.rows,
+            states, inputs, about, *slopes(error, effort), lambda: 2 * self._weights, hessian, self.rows,
             self._room(states, inputs, given), self.sizes, np.where(extent > 0, extent, np.inf),
             cost_of(problem, inputs, states, given),
             prices=None if soft is None else np.tile(np.asarray(soft, dtype=float), (self.rows.violations, 1)),

@@ -117,8 +117,8 @@ class Local:
     about: tuple[Array, Array, Array, Array]  # A, B, gaps of the model, and how far the state is from the plan's first
     by_state: Array  # slopes (N + 1, nx) and (N, nu) of the cost
     by_input: Array
-    hessian: Array  # (N + 1, nx + nu, nx + nu): of the cost, or what stands for it, positive definite along the model
-    curvature: Callable[[Multipliers], Array]  # what the Lagrangian's adds to it
+    convex: Callable[[], Array]  # Hessian (N + 1, nx + nu, nx + nu) of the cost, or one that is convex in its place
+    hessian: Callable[[Multipliers], Array]  # of the Lagrangian
     rows: Rows
     room: Array  # (m,)
     sizes: tuple[Array, Array]  # of states and inputs
@@ -343,13 +343,13 @@ def _program(local: Local, dear: float, multipliers: Multipliers | None,
     held, rows = np.zeros(len(local.room)), local.rows
     if multipliers is not None:
         held = _held(local, dear, multipliers.pushes)
-        hessian = local.hessian + local.curvature(multipliers) if hessian is None else hessian
-    hessian = local.hessian if hessian is None else hessian
-    whole = hessian.copy()
     near = np.flatnonzero(held)
     sides = rows.sides[near]
-    np.add.at(whole, rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
     try:
+        if hessian is None:
+            hessian = local.convex() if multipliers is None else local.hessian(multipliers)
+        whole = hessian.copy()
+        np.add.at(whole, rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
         gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
         blocks = 2 * deviating if local.regulated is None else _condensed(A, B, gains, whole)
         roots = _roots(blocks)
