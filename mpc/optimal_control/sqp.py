@@ -227,6 +227,14 @@ class _Program:
         """Product Hz (n,)."""
         return np.asarray(self.blocks @ z.reshape(*self.blocks.shape[:2], 1)).ravel()
 
+    def unrest(self, force: Array, balance: float, change: Array, gain: float) -> float:
+        """Stationarity, see `Step`, for a gradient (n,) that inputs' changes and a gain would make vanish."""
+        local, found = self.local, largest(force * self.unit) / balance
+        still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
+        if still >= found:
+            return found
+        return min(found, max(still, abs(gain) / max(abs(local.cost), local.lost_cost, TINY)))
+
     def multipliers(self, moves: Array, change: Array, taken: Array, pushes: Array) -> Multipliers:
         """Multipliers of the plan after moves, for those of the rows taken."""
         local = self.local
@@ -271,11 +279,8 @@ def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: 
     curvature = program.curvature(z)
     parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
     balance = max(*(largest(part * program.unit) for part in parts), TINY)
-    stationarity = largest(curvature * program.unit) / balance
-    still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
-    if still < stationarity:
-        gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-        stationarity = min(stationarity, max(still, abs(gain) / max(abs(local.cost), local.lost_cost, TINY)))
+    gain = -float(program.gradient @ z + 0.5 * z @ curvature)
+    stationarity = program.unrest(curvature, balance, change, gain)
     size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
     found = moves, change, program.along[2], size, local.defects, stationarity
     balanced = partial(program.multipliers, moves, change, *pushes)
@@ -302,8 +307,12 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     none = np.zeros_like(local.by_state), np.zeros_like(local.by_input)
     parts = (local.by_state, none[1]), (none[0], local.by_input), rows.pushed(pushes, *none)
     by_state, by_input = (np.stack(side) for side in zip(*parts))
-    each = pulled(*local.about[:2], program.along[2], by_state, by_input)[0].reshape(len(parts), -1) * program.unit
-    balance = max(largest(each), largest(program.lost * program.unit), TINY)
+    each = pulled(*local.about[:2], program.along[2], by_state, by_input)[0].reshape(len(parts), -1)
+    balance = max(largest(each * program.unit), largest(program.lost * program.unit), TINY)
+    gradient, roots = each.sum(axis=0), program.roots
+    y = _times(roots, gradient[None]).reshape(*roots.shape[:2], 1)
+    z = (roots @ y).reshape(1, *none[1].shape)
+    change = moved(*local.about[:2], program.along[2], none[0][1:], none[0][0], z)[1]
     room, prices, force = local.room / rows.units, local.priced(last.relaxed, dear), pushes * rows.units
     strongest, unbalanced = max(largest(force), TINY), 0.0
     if prices is not None:
@@ -319,7 +328,8 @@ def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) 
     left = np.maximum(np.minimum(room, force / strongest), -room)
     return replace(
         last, states=none[0], inputs=none[1], size=0.0, defects=max(local.defects, left.max(initial=0.0), unbalanced),
-        stationarity=largest(each.sum(axis=0)) / balance, _balanced=lambda: multipliers,
+        stationarity=program.unrest(gradient, balance, change, 0.5 * float((y * y).sum())),
+        _balanced=lambda: multipliers,
     )  # fmt: skip
 
 
