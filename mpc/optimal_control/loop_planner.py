@@ -133,7 +133,7 @@ class LoopPlanner:
             return clock.stamped(found or self._planned(x, given, before, clock))
 
     def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
-        """Optimum that quadratic programs lead to from a plan with multipliers, None where that is not one."""
+        """Optimum that quadratic programs lead to, or None."""
         states, inputs, on = before.states, before.inputs, carried(before)
         last: Step | None = None
         for _ in range(PROGRAMS_TO_GO if on is not None else 0):
@@ -163,7 +163,7 @@ class LoopPlanner:
                     float(over.max(initial=0.0)), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
-        """Optimum with its multipliers, those of a program about it with any Hessian."""
+        """Optimum with the multipliers of a program about it."""
         local = self._local(x, given, plan.states, plan.inputs)
         step = next_step(local, PRICE * local.force)
         if not step.solved:

@@ -20,7 +20,10 @@ from mpc.tolerances import NEGLIGIBLE
 
 
 class PhaseStages:
-    """Statement of a loop's samples, whose states are (x, w, the input before) as in its program."""
+    """Statement of a loop's samples.
+
+    States are (x, w, the input before), as in its program.
+    """
 
     def __init__(self, loop: LoopPhase) -> None:
         self.loop = loop
@@ -49,7 +52,7 @@ class PhaseStages:
 
     @cached_property
     def rows(self) -> Rows:
-        """Rows of inputs, path and end, whose slopes are none yet; each soft one has a violation of its own."""
+        """Rows of inputs, path and end, without slopes."""
         N, kinds = self.loop.horizon, []
         for steps, sides in ((np.arange(N), self._bounds), (np.arange(N + 1), self._path), (np.array([N]), self._end)):
             none = [np.zeros((len(sides.of), size)) for size in (self.nx, self.nu, self.nu)]
@@ -69,8 +72,8 @@ class PhaseStages:
         return np.vstack([np.full((inputs, 2), hard), path, np.full((ends, 2), hard)])
 
     @cached_property
-    def _free(self) -> Array:
-        """Places of path limits of the first state, which no input changes."""
+    def _free(self) -> Any:
+        """Path limits of the first state alone."""
         path = self.functions.path
         of_inputs = [] if path is None else path.jac_sparsity(0, 1).row()
         return self.loop.horizon * len(self._bounds.of) + np.flatnonzero(~np.isin(self._path.of, of_inputs))
@@ -81,7 +84,7 @@ class PhaseStages:
         return np.hstack([states, given["w"], *before])
 
     def at(self, z: Array, states: Array, inputs: Array, p: Array, w: Array) -> Local:
-        """Statement at a plan (N + 1, nz), (N, nu) from z (nz,), for parameters and time p, and signals w."""
+        """Statement at a plan from z (nz,) with parameters and time p."""
         N, nx, nu, own = self.loop.horizon, self.nx, self.nu, slice(self.loop.phase.states, None)
         steps, end = np.arange(N, dtype=float)[:, None], (states[-1:], inputs[-1:], p, float(N), z)
         after, A, B, cost, cost_x, cost_u, path, path_x, path_u = self._stage(states[:-1], inputs, p, steps)
@@ -115,7 +118,7 @@ class PhaseStages:
             none = Multipliers(np.zeros((N, nx)), np.zeros(len(room)))
             values, vectors = np.linalg.eigh(sizes[:, None] * hessian(none) * sizes)
             turned = np.maximum(np.abs(values), NEGLIGIBLE * size)
-            return (vectors * turned[:, None, :]) @ vectors.transpose(0, 2, 1) / sizes[:, None] / sizes
+            return np.asarray((vectors * turned[:, None, :]) @ vectors.transpose(0, 2, 1) / sizes[:, None] / sizes)
 
         over, soft = np.maximum(-room, 0.0), rows.slots >= 0
         prices = self._prices[soft] * np.stack([rows.units, rows.units**2], axis=1)[soft]
@@ -151,7 +154,7 @@ class PhaseStages:
                        amounts=units), room  # fmt: skip
 
     def _on_values(self, pushes: Array) -> tuple[Array, Array]:
-        """Multipliers (N + 1, r) of path values, and of those of the end, for those of the rows."""
+        """Multipliers (N + 1, r) of path values, and those of the end."""
         N = self.loop.horizon
         cuts = np.cumsum([N * len(self._bounds.of), (N + 1) * len(self._path.of)])
         _, path, end = np.split(pushes, cuts)
@@ -159,7 +162,7 @@ class PhaseStages:
 
 
 class _Sides:
-    """Sides of values that have bounds: which value, its sign, and the bound of what is so signed."""
+    """Bounded sides of values: which, its sign, its bound."""
 
     def __init__(self, low: Array, high: Array) -> None:
         upper, lower = np.flatnonzero(np.isfinite(high)), np.flatnonzero(np.isfinite(low))
@@ -169,14 +172,14 @@ class _Sides:
         self.bound = np.concatenate([high[upper], -low[lower]])
 
     def summed(self, pushes: Array) -> Array:
-        """Multipliers (k, size) of values for those of their sides (k, sides)."""
+        """Multipliers (k, size) of values from their sides'."""
         found = np.zeros((len(pushes), self.size))
         np.add.at(found.T, self.of, (pushes * self.sign).T)
         return found
 
 
 def _slopes(kind: Any, after: list[Any], cost: Any, rows: Any, columns: list[Any]) -> tuple[ca.Function, ca.Function]:
-    """Function of values and slopes by x and u, and that of second derivatives times multipliers."""
+    """Functions of values with slopes, and of the Lagrangian's Hessian."""
     x, u = columns[:2]
     values = [ca.densify(one) for value in (*after, cost, rows)
               for one in (value, ca.jacobian(value, x), ca.jacobian(value, u))]  # fmt: skip

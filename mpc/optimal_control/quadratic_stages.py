@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -44,11 +45,13 @@ class QuadraticStages:
 
     @cached_property
     def rows(self) -> Rows:
-        """Rows of inputs, rates, states, end; limits of the states of a step share a violation."""
+        """Rows of inputs, rates, states, end."""
         problem, N, nx, nu = self.problem, self.problem.horizon, self.problem.nx, self.problem.nu
         H, end, acting = problem.state_rows[0], problem.terminal_rows[0], problem.input_rows[0]
         units, prices = problem.row_units, problem.price_units
-        parts = [(np.arange(N), np.zeros((len(acting), nx)), acting, 0 * acting, units["input"], None)]
+        parts: list[tuple[Any, ...]] = [
+            (np.arange(N), np.zeros((len(acting), nx)), acting, 0 * acting, units["input"], None)
+        ]
         if problem.rate_limit is not None:
             one, rate = np.eye(nu), np.asarray(problem.rate_limit)
             parts += [(np.arange(N), np.zeros((nu, nx)), sign * one, -sign * one, rate, None) for sign in (1, -1)]
@@ -65,7 +68,7 @@ class QuadraticStages:
 
     @cached_property
     def _regulated(self) -> Array | None:
-        """Weights of gains that keep predictions bounded, where those of the cost do not."""
+        """Weights of gains where those of the cost let predictions grow."""
         weights = weights_along(self.problem.horizon, *stabilising_weights(self.problem))
         return None if np.array_equal(weights, self._weights) else weights
 

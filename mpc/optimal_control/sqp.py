@@ -22,7 +22,7 @@ TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """Costates (N, nx) of the states from the second on, and multipliers (m,) of the limits."""
+    """Costates (N, nx) of later states; multipliers (m,) of limits."""
 
     costates: Array
     pushes: Array
@@ -36,16 +36,16 @@ class Rows:
     by the violation of that number, times its amount; at one step later it is the row `later`.
     """
 
-    steps: Array
+    steps: Any
     by_state: Array
     by_input: Array
     by_before: Array
     units: Array
-    slots: Array
+    slots: Any
     amounts: Array
-    later: Array
+    later: Any
 
-    def pulled(self, along: Along, which: Array) -> Array:
+    def pulled(self, along: Along, which: Any) -> Array:
         """Rows (c, n) by v."""
         N, nx, nu = along[1].shape
         count = np.arange(len(which))
@@ -57,13 +57,13 @@ class Rows:
         return np.asarray(pulled(*along[:3], by_state, by_input[:, :N].copy())[0].reshape(len(which), N * nu))
 
     def along(self, moves: Array, change: Array) -> Array:
-        """Changes (m,) of the rows' values by moves (N + 1, nx) and (N, nu)."""
+        """Changes (m,) by moves (N + 1, nx), (N, nu)."""
         own = np.hstack([moves, np.vstack([change, 0 * change[:1]])])
-        found = np.einsum("ij,ij->i", self.sides, own[self.steps])
+        found = np.asarray(np.einsum("ij,ij->i", self.sides, own[self.steps]))
         return found + np.einsum("ij,ij->i", self.by_before, change[self.steps - 1]) if self._before else found
 
     def pushed(self, pushes: Array, by_state: Array, by_input: Array) -> tuple[Array, Array]:
-        """Slopes (N + 1, nx) and (N, nu) with those of the rows times their multipliers."""
+        """Slopes with those of the rows times multipliers."""
         which = np.flatnonzero(pushes)
         steps, push = self.steps[which], pushes[which, None]
         by_state, by_input = by_state.copy(), np.vstack([by_input, 0 * by_input[:1]])
@@ -110,7 +110,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Local:
-    """Statement at a plan (N + 1, nx), (N, nu): what a quadratic program is made of."""
+    """Statement at a plan (N + 1, nx), (N, nu)."""
 
     states: Array
     inputs: Array
@@ -132,16 +132,16 @@ class Local:
 
     @property
     def defects(self) -> float:
-        """Largest gap in the plan, or to the state that it begins at, in sizes of the states."""
+        """Largest gap in the plan, in sizes of states."""
         return max(largest(part / self.sizes[0]) for part in self.about[2:])
 
     @property
     def force(self) -> float:
-        """Largest slope of the cost, in sizes of states and inputs."""
+        """Largest slope of the cost, in sizes."""
         return max(largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
 
     def priced(self, relaxed: bool, dear: float) -> Array | None:
-        """Prices of violations; where all are relaxed at the price `dear`, that."""
+        """Prices of violations, `dear` where all are relaxed."""
         return np.full((self.rows.violations, 2), dear) if relaxed and self.prices is None else self.prices
 
 
@@ -181,7 +181,7 @@ class Step:
         return own is not None and _program(own.local, own.dear, self.multipliers) is not None
 
     def soon(self, before: Step, programs: int) -> bool:
-        """Whether moves that fall at this rate will be gone after so many programs.
+        """Whether falling moves will be gone after so many programs.
 
         Those of Newton's method fall ever faster as they go on (Deuflhard, Newton Methods, 2004).
         """
@@ -228,7 +228,7 @@ class _Program:
         return np.asarray(self.blocks @ z.reshape(*self.blocks.shape[:2], 1)).ravel()
 
     def unrest(self, force: Array, balance: float, change: Array, gain: float) -> float:
-        """Stationarity, see `Step`, for a gradient (n,) that inputs' changes and a gain would make vanish."""
+        """Stationarity, see `Step`, where a move makes a gradient (n,) vanish."""
         local, found = self.local, largest(force * self.unit) / balance
         still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
         if still >= found:
@@ -248,7 +248,7 @@ class _Program:
 
 def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: Multipliers | None = None,
               last: Step | None = None) -> Step:  # fmt: skip
-    """Move of a plan by a quadratic program, none where the optimality conditions hold.
+    """Move of a plan, none at an optimum.
 
     `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
     With `multipliers` it has the Lagrangian's Hessian, where that is then convex along the model. They are those of the
@@ -298,7 +298,7 @@ def convex(local: Local) -> bool:
 
 
 def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) -> Step:
-    """Step that does not move, with the residuals of the optimality conditions of a plan.
+    """Step that does not move, with its residuals.
 
     Gradients are weighed as in the program before. A row that pushes has no room, and a violation its price.
     """
@@ -348,7 +348,7 @@ def _held(local: Local, dear: float, pushes: Array) -> Array:
 
 def _program(local: Local, dear: float, multipliers: Multipliers | None,
              hessian: Array | None = None) -> _Program | None:  # fmt: skip
-    """Program in v about the plan of v = 0, with a Hessian or its own; None where it is not convex, or no numbers."""
+    """Program about v = 0, None where it is not convex."""
     A, B, gaps, first = local.about
     held, rows = np.zeros(len(local.room)), local.rows
     if multipliers is not None:
@@ -396,18 +396,18 @@ def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Ar
     return local.by_state + by_both[:, :nx], local.by_input + by_both[:-1, nx:]
 
 
-def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Array, bool, bool, Array, Array]:
+def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
     """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
     local = program.local
     if local.prices is None and not relaxed:
-        z, *found = _within(program, None)
-        if found[0] or not (local.rows.slots >= 0).any():
-            return z, False, *found
-    z, *found = _within(program, local.priced(True, dear))
-    return z, local.prices is None, *found
+        z, solved, *rows = _within(program, None)
+        if solved or not local.rows.violations:
+            return z, False, solved, *rows
+    z, solved, *rows = _within(program, local.priced(True, dear))
+    return z, local.prices is None, solved, *rows
 
 
-def _within(program: _Program, prices: Array | None) -> tuple[Array, bool, Array, Array]:
+def _within(program: _Program, prices: Array | None) -> tuple[Array, bool, Any, Array]:
     """Solution as of `_solve`, violations at a linear and quadratic price or not allowed."""
     local, rows, n = program.local, program.local.rows, len(program.by_state)
     q, size = _times(program.roots, program.gradient[None])[0], np.zeros(0)
