@@ -159,7 +159,7 @@ class LoopPlanner:
         nx, bounds = self.loop.phase.states, self.loop.phase.u_bounds
         over = np.where(local.rows.slots < 0, -local.room / local.rows.units, 0.0)
         residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
-        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost, Status.SOLVED, residuals,
+        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), Status.SOLVED, residuals,
                     float(over.max(initial=0.0)), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
 
     def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:

@@ -127,7 +127,7 @@ class PhaseStages:
         near = np.where(prices[:, 1] > 0, 0.0, prices[:, 0])
         prices += np.stack([-2 * near * (over / rows.units)[soft], near], axis=1)
         return Local(states, inputs, about, cost_x, cost_u, convex, hessian, rows, room, (sizes[:nx], sizes[nx:]),
-                     self.extent, total, prices=prices if soft.any() else None)  # fmt: skip
+                     self.extent, lambda: total, prices=prices if soft.any() else None)  # fmt: skip
 
     def _rows(self, inputs: Array, values: list[Array], slopes: list[Array], by_inputs: tuple[Array, Array],
               sizes: Array) -> tuple[Rows, Array]:  # fmt: skip

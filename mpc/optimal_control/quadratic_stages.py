@@ -98,7 +98,7 @@ class QuadraticStages:
         return Local(
             states, inputs, about, *slopes(error, effort), lambda: 2 * self._weights, hessian, self.rows,
             self._room(states, inputs, given), self.sizes, np.where(extent > 0, extent, np.inf),
-            cost_of(problem, inputs, states, given),
+            lambda: cost_of(problem, inputs, states, given),
             prices=None if soft is None else np.tile(np.asarray(soft, dtype=float), (self.rows.violations, 1)),
             regulated=self._regulated, lost=slopes(states - error, inputs - effort) if referred else None,
             lost_cost=rounding_of_cost(problem, given) if referred else 0.0,

@@ -123,7 +123,7 @@ class Local:
     room: Array  # (m,)
     sizes: tuple[Array, Array]  # of states and inputs
     extent: Array  # (nu,): of limits of inputs, infinite where there are none
-    cost: float
+    cost: Callable[[], float]
     prices: Array | None = None  # linear and quadratic (s, 2), of violations; None where all limits are hard
     regulated: Array | None = None  # weights of the gains, where not those of the cost
     # slopes of which only rounding is left where states and inputs are at their references, and their cost
@@ -233,7 +233,7 @@ class _Program:
         still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
         if still >= found:
             return found
-        return min(found, max(still, abs(gain) / max(abs(local.cost), local.lost_cost, TINY)))
+        return min(found, max(still, abs(gain) / max(abs(local.cost()), local.lost_cost, TINY)))
 
     def multipliers(self, moves: Array, change: Array, taken: Array, pushes: Array) -> Multipliers:
         """Multipliers of the plan after moves, for those of the rows taken."""
