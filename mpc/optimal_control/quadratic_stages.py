@@ -13,7 +13,7 @@ from mpc.exceptions import NotConvexError
 from mpc.feedback import stabilising_weights
 from mpc.optimal_control.condensing import compile_kernels
 from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.optimal_control.sqp import Local, Multipliers, Rows, convex
+from mpc.optimal_control.sqp import Local, Multipliers, Rows, both, convex
 from mpc.problem import MPCProblem
 from mpc.rollout import Given, cost_of, deviations, disturbance
 from mpc.tolerances import COST_ROUNDING
@@ -83,8 +83,7 @@ class QuadraticStages:
 
         def slopes(error: Array, effort: Array) -> tuple[Array, Array]:
             """Slopes of the cost by states and inputs."""
-            both = np.hstack([error, np.vstack([effort, 0 * effort[:1]])])
-            along = 2 * (self._weights @ both[:, :, None])[:, :, 0]
+            along = 2 * (self._weights @ both(error, effort)[:, :, None])[:, :, 0]
             return along[:, :nx], along[:-1, nx:]
 
         def hessian(multipliers: Multipliers) -> Array:

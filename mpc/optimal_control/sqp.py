@@ -58,19 +58,16 @@ class Rows:
 
     def along(self, moves: Array, change: Array) -> Array:
         """Changes (m,) by moves (N + 1, nx), (N, nu)."""
-        own = np.hstack([moves, np.vstack([change, 0 * change[:1]])])
-        found = np.asarray(np.einsum("ij,ij->i", self.sides, own[self.steps]))
+        found = np.asarray(np.einsum("ij,ij->i", self.sides, both(moves, change)[self.steps]))
         return found + np.einsum("ij,ij->i", self.by_before, change[self.steps - 1]) if self._before else found
 
     def pushed(self, pushes: Array, by_state: Array, by_input: Array) -> tuple[Array, Array]:
         """Slopes with those of the rows times multipliers."""
-        which = np.flatnonzero(pushes)
+        which, found, nx = np.flatnonzero(pushes), both(by_state, by_input), by_state.shape[1]
         steps, push = self.steps[which], pushes[which, None]
-        by_state, by_input = by_state.copy(), np.vstack([by_input, 0 * by_input[:1]])
-        np.add.at(by_state, steps, push * self.by_state[which])
-        np.add.at(by_input, steps, push * self.by_input[which])
-        np.add.at(by_input, steps - 1, push * self.by_before[which])
-        return by_state, by_input[:-1].copy()
+        np.add.at(found, steps, push * self.sides[which])
+        np.add.at(found[:, nx:], steps - 1, push * self.by_before[which])
+        return found[:, :nx].copy(), found[:-1, nx:].copy()
 
     @classmethod
     def of_kinds(cls, kinds: list[tuple[Any, ...]]) -> Rows:
@@ -213,7 +210,7 @@ class _Program:
         """Linear cost."""
         return self.by_state + self.by_input
 
-    @property
+    @cached_property
     def unit(self) -> Array:
         """Sizes (n,) of z in which inputs of any units count alike."""
         return np.asarray(1 / np.sqrt(np.diagonal(self.blocks, axis1=1, axis2=2)).ravel())
@@ -390,8 +387,7 @@ def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
 
 def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Array, Array]:
     """Slopes (N + 1, nx) and (N, nu) after moves, by a Hessian."""
-    along = np.hstack([moves, np.vstack([change, 0 * change[:1]])])
-    by_both = (hessian @ along[:, :, None])[:, :, 0]
+    by_both = (hessian @ both(moves, change)[:, :, None])[:, :, 0]
     nx = moves.shape[1]
     return local.by_state + by_both[:, :nx], local.by_input + by_both[:-1, nx:]
 
@@ -464,6 +460,14 @@ def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, A
     own = q @ basis
     result = DenseQP(np.eye(len(own)), seen.T, units).solve(own, bounds)
     return basis @ (result.z + own) - q, result.multipliers, not result.infeasible
+
+
+def both(states: Array, inputs: Array) -> Array:
+    """States (N + 1, nx) beside inputs (N, nu), none at the end."""
+    nx = states.shape[1]
+    found = np.zeros((len(states), nx + inputs.shape[1]))
+    found[:, :nx], found[:-1, nx:] = states, inputs
+    return found
 
 
 def largest(values: Array) -> float:
