@@ -26,6 +26,9 @@ import numpy as np
 from bench_nonlinear_mpc import THREADS, Case, Shooting, closed_loops, ours
 from scipy.linalg import solve_discrete_are
 
+from mpc.optimal_control import quadratic_planner
+from mpc.optimal_control.sqp import next_step
+
 GRAVITY = 9.81  # m/s²
 FREE = np.inf
 
@@ -160,14 +163,11 @@ class Told:
         self.told: Counter[str] = Counter()
         self.iterations: list[int] = []
         self._programs = 0
-        if not isinstance(controller, Shooting):
-            programs = controller.planner.programs
-            step = programs.step
-            programs.step = lambda *given, **stated: self._counted(step, given, stated)
 
-    def _counted(self, step: Any, given: Any, stated: Any) -> Any:
-        self._programs += 1
-        return step(*given, **stated)
+    def _counted(self, *given: Any, **stated: Any) -> Any:
+        step = next_step(*given, **stated)
+        self._programs += step.size > 0  # without a move it only confirms
+        return step
 
     def reset(self) -> None:
         self.controller.reset()
@@ -175,6 +175,7 @@ class Told:
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         self._programs = 0
+        quadratic_planner.next_step = self._counted
         u = self.controller(x)
         if isinstance(self.controller, Shooting):
             self._programs = self.controller._solver.stats()["iter_count"]

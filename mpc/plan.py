@@ -70,6 +70,8 @@ class Plan:
         The solver that produced the result.
     costates : (N, nx) array or None
         Slopes of the cost by x_1 … x_N along the plan, of a nonlinear one by quadratic programs.
+    pushes : (m,) array or None
+        Multipliers of the limits of such a plan.
     """
 
     inputs: Array
@@ -81,12 +83,14 @@ class Plan:
     solve_time: float
     solver: str
     costates: Array | None = None
+    pushes: Array | None = None
 
     def __post_init__(self) -> None:
         self.inputs.flags.writeable = False
         self.states.flags.writeable = False
-        if self.costates is not None:
-            self.costates.flags.writeable = False
+        for on in (self.costates, self.pushes):
+            if on is not None:
+                on.flags.writeable = False
 
     @property
     def feasible(self) -> bool:

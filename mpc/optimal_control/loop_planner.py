@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ccdtools_ground.door import as_number
-from mpc.budgets import ASIDE
+from mpc.budgets import ASIDE, PROGRAMS_TO_GO
 from mpc.checks import Array, as_array, as_floats
 from mpc.exceptions import InputError
 from mpc.optimal_control.discrete_model import DiscreteModel
@@ -19,11 +19,13 @@ from mpc.optimal_control.functions import compiled
 from mpc.optimal_control.interval import first_guess
 from mpc.optimal_control.ipopt import WARM, Found, Settings, once, solver_of
 from mpc.optimal_control.loop_phase import LoopPhase
+from mpc.optimal_control.phase_stages import PhaseStages
 from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
 from mpc.optimal_control.program import NonlinearProgram, rescaled
 from mpc.optimal_control.solution import OptimalControlStatus
 from mpc.optimal_control.solving import Run, as_settings, status_of
-from mpc.plan import Plan, Status
+from mpc.optimal_control.sqp import Local, Step, carried, next_step
+from mpc.plan import Plan, Residuals, Status
 from mpc.rollout import Given, finite, no_faster
 from mpc.tolerances import FEASIBLE, KKT, SOLVERS, VIOLATION_PRICE as PRICE
 
@@ -88,6 +90,11 @@ class LoopPlanner:
         step = compiled("dynamics", lambda x, u, w, p: loop.step(x, u, w, p[:-1], p[-1], 0 * u)[0], sizes)
         return DiscreteModel(step, loop.horizon)
 
+    @cached_property
+    def stages(self) -> PhaseStages:
+        """Statement along plans."""
+        return PhaseStages(self.loop)
+
     def signals(self, stated: dict[str, Any]) -> Given:
         """Checked signals of a sample."""
         loop, N, nw, nu = self.loop, self.loop.horizon, self.loop.functions.nw, self.loop.phase.inputs
@@ -122,7 +129,47 @@ class LoopPlanner:
         """Plan from a state, begun at another or at several places."""
         clock = Clock(self.time_limit)
         with np.errstate(over="ignore", invalid="ignore"):  # inputs by chance may lead far away
-            return clock.stamped(self._planned(x, given, before, clock))
+            found = None if before is None else self._followed(x, given, before, clock)
+            return clock.stamped(found or self._planned(x, given, before, clock))
+
+    def _followed(self, x: Array, given: Given, before: Plan, clock: Clock) -> Plan | None:
+        """Optimum that quadratic programs lead to, or None."""
+        states, inputs, on = before.states, before.inputs, carried(before)
+        last: Step | None = None
+        for _ in range(PROGRAMS_TO_GO if on is not None else 0):
+            local = self._local(x, given, states, inputs)
+            step = next_step(local, PRICE * local.force, multipliers=on, last=last)
+            if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()) or clock.up:
+                return None
+            if step.error <= KKT:
+                found = self._optimum(local, step)
+                return found if found.violation <= FEASIBLE else None
+            states, inputs = states + step.states[:, : len(x)], inputs + step.inputs
+            last, on = step, step.multipliers
+        return None
+
+    def _local(self, x: Array, given: Given, states: Array, inputs: Array) -> Local:
+        """Statement at a plan of a sample."""
+        along = self.stages.states(states, inputs, given)
+        first = np.concatenate([x, along[0, len(x) :]])
+        return self.stages.at(first, along, inputs, np.append(self.p, given["t"]), given["w"])
+
+    def _optimum(self, local: Local, step: Step) -> Plan:
+        """Plan of a step that moves it no more."""
+        nx, bounds = self.loop.phase.states, self.loop.phase.u_bounds
+        over = np.where(local.rows.slots < 0, -local.room / local.rows.units, 0.0)
+        residuals, on = Residuals(step.stationarity, step.defects, 0.0, 0.0), step.multipliers
+        return Plan(np.clip(local.inputs, *bounds), local.states[:, :nx].copy(), local.cost(), Status.SOLVED, residuals,
+                    float(over.max(initial=0.0)), 0.0, "SQP", on.costates[:, :nx].copy(), on.pushes)  # fmt: skip
+
+    def _with_multipliers(self, plan: Plan, x: Array, given: Given) -> Plan:
+        """Optimum with the multipliers of a program about it."""
+        local = self._local(x, given, plan.states, plan.inputs)
+        step = next_step(local, PRICE * local.force)
+        if not step.solved:
+            return plan
+        on = step.multipliers
+        return replace(plan, costates=on.costates[:, : len(x)].copy(), pushes=on.pushes)
 
     def _planned(self, x: Array, given: Given, before: Plan | None, clock: Clock) -> Plan:
         """Plan, the best of what was tried."""
@@ -145,7 +192,8 @@ class LoopPlanner:
         if best.status in RANKS[2:] and any(run.falls(one.found) for one in tried):
             cure = "Bound states and inputs, or price them."
             raise InputError("stage_cost", "a cost that falls without end", "costs with a lower bound", cure)
-        return self._packed(best, run.program, x, given, before)
+        plan = self._packed(best, run.program, x, given, before)
+        return self._with_multipliers(plan, x, given) if plan.status is Status.SOLVED else plan
 
     def near(self, x: Array, given: Given, states: Array, inputs: Array, cost: float) -> tuple[Array, Array] | None:
         """States and inputs that the solver comes to, or None.
@@ -163,7 +211,8 @@ class LoopPlanner:
     def shifted(self, plan: Plan, given: Given) -> Plan:
         """Plan one sample later, with the last input held."""
         u = plan.inputs[-1]
-        return shifted(plan, u, self._next(plan.states[-1], u, given, self.loop.horizon - 1))
+        later = self.stages.rows.later
+        return shifted(plan, u, self._next(plan.states[-1], u, given, self.loop.horizon - 1), later)
 
     def _next(self, x: Array, u: Array, given: Given, k: int) -> Array:
         """Next state after step k of a sample, finite."""

@@ -204,7 +204,9 @@ class NonlinearMPC(Immutable):
         """Planner for these parameters."""
         limit = as_seconds("time_limit", self.time_limit)
         if self._loop is not None:
-            return LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
+            planner = LoopPlanner(self._loop, self.p, self.most_iterations, self.starts, limit)
+            _ = planner.stages  # made before a clock runs
+            return planner
         return QuadraticPlanner(
             self.problem, self.model, self.p, self.iterations, self.most_iterations, self.starts, limit
         )

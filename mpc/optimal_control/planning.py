@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -42,11 +43,15 @@ class Clock:
         return replace(plan, status=status, solve_time=time.perf_counter() - self.began)
 
 
-def shifted(plan: Plan, u: Array, after: Array) -> Plan:
-    """Plan one sample later, with one more input and the state that it leads to."""
-    held = None if plan.costates is None else np.vstack([plan.costates[1:], plan.costates[-1:]])
+def shifted(plan: Plan, u: Array, after: Array, later: Any) -> Plan:
+    """Plan one sample later, with one more input and the state that it leads to.
+
+    `later` are the numbers of its rows, one sample later.
+    """
+    costates = None if plan.costates is None else np.vstack([plan.costates[1:], plan.costates[-1:]])
+    pushes = None if plan.pushes is None else plan.pushes[later]
     inputs, states = np.vstack([plan.inputs[1:], u]), np.vstack([plan.states[1:], after])
-    return replace(plan, inputs=inputs, states=states, costates=held)
+    return replace(plan, inputs=inputs, states=states, costates=costates, pushes=pushes)
 
 
 def beginnings(first: Path, x: Array, end: Array, led_to: Callable[[Array], Path],

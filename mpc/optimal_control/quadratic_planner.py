@@ -19,7 +19,8 @@ from mpc.optimal_control.discrete_model import DiscreteModel
 from mpc.optimal_control.loop_planner import LoopPlanner
 from mpc.optimal_control.planning import SHIFTED, Clock, beginnings, shifted
 from mpc.optimal_control.quadratic_phase import quadratic_columns, quadratic_parameters
-from mpc.optimal_control.sqp import TINY, Sequential, Step, rounding_of_cost, weights_along
+from mpc.optimal_control.quadratic_stages import QuadraticStages, rounding_of_cost, weights_along
+from mpc.optimal_control.sqp import TINY, Multipliers, Step, carried, next_step
 from mpc.plan import Plan, Residuals, Status
 from mpc.problem import MPCProblem
 from mpc.rollout import (
@@ -49,17 +50,17 @@ class _Path:
     gains: Array
     name: str
     last: Step | None = None
-    costates: Array | None = None  # (N, nx), for the curvature of the program there
+    multipliers: Multipliers | None = None  # for the Hessian of the program there
 
     @property
     def error(self) -> float:
         """Larger of gaps and stationarity, infinite without a program."""
-        return np.inf if self.last is None else max(self.last.defects, self.last.stationarity)
+        return np.inf if self.last is None else self.last.error
 
     @property
-    def pulled(self) -> Array | None:
-        """Costates after its program; a real-time iteration has no use for them."""
-        return None if self.last is None or self.name == REAL_TIME else self.last.costates
+    def balanced(self) -> Multipliers | None:
+        """Multipliers after its program; a real-time iteration has no use for them."""
+        return None if self.last is None or self.name == REAL_TIME else self.last.multipliers
 
     @property
     def solved(self) -> bool:
@@ -96,7 +97,7 @@ class QuadraticPlanner:
     time_limit: float
 
     def __post_init__(self) -> None:
-        _ = self.programs, self._gains  # built, and compiled, before a clock runs
+        _ = self.stages, self._gains  # built, and compiled, before a clock runs
         if np.isfinite(self.time_limit):
             self._general((1.0, 1.0))
 
@@ -106,9 +107,9 @@ class QuadraticPlanner:
         return LoopPlanner(self.model.loop(self.law, self.p), p, self.most, 1, self.time_limit)
 
     @cached_property
-    def programs(self) -> Sequential:
-        """Quadratic programs along plans."""
-        return Sequential(self.law, self.model)
+    def stages(self) -> QuadraticStages:
+        """Statement along plans."""
+        return QuadraticStages(self.law, self.model, self.p)
 
     @cached_property
     def _gains(self) -> Array:
@@ -138,7 +139,7 @@ class QuadraticPlanner:
                 first = self._linear_law(x, given)
                 known = [first, _held(first, given)]
             else:
-                first = _Path(before.states, before.inputs, self._gains, SHIFTED, costates=before.costates)
+                first = _Path(before.states, before.inputs, self._gains, SHIFTED, multipliers=carried(before))
                 known = [first]
             size = max(min(cost_of(self.law, path.inputs, path.states, given) for path in known), TINY)
             sample = _Sample(x, given, first, size, VIOLATION_PRICE * size, clock)
@@ -155,13 +156,14 @@ class QuadraticPlanner:
         with np.errstate(over="ignore", invalid="ignore"):  # of a model that escaped
             wanted = finite(-effort[-1] - self._gains[-1] @ (end + error[-1]))
         u = self._admissible(wanted, plan.inputs[-1])
-        return shifted(plan, u, finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p)))
+        later = self.stages.rows.later
+        return shifted(plan, u, finite(self.model.next(end, u, disturbance(self.law, given)[-1], self.p)), later)
 
     def _found(self, sample: _Sample) -> Plan:
         """Plan that programs lead to."""
         first, follow = sample.first, sample.first.name == SHIFTED
         if follow and self.iterations is not None:
-            programs = self._programs(sample, replace(first, name=REAL_TIME, costates=None))
+            programs = self._programs(sample, replace(first, name=REAL_TIME, multipliers=None))
             done = list(islice(programs, self.iterations))
             if not done:
                 return self._plan(sample, first, Status.REPLACED)
@@ -196,11 +198,13 @@ class QuadraticPlanner:
             softened = at.last.relaxed and status in (Status.SOLVED, Status.FOLLOWED)
             if softened and relative_violations(self.law, path.states).max() > FEASIBLE:
                 status = Status.SOFTENED
-        return Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name, at.pulled)
+        found = Plan(path.inputs, path.states, cost, status, residuals, violation, 0.0, path.name)
+        on = at.balanced
+        return found if on is None else replace(found, costates=on.costates, pushes=on.pushes)
 
     def _kept(self, path: _Path, at: _Path, cost: float, given: Given) -> bool:
         """Whether the model itself goes along a path, or costs as much where it does not."""
-        sizes = (self.programs.size, self.programs.input_size)
+        sizes = self.stages.sizes
         apart = ((path.states - at.states) / sizes[0], (path.inputs - at.inputs) / sizes[1])
         if max(float(np.abs(part).max()) for part in apart) <= OPTIMAL:
             return True
@@ -216,18 +220,17 @@ class QuadraticPlanner:
         for one in islice(self._programs(sample, best), self.most):
             if best.last is None or one.error < best.error:
                 best = one
-            if one.error <= KKT or one.last is None or (before is not None and not _soon(one.last, before)):
+            if one.error <= KKT or one.last is None or not (before is None or one.last.soon(before, PROGRAMS_TO_GO)):
                 break
             before = one.last
         return best
 
     def _programs(self, sample: _Sample, at: _Path) -> Iterator[_Path]:
         """Paths, each moved by the program at the one before, in time."""
-        w = disturbance(self.law, sample.given)
         while at.last is None or not sample.clock.up:
             relaxed = at.last is not None and at.last.relaxed
-            about = at.states, at.inputs, w, self.p, sample.given
-            step = self.programs.step(sample.x, *about, sample.dear, relaxed=relaxed, costates=at.costates)
+            local = self.stages.at(sample.x, at.states, at.inputs, sample.given)
+            step = next_step(local, sample.dear, relaxed=relaxed, multipliers=at.multipliers, last=at.last)
             if not (step.solved and np.isfinite(step.inputs).all() and np.isfinite(step.states).all()):
                 return
             at = replace(at, gains=step.gains, last=step)
@@ -257,7 +260,7 @@ class QuadraticPlanner:
             yield law
             law = self._linear_law(sample.x, sample.given)
         yield law
-        held, size, rng = _held(law, sample.given), self.programs.input_size, np.random.default_rng(0)
+        held, size, rng = _held(law, sample.given), self.stages.sizes[1], np.random.default_rng(0)
         error, _ = deviations(np.zeros_like(held.states), held.inputs, sample.given)
         free = replace(held, gains=np.zeros_like(held.gains))
 
@@ -273,7 +276,7 @@ class QuadraticPlanner:
     def _aside(self, path: _Path) -> _Path:
         """Path with inputs that break its symmetries, the same every time."""
         moves = np.random.default_rng(0).uniform(-ASIDE, ASIDE, path.inputs.shape)
-        return replace(path, inputs=path.inputs + moves * self.programs.input_size)
+        return replace(path, inputs=path.inputs + moves * self.stages.sizes[1])
 
     def _law_does_better(self, sample: _Sample, at: _Path) -> bool:
         """Whether the linear law, simulated, costs less than a plan."""
@@ -346,18 +349,7 @@ def _moved(path: _Path) -> _Path:
     step = path.last
     if step is None:
         return path
-    return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, costates=path.pulled)
-
-
-def _soon(last: Step, before: Step) -> bool:
-    """Whether moves that fall at this rate will be gone soon.
-
-    Those of Newton's method fall ever faster as they go on (Deuflhard, Newton Methods, 2004).
-    """
-    rate = last.size / max(before.size, TINY)
-    if last.newton:
-        return rate < 1.0
-    return rate < 1.0 and np.log(KKT / last.size) / np.log(rate) <= PROGRAMS_TO_GO
+    return replace(path, states=path.states + step.states, inputs=path.inputs + step.inputs, multipliers=path.balanced)
 
 
 def gain_at_rest(law: MPCProblem) -> Array:

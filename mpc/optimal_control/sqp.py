@@ -1,9 +1,9 @@
-"""Sequential quadratic programming for discrete plans."""
+"""Sequential quadratic programming for discrete plans of any statement."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -11,13 +11,9 @@ import numpy as np
 
 from mpc.checks import Array
 from mpc.dense_qp import DenseQP
-from mpc.exceptions import NotConvexError
-from mpc.feedback import stabilising_weights
-from mpc.optimal_control.condensing import compile_kernels, gains_along, moved, pulled
-from mpc.optimal_control.discrete_model import DiscreteModel
-from mpc.problem import MPCProblem
-from mpc.rollout import Given, cost_of, deviations
-from mpc.tolerances import COST_ROUNDING, FEASIBLE, PRIMAL, ROUNDED_SUM
+from mpc.optimal_control.condensing import gains_along, moved, pulled
+from mpc.plan import Plan
+from mpc.tolerances import COST_ROUNDING, FEASIBLE, KKT, PRIMAL, ROUNDED_SUM
 
 Along = tuple[Array, Array, Array, Array, Array]
 
@@ -25,299 +21,29 @@ TINY = float(np.finfo(float).tiny)  # a divisor that stands for zero
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """Result of one quadratic program for a plan."""
+class Multipliers:
+    """Costates (N, nx) of later states; multipliers (m,) of limits."""
 
-    # by what it moves the plan: (N + 1, nx) and (N, nu)
-    states: Array
-    inputs: Array
-    gains: Array  # (N, nu, nx): of the feedback along the plan that keeps it together
-    size: float  # largest move, in sizes of states and inputs
-    # the largest gap in the plan between a state and what the model makes of the one before it, in sizes of the states
-    defects: float
-    # of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
-    # how far inputs would still move, in parts of their limits, and what part of the cost that would save
-    stationarity: float
-    relaxed: bool  # whether limits of states had to be relaxed
-    solved: bool
-    newton: bool = False  # whether its Hessian was the Lagrangian's
-    _pulled: Callable[[], Array] = lambda: np.zeros(0)
-    _curved: Callable[[Array], _Program | None] = lambda costates: None
-
-    @cached_property
-    def costates(self) -> Array:
-        """Costates (N, nx) of the states from the second on, of the plan after the step."""
-        return self._pulled()
-
-    @property
-    def strict(self) -> bool:
-        """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
-        return self._curved(self.costates) is not None
+    costates: Array
+    pushes: Array
 
 
 @dataclass(frozen=True, eq=False)
-class _Program:
-    """Minimise ½ z'Hz + (by_state + by_input)'z within limits.
-
-    z is the v of `moved`; H is block diagonal with `blocks` (b, n/b, n/b).
-
-    Where states and inputs are at their references, only rounding is left of a linear cost of the size `lost` and of a
-    cost of `lost_cost`.
-    """
-
-    plan: tuple[Array, Array]
-    start: tuple[Array, Array]  # the plan of z = 0
-    along: Along  # (A, B, gains, gaps, first): arguments of `moved` but for v
-    given: Given
-    bend: Array  # (N + 1, nx + nu, nx + nu): of the Lagrangian's Hessian, what the costs do not make
-    blocks: Array
-    roots: Array  # blocks of T for which y, z = Ty, has the Hessian 1
-    by_state: Array
-    by_input: Array
-    lost: Array
-    lost_cost: float
-
-    @property
-    def gradient(self) -> Array:
-        """Linear cost."""
-        return self.by_state + self.by_input
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape (b, n/b) of variables."""
-        return self.blocks.shape[:2]
-
-    def moves(self, z: Array) -> tuple[Array, Array]:
-        """Moves (N + 1, nx) of states and (N, nu) of inputs."""
-        by_state, by_input = moved(*self.along, z.reshape(1, len(self.plan[1]), -1))
-        return by_state[0], by_input[0]
-
-    def curvature(self, z: Array) -> Array:
-        """Product Hz (n,)."""
-        return np.asarray(self.blocks @ z.reshape(*self.shape, 1)).ravel()
-
-
-class Sequential:
-    """Quadratic programs of `problem` with the dynamics of `model`.
-
-    Its variables are v = du + K dx with the gains of the regulator along the plan, for which the Hessian is block
-    diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998). A program
-    begins with the limits that act in the plan and takes in what its solution passes, and what is nearest until it has
-    twice as many, until it passes none: its dense part grows with the limits that act, all else with the horizon.
-    """
-
-    def __init__(self, problem: MPCProblem, model: DiscreteModel) -> None:
-        self.problem = problem
-        self.model = model
-        self.n = problem.horizon * problem.nu
-        N = problem.horizon
-        self._weights = weights_along(N, problem.Q, problem.R, problem.cross, problem.P)
-        self._regulated = weights_along(N, *stabilising_weights(problem))
-        self._separate = np.array_equal(self._weights, self._regulated)
-        self._extent = np.where(problem.input_extent > 0, problem.input_extent, np.inf)
-        self.size = problem.state_extent
-        self.input_size = np.where(problem.input_extent > 0, problem.input_extent, 1.0)
-        prices = problem.price_units
-        self._prices = np.concatenate([np.tile(prices["state"], N), prices["terminal"]])
-        self._rows = _rows(problem)
-        compile_kernels()
-        A, B = (np.tile(matrix, (N, 1, 1)) for matrix in (problem.A, problem.B))
-        rest = np.zeros((N + 1, problem.nx)), np.zeros((N, problem.nu))
-        if self._program(rest, (A, B, rest[0][1:], rest[0][0]), {}, np.zeros_like(self._weights)) is None:
-            got = "one along the model at rest that is not positive definite; some input is free of cost"
-            cure = "Make R positive definite, or let Q and P see every input."
-            raise NotConvexError("Hessian", got, "a positive definite one", cure, 0.0)
-
-    def step(
-        self, x: Array, states: Array, inputs: Array, w: Array, p: Array, given: Given, dear: float, *,
-        relaxed: bool = False, costates: Array | None = None,
-    ) -> Step:  # fmt: skip
-        """Quadratic program at a plan (N + 1, nx), (N, nu) from x (nx,).
-
-        `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
-        With `costates` (N, nx) it has the model's curvature, where it is then convex along the model.
-        """
-        after, A, B = self.model.linearised(states[:-1], inputs, w, p)
-        gaps = after - states[1:]
-        defects = max(_largest(gaps / self.size), _largest((x - states[0]) / self.size))
-        none = np.zeros((self.problem.horizon, self.problem.nu, self.problem.nx))
-        failed = Step(states, inputs, none, np.inf, defects, np.inf, False, False)
-        if not all(np.isfinite(part).all() for part in (after, A, B)):
-            return failed
-        about = (states, inputs), (A, B, gaps, x - states[0]), given
-        curved = partial(self._curved, *about, dear, w, p)
-        newton = None if costates is None else curved(costates)
-        program = newton or self._program(*about, np.zeros_like(self._weights))
-        if program is None:
-            return failed
-        z, relaxed, solved, *pushes = self._solve(program, dear, relaxed)
-        moves, change = program.moves(z)
-        gains, blocks = program.along[2], program.blocks
-        curvature = program.curvature(z)
-        unit = 1 / np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)).ravel()  # so that inputs of any units count alike
-        parts = (program.by_state, program.by_input, program.gradient + curvature)
-        balance = max(*(_largest(part * unit) for part in parts), _largest(program.lost * unit), TINY)
-        stationarity = _largest(curvature * unit) / balance
-        still = _largest(change / self._extent) if np.isfinite(self._extent).all() else np.inf
-        if still < stationarity:
-            gain = -float(program.gradient @ z + 0.5 * z @ curvature)
-            cost = max(abs(cost_of(self.problem, *program.start[::-1], given)), program.lost_cost, TINY)
-            stationarity = min(stationarity, max(still, abs(gain) / cost))
-        costs = partial(self._costates, program, moves, change, *pushes)
-        size = max(_largest(moves / self.size), _largest(change / self.input_size))
-        found = moves, change, gains, size, defects, stationarity
-        return Step(*found, relaxed, solved, newton is not None, costs, curved)
-
-    def _curved(self, plan: tuple[Array, Array], about: tuple[Array, ...], given: Given, dear: float, w: Array,
-                p: Array, costates: Array) -> _Program | None:  # fmt: skip
-        """Program with the model's curvature, None where it is not convex along the limits that push."""
-        bend = self._held(plan, about, costates, dear, given)
-        bend[:-1] += self.model.curvature(plan[0][:-1], plan[1], w, p, costates)
-        return self._program(plan, about, given, bend)
-
-    def _held(self, plan: tuple[Array, Array], about: tuple[Array, ...], costates: Array, dear: float,
-              given: Given) -> Array:  # fmt: skip
-        """Curvature (N + 1, nx + nu, nx + nu) that a price of moves across limits which push adds.
-
-        No move along them pays it, so what the program comes to is the same, and the Hessian is positive definite where
-        it is along the limits (Debreu, Econometrica 20, 1952).
-        """
-        A, B = about[:2]
-        rows, (N, nx, nu) = self._rows, B.shape
-        by_state, by_input = self._slopes(*deviations(*plan, given))
-        push = np.zeros((N + 1, nx + nu))
-        push[1:, :nx] = costates - by_state[1:]
-        push[1:-1, :nx] -= (costates[1:, None] @ A[1:])[:, 0]
-        push[:-1, nx:] = -by_input - (costates[:, None] @ B)[:, 0]
-        near = np.flatnonzero(self._room(*plan, given) <= FEASIBLE * rows.units)
-        sides = np.hstack([rows.by_state[near], rows.by_input[near]])
-        acting = ((sides * push[rows.steps[near]]).sum(axis=1) > 0) & ~rows.by_before[near].any(axis=1)
-        sides, near = sides[acting] / rows.units[near[acting], None], near[acting]
-        found = np.zeros_like(self._weights)
-        np.add.at(found, rows.steps[near], 2 * dear * sides[:, :, None] * sides[:, None])
-        return found
-
-    def _costates(self, program: _Program, moves: Array, change: Array, taken: Array, pushes: Array) -> Array:
-        """Costates (N, nx) of the states from the second on, for the multipliers of the rows taken."""
-        rows, N = self._rows, self.problem.horizon
-        error, effort = deviations(program.plan[0] + moves, program.plan[1] + change, program.given)
-        by_state, by_input = self._slopes(error, effort, _weighed(program.bend, moves, change))
-        by_input = np.vstack([by_input, 0 * by_input[:1]])
-        steps, push = rows.steps[taken], pushes[:, None]
-        np.add.at(by_state, steps, push * rows.by_state[taken])
-        np.add.at(by_input, steps, push * rows.by_input[taken])
-        np.add.at(by_input, steps - 1, push * rows.by_before[taken])
-        return np.asarray(pulled(*program.along[:3], by_state[None], by_input[None, :N].copy())[1][0, 1:])
-
-    def _hessian(self, A: Array, B: Array, gains: Array, weights: Array) -> Array:
-        """Hessian (1, n, n) by v."""
-        problem, n, N = self.problem, self.n, self.problem.horizon
-        units, nothing = np.eye(n).reshape(n, N, problem.nu), np.zeros(problem.nx)
-        states, inputs = moved(A, B, gains, np.zeros((N, problem.nx)), nothing, units)
-        Z = np.concatenate([states, np.append(inputs, 0 * inputs[:, :1], axis=1)], axis=2).transpose(1, 2, 0)
-        H = 2 * Z.reshape(-1, n).T @ (weights @ Z).reshape(-1, n)
-        return np.asarray((H + H.T) / 2)[None]
-
-    def _program(self, plan: tuple[Array, Array], about: tuple[Array, ...], given: Given,
-                 bend: Array) -> _Program | None:  # fmt: skip
-        """Program in v about the plan of v = 0; None where it is not convex, or no numbers."""
-        A, B, gaps, first = about
-        weights = self._weights + bend / 2
-        try:
-            gains, deviating = gains_along(A, B, weights if self._separate else self._regulated)
-            blocks = 2 * deviating if self._separate else self._hessian(A, B, gains, weights)
-            roots = _roots(blocks)
-        except np.linalg.LinAlgError:  # not convex, or slopes so steep that their products are no numbers
-            return None
-        if not np.isfinite(roots).all():
-            return None
-        along = A, B, gains, gaps, first
-        drift, lead = moved(*along, np.zeros((1, *plan[1].shape)))
-        states, inputs = plan[0] + drift[0], plan[1] + lead[0]
-        error, effort = deviations(states, inputs, given)
-        slopes = [self._slopes(error, effort, _weighed(bend, drift[0], lead[0]))]
-        lost_cost = 0.0
-        if "x_ref" in given or "u_ref" in given:
-            slopes.append(self._slopes(states - error, inputs - effort))
-            lost_cost = rounding_of_cost(self.problem, given)
-        # what states cost and what inputs cost, apart
-        by_state = np.concatenate([np.stack([of_states, 0 * of_states]) for of_states, _ in slopes])
-        by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
-        own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(-1, self.n)
-        left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(self.n)
-        return _Program(plan, (states, inputs), along, given, bend, blocks, roots, own, other, left, lost_cost)
-
-    def _slopes(self, error: Array, effort: Array, bent: Any = 0.0) -> tuple[Array, Array]:
-        """Slopes of the cost by states (N + 1, nx) and inputs (N, nu); `bent` is what the curvature adds."""
-        along = 2 * _weighed(self._weights, error, effort) + bent
-        return along[:, : self.problem.nx], along[:-1, self.problem.nx :]
-
-    def _room(self, states: Array, inputs: Array, given: Given) -> Array:
-        """Room (m,) that a plan leaves to each limit: inputs, rates, states, end."""
-        problem = self.problem
-        H, h = problem.input_rows
-        room = [(h - inputs @ H.T).ravel()]
-        if problem.rate_limit is not None:
-            moves = np.diff(inputs, axis=0, prepend=given["u_prev"][None])
-            room += [(problem.rate_limit - moves).ravel(), (problem.rate_limit + moves).ravel()]
-        H, h = problem.state_rows
-        end, at_end = problem.terminal_rows
-        return np.concatenate([*room, (h - states[1:] @ H.T).ravel(), at_end - end @ states[-1]])
-
-    def _solve(self, program: _Program, dear: float, relaxed: bool) -> tuple[Array, bool, bool, Array, Array]:
-        """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
-        if self.problem.soft is not None:
-            return self._within(program, self.problem.soft, False)
-        if not relaxed:
-            found = self._within(program, None, False)
-            if found[2] or not len(self._prices):
-                return found
-        return self._within(program, (dear, dear), True)
-
-    def _within(self, program: _Program, price: Any, relaxed: bool) -> tuple[Array, bool, bool, Array, Array]:
-        """Solution as of `_solve`, violations at a linear and quadratic price or not allowed."""
-        rows, n = self._rows, self.n
-        q, size = _times(program.roots, program.gradient[None])[0], 0.0
-        if price is not None:  # a violation of this size has the quadratic cost ½
-            size = 1 / np.sqrt(2 * price[1])
-            q = np.concatenate([q, np.full(self.problem.horizon, price[0] * size)])
-        others, bounds = len(rows.units) - len(self._prices), self._room(*program.start, program.given)
-        fresh = np.flatnonzero(self._room(*program.plan, program.given) <= PRIMAL * rows.units)
-        taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
-        while True:
-            more, least = np.zeros((len(fresh), len(q))), np.zeros((0, len(q)))
-            more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
-            taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
-            if price is not None:
-                of_states = np.flatnonzero(taken >= others)
-                places = n + rows.steps[taken[of_states]] - 1
-                matrix[of_states, places] = -self._prices[taken[of_states] - others] * size
-                least = -np.eye(len(q))[np.unique(places)]
-            sides = np.concatenate([bounds[taken], np.zeros(len(least))])
-            units = np.concatenate([rows.units[taken], np.ones(len(least))])
-            y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
-            z = (program.roots @ y[:n].reshape(*program.shape, 1)).ravel()
-            moves, change = program.moves(z)
-            room = self._room(program.plan[0] + moves, program.plan[1] + change, program.given) / rows.units
-            room[taken] = np.inf
-            passed = np.count_nonzero(room < -PRIMAL)
-            if not (solved and passed):
-                return z, relaxed, solved, taken, pushes[: len(taken)]
-            fresh = np.argsort(room)[: min(max(passed, len(taken)), len(room) - len(taken))]
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
+class Rows:
     """Rows of all limits, each of one step (m,).
 
-    They are slopes by its state (m, nx), its input and the input before it (m, nu).
+    They are slopes by its state (m, nx), its input and the input before it (m, nu). A row with a slot ≥ 0 may be passed
+    by the violation of that number, times its amount; at one step later it is the row `later`.
     """
 
-    steps: Array
+    steps: Any
     by_state: Array
     by_input: Array
     by_before: Array
     units: Array
+    slots: Any
+    amounts: Array
+    later: Any
 
     def pulled(self, along: Along, which: Any) -> Array:
         """Rows (c, n) by v."""
@@ -330,37 +56,382 @@ class _Rows:
         by_input[count, steps] += self.by_input[which]
         return np.asarray(pulled(*along[:3], by_state, by_input[:, :N].copy())[0].reshape(len(which), N * nu))
 
+    def along(self, moves: Array, change: Array) -> Array:
+        """Changes (m,) by moves (N + 1, nx), (N, nu)."""
+        found = np.asarray(np.einsum("ij,ij->i", self.sides, both(moves, change)[self.steps]))
+        return found + np.einsum("ij,ij->i", self.by_before, change[self.steps - 1]) if self._before else found
 
-def _rows(problem: MPCProblem) -> _Rows:
-    """Rows of the limits in the order of `Sequential._room`."""
-    N, nx, nu = problem.horizon, problem.nx, problem.nu
-    H, end, acting = problem.state_rows[0], problem.terminal_rows[0], problem.input_rows[0]
-    units = problem.row_units
-    parts = [(np.arange(N), np.zeros((len(acting), nx)), acting, 0 * acting, units["input"])]
-    if problem.rate_limit is not None:
-        one, rate = np.eye(nu), np.asarray(problem.rate_limit)
-        parts += [(np.arange(N), np.zeros((nu, nx)), sign * one, -sign * one, rate) for sign in (1, -1)]
-    for steps, rows, unit in ((np.arange(1, N + 1), H, units["state"]), (np.array([N]), end, units["terminal"])):
-        none = np.zeros((len(rows), nu))
-        parts.append((steps, rows, none, none, unit))
-    each = [(np.repeat(steps, len(unit)), *(np.tile(one, (len(steps), 1)) for one in rows), np.tile(unit, len(steps)))
-            for steps, *rows, unit in parts]  # fmt: skip
-    found = _Rows(*(np.concatenate(part) for part in zip(*each)))
-    found.by_before[found.steps == 0] = 0.0  # that input is known
-    return found
+    def pushed(self, pushes: Array, by_state: Array, by_input: Array) -> tuple[Array, Array]:
+        """Slopes with those of the rows times multipliers."""
+        which, found, nx = np.flatnonzero(pushes), both(by_state, by_input), by_state.shape[1]
+        steps, push = self.steps[which], pushes[which, None]
+        np.add.at(found, steps, push * self.sides[which])
+        np.add.at(found[:, nx:], steps - 1, push * self.by_before[which])
+        return found[:, :nx].copy(), found[:-1, nx:].copy()
+
+    @classmethod
+    def of_kinds(cls, kinds: list[tuple[Any, ...]]) -> Rows:
+        """Rows of kinds (steps (s,), by_state (r, nx), by_input, by_before, units (r,), amounts (r,)).
+
+        Those of a step that have amounts share a violation.
+        """
+        first, found = 0, []
+        for steps, *sides, units, amounts in kinds:
+            own = first + np.arange(len(steps) * len(units))
+            later = np.where(own + len(units) < first + own.size, own + len(units), own)
+            soft = np.full(own.size, -1) if amounts is None else np.repeat(steps, len(units)) - 1
+            of_rows = [np.tile(side, (len(steps), 1)) for side in sides]
+            amounts = np.ones(len(units)) if amounts is None else amounts
+            found.append((np.repeat(steps, len(units)), *of_rows, np.tile(units, len(steps)), soft,
+                          np.tile(amounts, len(steps)), later))  # fmt: skip
+            first += own.size
+        rows = cls(*(np.concatenate(part) for part in zip(*found)))
+        rows.by_before[rows.steps == 0] = 0.0  # that input is known
+        return rows
+
+    @property
+    def violations(self) -> int:
+        """Number of violations."""
+        return int(self.slots.max(initial=-1)) + 1
+
+    @cached_property
+    def sides(self) -> Array:
+        """Slopes (m, nx + nu) by state and input."""
+        return np.hstack([self.by_state, self.by_input])
+
+    @cached_property
+    def _before(self) -> bool:
+        """Whether any row sees the input before."""
+        return bool(self.by_before.any())
 
 
-def weights_along(N: int, Q: Array, R: Array, S: Array, P: Array) -> Array:
-    """Weights (N + 1, nx + nu, nx + nu) of every step and the end."""
-    found = np.tile(np.block([[Q, S], [S.T, R]]), (N + 1, 1, 1))
-    found[N] = 0.0
-    found[N, : len(Q), : len(Q)] = P
-    return found
+@dataclass(frozen=True, eq=False)
+class Local:
+    """Statement at a plan (N + 1, nx), (N, nu)."""
+
+    states: Array
+    inputs: Array
+    about: tuple[Array, Array, Array, Array]  # A, B, gaps of the model, and how far the state is from the plan's first
+    by_state: Array  # slopes (N + 1, nx) and (N, nu) of the cost
+    by_input: Array
+    convex: Callable[[], Array]  # Hessian (N + 1, nx + nu, nx + nu) of the cost, or one that is convex in its place
+    hessian: Callable[[Multipliers], Array]  # of the Lagrangian
+    rows: Rows
+    room: Array  # (m,)
+    sizes: tuple[Array, Array]  # of states and inputs
+    extent: Array  # (nu,): of limits of inputs, infinite where there are none
+    cost: Callable[[], float]
+    prices: Array | None = None  # linear and quadratic (s, 2), of violations; None where all limits are hard
+    regulated: Array | None = None  # weights of the gains, where not those of the cost
+    # slopes of which only rounding is left where states and inputs are at their references, and their cost
+    lost: tuple[Array, Array] | None = None
+    lost_cost: float = 0.0
+
+    @property
+    def defects(self) -> float:
+        """Largest gap in the plan, in sizes of states."""
+        return max(largest(part / self.sizes[0]) for part in self.about[2:])
+
+    @property
+    def force(self) -> float:
+        """Largest slope of the cost, in sizes."""
+        return max(largest(self.by_state * self.sizes[0]), largest(self.by_input * self.sizes[1]))
+
+    def priced(self, relaxed: bool, dear: float) -> Array | None:
+        """Prices of violations, `dear` where all are relaxed."""
+        return np.full((self.rows.violations, 2), dear) if relaxed and self.prices is None else self.prices
 
 
-def _weighed(weights: Array, states: Array, inputs: Array) -> Array:
-    """Products (N + 1, nx + nu) of matrices with states (N + 1, nx) and inputs (N, nu)."""
-    return np.asarray(weights @ np.hstack([states, np.vstack([inputs, 0 * inputs[:1]])])[:, :, None])[:, :, 0]
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Result of one quadratic program for a plan."""
+
+    # by what it moves the plan: (N + 1, nx) and (N, nu)
+    states: Array
+    inputs: Array
+    gains: Array  # (N, nu, nx): of the feedback along the plan that keeps it together
+    size: float  # largest move, in sizes of states and inputs
+    defects: float  # of the plan, see `Local`
+    # of the plan with the multipliers of the program, relative to the gradients that balance; or, where that is less,
+    # how far inputs would still move, in parts of their limits, and what part of the cost that would save
+    stationarity: float
+    relaxed: bool  # whether limits of states had to be relaxed
+    solved: bool
+    newton: bool = False  # whether its Hessian was the Lagrangian's
+    program: _Program | None = None
+    _balanced: Callable[[], Multipliers] = lambda: Multipliers(np.zeros(0), np.zeros(0))
+
+    @cached_property
+    def multipliers(self) -> Multipliers:
+        """Multipliers of the plan after the step."""
+        return self._balanced()
+
+    @property
+    def error(self) -> float:
+        """Larger of gaps and stationarity."""
+        return max(self.defects, self.stationarity)
+
+    @property
+    def strict(self) -> bool:
+        """Whether the Lagrangian's Hessian is positive definite along limits that push: no saddle."""
+        own = self.program
+        return own is not None and _program(own.local, own.dear, self.multipliers) is not None
+
+    def soon(self, before: Step, programs: int) -> bool:
+        """Whether falling moves will be gone after so many programs.
+
+        Those of Newton's method fall ever faster as they go on (Deuflhard, Newton Methods, 2004).
+        """
+        rate = self.size / max(before.size, TINY)
+        return rate < 1.0 and (self.newton or bool(np.log(KKT / self.size) / np.log(rate) <= programs))
+
+
+@dataclass(frozen=True, eq=False)
+class _Program:
+    """Minimise ½ z'Hz + (by_state + by_input)'z within limits.
+
+    z is the v of `moved`; H is block diagonal with `blocks` (b, n/b, n/b).
+    """
+
+    local: Local
+    dear: float
+    along: Along  # (A, B, gains, gaps, first): arguments of `moved` but for v
+    hessian: Array  # (N + 1, nx + nu, nx + nu): of the Lagrangian
+    held: Array  # (m,): prices of moves across rows, half of what they add to the Hessian
+    blocks: Array
+    roots: Array  # blocks of T for which y, z = Ty, has the Hessian 1
+    start: tuple[Array, Array]  # moves of z = 0
+    by_state: Array
+    by_input: Array
+    lost: Array
+
+    @property
+    def gradient(self) -> Array:
+        """Linear cost."""
+        return self.by_state + self.by_input
+
+    @cached_property
+    def unit(self) -> Array:
+        """Sizes (n,) of z in which inputs of any units count alike."""
+        return np.asarray(1 / np.sqrt(np.diagonal(self.blocks, axis1=1, axis2=2)).ravel())
+
+    def moves(self, z: Array) -> tuple[Array, Array]:
+        """Moves (N + 1, nx) of states and (N, nu) of inputs."""
+        by_state, by_input = moved(*self.along, z.reshape(1, len(self.local.inputs), -1))
+        return by_state[0], by_input[0]
+
+    def curvature(self, z: Array) -> Array:
+        """Product Hz (n,)."""
+        return np.asarray(self.blocks @ z.reshape(*self.blocks.shape[:2], 1)).ravel()
+
+    def unrest(self, force: Array, balance: float, change: Array, gain: float) -> float:
+        """Stationarity, see `Step`, where a move makes a gradient (n,) vanish."""
+        local, found = self.local, largest(force * self.unit) / balance
+        still = largest(change / local.extent) if np.isfinite(local.extent).all() else np.inf
+        if still >= found:
+            return found
+        return min(found, max(still, abs(gain) / max(abs(local.cost()), local.lost_cost, TINY)))
+
+    def multipliers(self, moves: Array, change: Array, taken: Array, pushes: Array) -> Multipliers:
+        """Multipliers of the plan after moves, for those of the rows taken."""
+        local = self.local
+        found = np.zeros(len(local.room))
+        found[taken] = pushes
+        found += 2 * self.held * local.rows.along(moves, change)
+        slopes = _bent(local, self.hessian, moves, change)
+        by_state, by_input = local.rows.pushed(np.maximum(found, 0.0), *slopes)
+        return Multipliers(pulled(*self.along[:3], by_state[None], by_input[None])[1][0, 1:], np.maximum(found, 0.0))
+
+
+def next_step(local: Local, dear: float, *, relaxed: bool = False, multipliers: Multipliers | None = None,
+              last: Step | None = None) -> Step:  # fmt: skip
+    """Move of a plan, none at an optimum.
+
+    `dear` is the price of a violation that cannot be avoided, or with `relaxed` of every one: linear and quadratic.
+    With `multipliers` it has the Lagrangian's Hessian, where that is then convex along the model. They are those of the
+    step before, `last`, where there is one.
+
+    Its variables are v = du + K dx with the gains of the regulator along the plan, for which the Hessian is block
+    diagonal and an unstable model does no harm (Rossiter, Kouvaritakis and Rice, Automatica 34(1), 1998). A program
+    begins with the limits that act in the plan and takes in what its solution passes, and what is nearest until it has
+    twice as many, until it passes none: its dense part grows with the limits that act, all else with the horizon.
+    """
+    none = np.zeros(local.about[1].transpose(0, 2, 1).shape)
+    failed = Step(local.states, local.inputs, none, np.inf, local.defects, np.inf, False, False)
+    if not all(np.isfinite(part).all() for part in (*local.about, local.by_state, local.by_input)):
+        return failed
+    hessian = None
+    if last is not None and multipliers is not None:
+        confirmed = _confirmed(local, dear, multipliers, last)
+        if confirmed.error <= KKT:
+            return confirmed
+        if last.newton and last.program is not None and confirmed.error**2 <= KKT * last.error:
+            hessian = last.program.hessian  # falling as before, the error will be gone with the same one
+    newton = None if multipliers is None else _program(local, dear, multipliers, hessian)
+    program = newton or _program(local, dear, None)
+    if program is None:
+        return failed
+    z, relaxed, solved, *pushes = _solve(program, dear, relaxed)
+    moves, change = program.moves(z)
+    curvature = program.curvature(z)
+    parts = (program.by_state, program.by_input, program.gradient + curvature, program.lost)
+    balance = max(*(largest(part * program.unit) for part in parts), TINY)
+    gain = -float(program.gradient @ z + 0.5 * z @ curvature)
+    stationarity = program.unrest(curvature, balance, change, gain)
+    size = max(largest(moves / local.sizes[0]), largest(change / local.sizes[1]))
+    found = moves, change, program.along[2], size, local.defects, stationarity
+    balanced = partial(program.multipliers, moves, change, *pushes)
+    return Step(*found, relaxed, solved, newton is not None, program, balanced)
+
+
+def carried(plan: Plan) -> Multipliers | None:
+    """Multipliers that a plan carries."""
+    return None if plan.costates is None or plan.pushes is None else Multipliers(plan.costates, plan.pushes)
+
+
+def convex(local: Local) -> bool:
+    """Whether the program without multipliers is convex."""
+    return _program(local, 0.0, None) is not None
+
+
+def _confirmed(local: Local, dear: float, multipliers: Multipliers, last: Step) -> Step:
+    """Step that does not move, with its residuals.
+
+    Gradients are weighed as in the program before. A row that pushes has no room, and a violation its price.
+    """
+    program, rows, pushes = last.program, local.rows, multipliers.pushes
+    assert program is not None
+    none = np.zeros_like(local.by_state), np.zeros_like(local.by_input)
+    parts = (local.by_state, none[1]), (none[0], local.by_input), rows.pushed(pushes, *none)
+    by_state, by_input = (np.stack(side) for side in zip(*parts))
+    each = pulled(*local.about[:2], program.along[2], by_state, by_input)[0].reshape(len(parts), -1)
+    balance = max(largest(each * program.unit), largest(program.lost * program.unit), TINY)
+    gradient, roots = each.sum(axis=0), program.roots
+    y = _times(roots, gradient[None]).reshape(*roots.shape[:2], 1)
+    z = (roots @ y).reshape(1, *none[1].shape)
+    change = moved(*local.about[:2], program.along[2], none[0][1:], none[0][0], z)[1]
+    room, prices, force = local.room / rows.units, local.priced(last.relaxed, dear), pushes * rows.units
+    strongest, unbalanced = max(largest(force), TINY), 0.0
+    if prices is not None:
+        soft = np.flatnonzero(rows.slots >= 0)
+        slots, over, of_slots = rows.slots[soft], np.zeros(len(prices)), np.zeros(len(prices))
+        np.maximum.at(over, slots, -local.room[soft] / rows.amounts[soft])
+        np.add.at(of_slots, slots, rows.amounts[soft] * pushes[soft])
+        room[soft] += rows.amounts[soft] * over[slots] / rows.units[soft]
+        price = prices[:, 0] + 2 * prices[:, 1] * over
+        strongest = max(strongest, largest(price[over > 0]))
+        apart = (of_slots - price) / strongest
+        unbalanced = largest(np.where(over > 0, np.minimum(np.abs(apart), over), np.maximum(apart, 0.0)))
+    left = np.maximum(np.minimum(room, force / strongest), -room)
+    return replace(
+        last, states=none[0], inputs=none[1], size=0.0, defects=max(local.defects, left.max(initial=0.0), unbalanced),
+        stationarity=program.unrest(gradient, balance, change, 0.5 * float((y * y).sum())),
+        _balanced=lambda: multipliers,
+    )  # fmt: skip
+
+
+def _held(local: Local, dear: float, pushes: Array) -> Array:
+    """Prices (m,) of moves across limits that push.
+
+    No move along them pays it, so what the program comes to is the same, and the Hessian is positive definite where it
+    is along the limits (Debreu, Econometrica 20, 1952).
+    """
+    rows = local.rows
+    room = local.room / rows.units
+    firm = (rows.slots < 0) if local.prices is not None else np.ones(len(room), dtype=bool)
+    acting = (pushes > 0) & (room <= FEASIBLE) & (firm | (room >= -FEASIBLE)) & ~rows.by_before.any(axis=1)
+    return np.where(acting, dear / rows.units**2, 0.0)
+
+
+def _program(local: Local, dear: float, multipliers: Multipliers | None,
+             hessian: Array | None = None) -> _Program | None:  # fmt: skip
+    """Program about v = 0, None where it is not convex."""
+    A, B, gaps, first = local.about
+    held, rows = np.zeros(len(local.room)), local.rows
+    if multipliers is not None:
+        held = _held(local, dear, multipliers.pushes)
+    near = np.flatnonzero(held)
+    sides = rows.sides[near]
+    try:
+        if hessian is None:
+            hessian = local.convex() if multipliers is None else local.hessian(multipliers)
+        whole = hessian.copy()
+        np.add.at(whole, rows.steps[near], 2 * held[near, None, None] * sides[:, :, None] * sides[:, None])
+        gains, deviating = gains_along(A, B, whole / 2 if local.regulated is None else local.regulated)
+        blocks = 2 * deviating if local.regulated is None else _condensed(A, B, gains, whole)
+        roots = _roots(blocks)
+    except np.linalg.LinAlgError:  # not convex, or slopes so steep that their products are no numbers
+        return None
+    if not np.isfinite(roots).all():
+        return None
+    along = A, B, gains, gaps, first
+    drift, lead = (part[0] for part in moved(*along, np.zeros((1, *local.inputs.shape))))
+    slopes = [_bent(local, whole, drift, lead), *([] if local.lost is None else [local.lost])]
+    # what states cost and what inputs cost, apart
+    by_state = np.concatenate([np.stack([of_states, 0 * of_states]) for of_states, _ in slopes])
+    by_input = np.concatenate([np.stack([0 * of_inputs, of_inputs]) for _, of_inputs in slopes])
+    own, other, *lost = pulled(*along[:3], by_state, by_input)[0].reshape(len(by_state), -1)
+    left = COST_ROUNDING * np.abs(lost).sum(axis=0) if lost else np.zeros(len(own))
+    return _Program(local, dear, along, hessian, held, blocks, roots, (drift, lead), own, other, left)
+
+
+def _condensed(A: Array, B: Array, gains: Array, hessian: Array) -> Array:
+    """Hessian (1, n, n) by v."""
+    N, nx, nu = B.shape
+    n = N * nu
+    states, inputs = moved(A, B, gains, np.zeros((N, nx)), np.zeros(nx), np.eye(n).reshape(n, N, nu))
+    Z = np.concatenate([states, np.append(inputs, 0 * inputs[:, :1], axis=1)], axis=2).transpose(1, 2, 0)
+    H = Z.reshape(-1, n).T @ (hessian @ Z).reshape(-1, n)
+    return np.asarray((H + H.T) / 2)[None]
+
+
+def _bent(local: Local, hessian: Array, moves: Array, change: Array) -> tuple[Array, Array]:
+    """Slopes (N + 1, nx) and (N, nu) after moves, by a Hessian."""
+    by_both = (hessian @ both(moves, change)[:, :, None])[:, :, 0]
+    nx = moves.shape[1]
+    return local.by_state + by_both[:, :nx], local.by_input + by_both[:-1, nx:]
+
+
+def _solve(program: _Program, dear: float, relaxed: bool) -> tuple[Any, ...]:
+    """Variables, whether limits were relaxed, whether it was solved, rows taken in and their multipliers."""
+    local = program.local
+    if local.prices is None and not relaxed:
+        z, solved, *rows = _within(program, None)
+        if solved or not local.rows.violations:
+            return z, False, solved, *rows
+    z, solved, *rows = _within(program, local.priced(True, dear))
+    return z, local.prices is None, solved, *rows
+
+
+def _within(program: _Program, prices: Array | None) -> tuple[Array, bool, Any, Array]:
+    """Solution as of `_solve`, violations at a linear and quadratic price or not allowed."""
+    local, rows, n = program.local, program.local.rows, len(program.by_state)
+    q, size = _times(program.roots, program.gradient[None])[0], np.zeros(0)
+    if prices is not None:  # a violation of this size has the quadratic cost ½
+        size = 1 / np.sqrt(2 * prices[:, 1])
+        q = np.concatenate([q, prices[:, 0] * size])
+    bounds = local.room - rows.along(*program.start)
+    fresh = np.flatnonzero((local.room <= PRIMAL * rows.units) | (program.held > 0))
+    taken, matrix = np.zeros(0, dtype=int), np.zeros((0, len(q)))
+    while True:
+        more, least = np.zeros((len(fresh), len(q))), np.zeros((0, len(q)))
+        more[:, :n] = _times(program.roots, rows.pulled(program.along, fresh))
+        taken, matrix = np.concatenate([taken, fresh]), np.vstack([matrix, more])
+        if prices is not None:
+            soft = np.flatnonzero(rows.slots[taken] >= 0)
+            slots = rows.slots[taken[soft]]
+            matrix[soft, n + slots] = -rows.amounts[taken[soft]] * size[slots]
+            least = -np.eye(len(q))[n + np.unique(slots)]
+        sides = np.concatenate([bounds[taken], np.zeros(len(least))])
+        units = np.concatenate([rows.units[taken], np.ones(len(least))])
+        y, pushes, solved = _least(q, np.vstack([matrix, least]), sides, units)
+        z = (program.roots @ y[:n].reshape(*program.roots.shape[:2], 1)).ravel()
+        room = (local.room - rows.along(*program.moves(z))) / rows.units
+        room[taken] = np.inf
+        passed = np.count_nonzero(room < -PRIMAL)
+        if not (solved and passed):
+            return z, solved, taken, pushes[: len(taken)]
+        fresh = np.argsort(room)[: min(max(passed, len(taken)), len(room) - len(taken))]
 
 
 def _roots(blocks: Array) -> Array:
@@ -391,13 +462,14 @@ def _least(q: Array, rows: Array, bounds: Array, units: Array) -> tuple[Array, A
     return basis @ (result.z + own) - q, result.multipliers, not result.infeasible
 
 
-def rounding_of_cost(problem: MPCProblem, given: Given) -> float:
-    """Cost of states and inputs at their references but for rounding."""
-    nothing = np.zeros((problem.horizon + 1, problem.nx)), np.zeros((problem.horizon, problem.nu))
-    error, effort = deviations(*nothing, given)
-    return COST_ROUNDING**2 * cost_of(problem, effort, error, {})
+def both(states: Array, inputs: Array) -> Array:
+    """States (N + 1, nx) beside inputs (N, nu), none at the end."""
+    nx = states.shape[1]
+    found = np.zeros((len(states), nx + inputs.shape[1]))
+    found[:, :nx], found[:-1, nx:] = states, inputs
+    return found
 
 
-def _largest(values: Array) -> float:
+def largest(values: Array) -> float:
     """Largest size of an entry."""
     return float(np.abs(values).max(initial=0.0))

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -316,3 +317,40 @@ def test_a_single_state_without_bounds_takes_limits_of_functions(limit):
                   u_bounds=(-1, 1), **limit)  # fmt: skip
     law = NonlinearMPC(phase, horizon=10)
     assert float(law.solve([0.2]).states[-1, 0]) == pytest.approx(0.5, abs=1e-5)
+
+
+def vehicle(scale, prices):
+    """A unicycle in units, past a disc that moves, with a soft limit, a rate limit and a price of turns."""
+
+    def step(x, u):
+        return x + 0.2 * ca.vertcat(scale * u[0] * ca.cos(x[2]), scale * u[0] * ca.sin(x[2]), u[1])
+
+    def path(x, t):
+        disc = 0.25 - (x[0] / scale - 1.0 - 0.02 * t) ** 2 - (x[1] / scale - 0.6) ** 2
+        return ca.vertcat(disc, x[1] / scale - 0.7)
+
+    return NonlinearMPC(Phase(
+        step, 3, 2, discrete=True, duration=12, u_bounds=([-1, -1.5], [1, 1.5]), path=path, path_prices=prices,
+        stage_cost=lambda x, u, u_prev: ca.sumsqr(x[:2] / scale) + 0.1 * ca.sumsqr(u) + 0.2 * (u[1] - u_prev[1]) ** 2,
+        terminal_cost=lambda x: 5 * ca.sumsqr(x[:2] / scale),
+    ), rate_limit=[0.8, 1.0])  # fmt: skip
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e3])
+@pytest.mark.parametrize("prices", [([None, 3.0], [None, 0.0]), ([None, 0.2], [None, 4.0])], ids=["linear", "both"])
+def test_plans_followed_by_programs_are_the_optima_of_the_solver(scale, prices):
+    law = vehicle(scale, prices)
+    x, u = np.array([2.2 * scale, 1.0 * scale, 3.0]), np.zeros(2)
+    by = []
+    for k in range(12):
+        signals = {"u_prev": u, "t": float(k)}
+        u = law(x, **signals)
+        plan = law.last_plans[0]
+        assert plan.status is Status.SOLVED
+        by.append(plan.solver)
+        other = law.solve(x, start=replace(plan, costates=None), **signals)
+        assert other.solver == "Ipopt"
+        assert plan.cost == pytest.approx(other.cost, rel=1e-6)
+        assert plan.inputs == pytest.approx(other.inputs, abs=1e-3)
+        x = plan.states[1] + 2e-3 * np.array([scale, scale, 1.0])
+    assert by.count("SQP") >= 9

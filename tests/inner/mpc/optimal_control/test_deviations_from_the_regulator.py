@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mpc.optimal_control.condensing import gains_along
-from mpc.optimal_control.sqp import weights_along
+from mpc.optimal_control.quadratic_stages import weights_along
 
 
 def simulated(v, A, B, gains, weights):

@@ -43,7 +43,7 @@ def test_where_no_program_is_solved_the_shifted_plan_stands_in(monkeypatch):
     controller(x)
     before = controller.last_plans[0]
     monkeypatch.setattr(
-        "mpc.optimal_control.quadratic_planner.Sequential.step", lambda *a, **k: SimpleNamespace(solved=False)
+        "mpc.optimal_control.quadratic_planner.next_step", lambda *a, **k: SimpleNamespace(solved=False)
     )  # fmt: skip
     u = controller(before.states[1])
     plan = controller.last_plans[0]

@@ -10,6 +10,7 @@ import pytest
 from mpc import InputError
 from mpc.optimal_control import NonlinearMPC
 from mpc.optimal_control.c_code import real_time_iteration
+from mpc.optimal_control.sqp import next_step
 
 CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
@@ -64,7 +65,7 @@ def test_its_program_is_that_of_python(limits, sx, su, cost):
     planner = controller.planner
     at = planner.shifted(plan, given)
     dear = 100 * ca_cost(controller, at, given)
-    step = planner.programs.step(x, at.states, at.inputs, given["w"][:, None], controller.p, given, dear)
+    step = next_step(planner.stages.at(x, at.states, at.inputs, given), dear)
     iteration = real_time_iteration(controller.linear, controller.model)
     arguments = [x, plan.states.T, plan.inputs.T, given["w"][None], controller.p, given["x_ref"].reshape(-1, 2).T,
                  given["u_ref"][None], *last.values(), 0]  # fmt: skip
