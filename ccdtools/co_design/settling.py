@@ -72,7 +72,10 @@ class Settling:
         return self._policy_checked(result, loop) if _learned(result.controller) else result
 
     def continued(self, first: CoDesignResult, further: CoDesignResult) -> CoDesignResult:
-        """The result that went on from a first one where it gained beyond chance, else the first."""
+        """The result that went on from a first one, or the first.
+
+        It gained beyond chance, or it is settled, the first is not, and neither is better.
+        """
         assert first.closed_loop is not None
         assert further.closed_loop is not None
         before, after = first.closed_loop, further.closed_loop
@@ -80,7 +83,8 @@ class Settling:
         gain = difference_of_parts(self.problem.risk, after.parts(both) - before.parts(both), both)
         named = self._in_parts(f"{further.method} from its end", further.design, gain, before)
         worse = further.status in (CoDesignStatus.DIVERGING, CoDesignStatus.LIMITS_BROKEN)
-        if worse or not named.gain.ci95[0] > 0:
+        settles = further.status.settled and not first.status.settled and named.gain.ci95[0] > -NOT_WORSE
+        if worse or not (named.gain.ci95[0] > 0 or settles):
             return replace(first, baselines=(*first.baselines, named))
         low, high = (100 * end for end in named.gain.ci95)
         gained = f"{100 * named.gain.mean:.2f} % [{low:.2f}, {high:.2f}]"
@@ -274,6 +278,8 @@ class Settling:
             wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
             if check.blind > BLIND_SHARE:
                 wrong = f"the policy has no gradient in {check.blind:.0%} of the runs"
+            if not wrong and getattr(self.problem.model, "jump", None):
+                wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
         found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2))
