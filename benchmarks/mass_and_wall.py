@@ -5,7 +5,7 @@
 The mass flies towards a wall behind its target and may use it as a brake. At the bounce the speed jumps, which no
 derivative through the model sees. The optimum is that of dynamic programming over position, speed and time, on a grid
 of its own (bilinear values, five quadrature points of the disturbance), measured in closed loop like everything else:
-4000 runs, the same for all. Nothing was developed on the second and third case.
+4000 runs, the same for all. Nothing was developed on the fourth case.
 """
 
 from __future__ import annotations
@@ -120,6 +120,7 @@ CASES = (
     Case(),
     Case(wall=-0.2, restitution=0.6, force=6.0, weight=0.1, push=0.6),
     Case(wall=-1.0, restitution=0.9, force=2.0, weight=0.3, push=0.2, lower=(0.5, -5.0), upper=(2.0, -3.0)),
+    Case(wall=-0.4, restitution=0.5, force=4.0, weight=0.05, push=0.4, lower=(1.0, -6.0), upper=(2.5, -3.0)),
 )
 
 
