@@ -1,4 +1,4 @@
-"""Draw the picture of explanation/conventions.md: the wheel after a bump, finely and at the paper's samples."""
+"""Draw the picture of reference/conventions.md: the wheel after a bump, finely and at the paper's samples."""
 
 from dataclasses import replace
 
