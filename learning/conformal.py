@@ -120,7 +120,7 @@ class Conformal:
         s = as_floats("scores", scores)
         level = check_number(level, "level", 0.0, 1.0)
         x = np.log(_as_scale(scale, s))
-        y = np.log(np.maximum(s, np.finfo(float).eps))
+        y = np.log(np.maximum(s, max(np.finfo(float).eps * s.max(), np.finfo(float).tiny)))
 
         def loss(exponent: float) -> float:
             off = y - exponent * x

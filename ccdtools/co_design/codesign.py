@@ -29,7 +29,7 @@ METHODS = (*MODEL_BASED, *LEARNED)
 class Method(Protocol):
     """Way to co-design.
 
-    One with a method `instead(result)` is asked for another that goes on from a result, or None. One with
+    One with a method `instead(result, problem)` is asked for another that goes on from a result, or None. One with
     `following(agent)` is asked for the same from the policy of a former generation.
     """
 
@@ -117,12 +117,16 @@ def codesign(
     result = chosen.run(problem, np.asarray(first), rng, progress=progress)
     seconds = time.perf_counter() - began
     result = settling.checked(result)
-    other = chosen.instead(result) if hasattr(chosen, "instead") else None
-    if other is not None:
-        began = time.perf_counter()
-        further = other.run(problem, result.design, rng, progress=progress)
+    for _ in range(2):  # once more where something is better again
+        other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
+        if other is None:
+            break
+        began, before = time.perf_counter(), result
+        chosen, further = other, other.run(problem, result.design, rng, progress=progress)
         seconds += time.perf_counter() - began
-        result = settling.continued(result, settling.checked(further))
+        result = settling.continued(before, settling.checked(further))
+        if result.evaluations == before.evaluations:  # nothing was gained
+            break
     return replace(
         result, seconds=seconds, controller=behind_filter(problem, result.controller, result.design),
         described=space.describe(result.design), active_bounds=space.active_bounds(result.design),

@@ -104,10 +104,11 @@ def better_by_plans(
 ) -> PairedDifference:
     """Gain of holding other inputs from the start.
 
-    The policy goes on. `work` is how many steps of the model it may take.
+    The policy goes on. A warm-up is the policy's own. `work` is about how many steps of the model it takes, for sixteen
+    starts or more.
     """
     p = torch.tensor(policy.design, dtype=torch.float32)
-    starts, _ = scenario_tensors(problem, 1024, rng)
+    starts = _seen(problem, policy.agent, p, scenario_tensors(problem, 256, rng))[0]
     plans, _ = best_plans(problem, policy.agent, p, starts, rng, work=work)
     return paired_difference(plans.returns.numpy(), plans.own.numpy())
 
@@ -122,8 +123,8 @@ def along_plans(
     They are observations (k, n_obs) from states on that a policy visits, inputs (k, nu) and weights (k,). What is held
     weighs as much more as it gains; of what the policy does afterwards about `further` samples of a run are among them.
     """
-    T, step, law = problem.steps, Stepper.at(problem, p), mean_law(agent, p)
-    x, *_ = visited(step, law, scenario_tensors(problem, fewer_runs(256, T), rng))
+    T, step, law = problem.steps - problem.warm_up, Stepper.at(problem, p), mean_law(agent, p)
+    x = _seen(problem, agent, p, scenario_tensors(problem, fewer_runs(256, T), rng)).flatten(0, 1)
     x = x[~step.left(x)]
     x = x[torch.as_tensor(rng.permutation(len(x)))]
     plans, w = best_plans(problem, agent, p, x, rng, work=work)
@@ -134,24 +135,26 @@ def along_plans(
     held = torch.arange(T).repeat_interleave(n) < samples.repeat(T)
     kept = (~seen.diverged).repeat(T) & ~step.left(states)
     kept &= held | torch.as_tensor(rng.random(len(states)) < further / T)
-    weights = 1.0 + torch.where(held, (plans.gain / plans.gain.mean().clamp(min=1e-12)).repeat(T), 0.0)
+    relative = plans.gain / plans.gain.mean().clamp(min=torch.finfo(torch.float64).tiny)
+    weights = 1.0 + torch.where(held, relative.repeat(T), 0.0)
     return observe(states[kept, problem.hidden :], p), inputs[kept], weights[kept].float()
 
 
 @torch.no_grad()
 def best_plans(
     problem: CoDesignProblem, agent: ActorCritic, p: Tensor, x: Tensor, rng: np.random.Generator, *, work: int,
-    levels: int = 5, draws: int = 4,
+    levels: int = 5, durations: int = 5, draws: int = 4, least: int = 16,
 ) -> tuple[Plans, Tensor]:  # fmt: skip
     """Best plans, and a disturbance of each.
 
-    They are from as many of the states as `work` steps of the model allow. Held are `levels` values of one input, the
-    others as the policy has them, for 1, 2, 4, ... samples, at most half an episode. Half of the `draws` of the
-    disturbance choose. No plan counts that loses runs or leaves the limits further.
+    They are from as many states as `work` steps of the model allow, and from `least`. Held are `levels` values of one
+    input, the others as the policy has them, for `durations` from a sample to half an episode. Half of the `draws` of
+    the disturbance choose. No plan counts that loses runs or leaves the limits further.
     """
-    T, nu = problem.steps, problem.model.nu
-    tries = list(product(range(nu), np.linspace(-1, 1, levels), [2**k for k in range(T.bit_length() - 1)]))
-    x = x[: max(work // (T * draws * (len(tries) + 1)), 32)]
+    T, nu = problem.steps - problem.warm_up, problem.model.nu
+    counts = np.unique(np.geomspace(1, max(T / 2, 1), durations).round().astype(int)).tolist()
+    tries = list(product(range(nu), np.linspace(-1, 1, levels), counts))
+    x = x[: max(work // (T * draws * (len(tries) + 1)), least)]
     n = len(x)
     later = replace(problem, warm_up=0)
     step, law = Stepper.at(later, p), mean_law(agent, p)
@@ -174,11 +177,18 @@ def best_plans(
         inputs = usual.clone()
         inputs[:, j] = middle[:, j] + level * half[:, j]
         returns, depths = tried(inputs, torch.full_like(samples, count))
-        ahead = (returns[0] > chosen[0]) & (depths <= deep).all(0)
+        ahead = (returns[0] > chosen[0]) & (depths[0] <= deep[0])
         chosen = torch.where(ahead, returns, chosen)
         first = torch.where(ahead[:, None], inputs, first)
         samples = torch.where(ahead, count, samples)
     return Plans(first, samples, chosen[1], own[1]), w[::draws]
+
+
+def _seen(problem: CoDesignProblem, agent: ActorCritic, p: Tensor, scenarios: ScenarioTensors) -> Tensor:
+    """States (T, n, nx) that a policy visits after the warm-up."""
+    states, *_ = visited(Stepper.at(problem, p), mean_law(agent, p), scenarios)
+    by_sample: Tensor = states.unflatten(0, (-1, len(scenarios[0])))
+    return by_sample[problem.warm_up :]
 
 
 @torch.no_grad()

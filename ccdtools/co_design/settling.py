@@ -88,9 +88,8 @@ class Settling:
             return replace(first, baselines=(*first.baselines, named))
         low, high = (100 * end for end in named.gain.ci95)
         gained = f"{100 * named.gain.mean:.2f} % [{low:.2f}, {high:.2f}]"
-        note = (
-            f"{first.method} ended with {first.status.value}; {further.method} went on from there and gained {gained}"
-        )
+        did = "gained" if named.gain.ci95[0] > 0 else "settled beside it,"
+        note = f"{first.method} ended with {first.status.value}; {further.method} went on from there and {did} {gained}"
         further = replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
         if isinstance(first, LearnedCoDesign) and isinstance(further, LearnedCoDesign):
             gains = {part: gain + first.gains.get(part, 0.0) for part, gain in further.gains.items()}
@@ -278,7 +277,7 @@ class Settling:
             wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
             if check.blind > BLIND_SHARE:
                 wrong = f"the policy has no gradient in {check.blind:.0%} of the runs"
-            if not wrong and getattr(self.problem.model, "jump", None):
+            if not wrong and result.method == "pathwise" and getattr(self.problem.model, "jump", False):
                 wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
@@ -295,9 +294,13 @@ class Settling:
 
     @property
     def _may_have_other_optima(self) -> bool:
-        """Whether plans may; those of a linear model with quadratic costs are MPC's, a baseline."""
+        """Whether plans are to be tried.
+
+        Of a linear model with quadratic costs MPC, a baseline, has the best ones. Behind sensors they would know the
+        state.
+        """
         plain = isinstance(self.problem.model, LinearModel) and isinstance(self.problem.objective, QuadraticObjective)
-        return isinstance(self.problem.risk, Mean) and not plain
+        return isinstance(self.problem.risk, Mean) and not self.problem.hidden and not plain
 
 
 def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:

@@ -26,7 +26,7 @@ from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.loops import lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
-from ccdtools.co_design.risk import check_followed, measure
+from ccdtools.co_design.risk import Mean, check_followed, measure
 from ccdtools.co_design.rollouts import improved
 from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
@@ -69,7 +69,8 @@ class Learned:
         and inputs instead, and begins by imitating LQG.
     rollouts : int
         Rounds of policy iteration at the first design before the climb: other inputs are held for a while, and what
-        returns more is imitated, jumps or not. `codesign` takes some where it goes on from a climb.
+        returns more in the mean is imitated, jumps or not. `codesign` takes some where it goes on from a climb. Of
+        states that are seen.
     """
 
     by: str = "pathwise"
@@ -126,6 +127,9 @@ class Learned:
         check_agent(problem, agent)
         given = agent
         if self.rollouts:
+            if problem.hidden or not isinstance(judge.risk, Mean):
+                got = "sensors, whose states plans would know" if problem.hidden else f"a {type(judge.risk).__name__}"
+                raise InputError("rollouts", f"{self.rollouts}, of a problem with {got}", "0")
             agent = improved(judge, agent, design, rng, rounds=self.rollouts)
         limits = self.limits
         if limits is None and judge.limit_tolerance != "off":
@@ -149,16 +153,18 @@ class Learned:
         """Method that goes on from an agent."""
         return replace(self, agent=agent)
 
-    def instead(self, result: CoDesignResult) -> Learned | None:
+    def instead(self, result: CoDesignResult, problem: CoDesignProblem) -> Learned | None:
         """PPO, after rollouts, from where a climb led to no optimum of the policy; else None."""
         known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY
         ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
         behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
         config: Any = self.config
         climbed = self.by == "pathwise" and config.policy_rate > 0 and (known or behind)
-        if self.rollouts or not (climbed or (self.by == "ppo" and result.status in LED_ASTRAY)):
+        again = self.by == "ppo" and result.status in LED_ASTRAY
+        if not (climbed or again) or not isinstance(problem.risk, Mean):
             return None
-        return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=5)
+        rounds = 5 if problem.measurement is None else 0
+        return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=rounds)
 
 
 def _first_agent(
