@@ -375,7 +375,10 @@ def test_a_policy_is_not_led_by_a_gradient_that_half_of_its_runs_lack(monkeypatc
     monkeypatch.setattr("ccdtools.co_design.settling.better_by_search", lambda *_: None)
     none = Baseline("retuned", ONE, PairedDifference(0.0, (-1.0, 1.0)))
     stated = SimpleNamespace(
-        problem=None, _drawn=lambda *_: None, _in_parts=lambda *_: none, _may_have_other_optima=False
+        problem=SimpleNamespace(model=None),
+        _drawn=lambda *_: None,
+        _in_parts=lambda *_: none,
+        _may_have_other_optima=False,
     )
     agent = ActorCritic([-1, 0], [1, 1], [-1.0], [1.0], config=NetworkConfig((3,)), seed=0)
     history = History(*(np.zeros(1) for _ in range(2)), np.zeros((1, 1)), *(np.zeros(1) for _ in range(3)))
