@@ -160,7 +160,7 @@ class Learned:
         behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
         config: Any = self.config
         climbed = self.by == "pathwise" and config.policy_rate > 0 and (known or behind)
-        again = self.by == "ppo" and result.status in LED_ASTRAY
+        again = self.by == "ppo" and self.rollouts > 0 and result.status in LED_ASTRAY
         if not (climbed or again) or not isinstance(problem.risk, Mean):
             return None
         rounds = 5 if problem.measurement is None else 0
