@@ -297,10 +297,12 @@ class Settling:
         """Whether plans are to be tried.
 
         Of a linear model with quadratic costs MPC, a baseline, has the best ones. Behind sensors they would know the
-        state.
+        state, and a learned error is not judged by what a search finds in it.
         """
-        plain = isinstance(self.problem.model, LinearModel) and isinstance(self.problem.objective, QuadraticObjective)
-        return isinstance(self.problem.risk, Mean) and not self.problem.hidden and not plain
+        problem = self.problem
+        plain = isinstance(problem.model, LinearModel) and isinstance(problem.objective, QuadraticObjective)
+        known = not problem.hidden and problem.discrepancy is None
+        return isinstance(problem.risk, Mean) and known and not plain
 
 
 def _unless_broken(result: CoDesignResult, loop: ClosedLoopReturns) -> CoDesignResult:
