@@ -137,7 +137,7 @@ def along_plans(
     kept &= held | torch.as_tensor(rng.random(len(states)) < further / T)
     relative = plans.gain / plans.gain.mean().clamp(min=torch.finfo(torch.float64).tiny)
     weights = 1.0 + torch.where(held, relative.repeat(T), 0.0)
-    return observe(states[kept, problem.hidden :], p), inputs[kept], weights[kept].float()
+    return observe(states[kept], p), inputs[kept], weights[kept].float()
 
 
 @torch.no_grad()

@@ -163,7 +163,7 @@ class Learned:
         again = self.by == "ppo" and self.rollouts > 0 and result.status in LED_ASTRAY
         if not (climbed or again) or not isinstance(problem.risk, Mean):
             return None
-        begun_here = self.agent is None and problem.measurement is None and problem.discrepancy is None
+        begun_here = self.agent is self.judge is problem.measurement is problem.discrepancy is None
         rounds = 5 if begun_here else self.rollouts
         return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=rounds)
 
