@@ -163,8 +163,8 @@ class Learned:
         again = self.by == "ppo" and self.rollouts > 0 and result.status in LED_ASTRAY
         if not (climbed or again) or not isinstance(problem.risk, Mean):
             return None
-        begun_here = self.agent is self.judge is problem.measurement is problem.discrepancy is None
-        rounds = 5 if begun_here else self.rollouts
+        given = (self.agent, self.judge, problem.measurement, problem.discrepancy)
+        rounds = 5 if all(one is None for one in given) else self.rollouts
         return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=rounds)
 
 
