@@ -117,7 +117,7 @@ def fit_actor_critic(
 
 def fit_further(
     agent: ActorCritic, inputs: ArrayLike, actions: ArrayLike, rng: np.random.Generator, *,
-    weights: ArrayLike | None = None, steps: int = 1500, batch: int = 2048, rate: float = 2e-3,
+    steps: int = 1500, batch: int = 2048, rate: float = 2e-3,
 ) -> ActorCritic:  # fmt: skip
     """Copy of an agent whose actor is fitted on, to actions of an expert or of its own.
 
@@ -127,13 +127,10 @@ def fit_further(
         Observations.
     actions : (n, nu) array_like
         Within the range of the policy.
-    weights : (n,) array_like, optional
-        Of the samples.
     steps, batch, rate
         Gradient steps, samples of each, and Adam's first rate, which falls to zero along a cosine.
     """
     X, U = (torch.as_tensor(a, dtype=torch.float32) for a in (inputs, actions))
-    W = torch.ones(len(X)) if weights is None else torch.as_tensor(weights, dtype=torch.float32)
     agent = copy.deepcopy(agent)
     optimiser = torch.optim.Adam(agent.mean_network.parameters(), lr=rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
@@ -142,7 +139,7 @@ def fit_further(
         i = torch.from_numpy(rng.integers(0, len(X), min(batch, len(X))))
         error = (scaled(agent.latent(X[i]), (middle[i], half[i]), leak=LEAK) - U[i]) / half[i]
         optimiser.zero_grad()
-        (W[i] * error.square().sum(-1)).mean().backward()
+        error.square().sum(-1).mean().backward()
         optimiser.step()
         schedule.step()
     return agent

@@ -117,16 +117,12 @@ def codesign(
     result = chosen.run(problem, np.asarray(first), rng, progress=progress)
     seconds = time.perf_counter() - began
     result = settling.checked(result)
-    for _ in range(2):  # once more where something is better again
-        other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
-        if other is None:
-            break
-        began, before = time.perf_counter(), result
-        chosen, further = other, other.run(problem, result.design, rng, progress=progress)
+    other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
+    if other is not None:
+        began = time.perf_counter()
+        further = other.run(problem, result.design, rng, progress=progress)
         seconds += time.perf_counter() - began
-        result = settling.continued(before, settling.checked(further))
-        if result.evaluations == before.evaluations:  # nothing was gained
-            break
+        result = settling.continued(result, settling.checked(further))
     return replace(
         result, seconds=seconds, controller=behind_filter(problem, result.controller, result.design),
         described=space.describe(result.design), active_bounds=space.active_bounds(result.design),

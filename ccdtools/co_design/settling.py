@@ -285,9 +285,9 @@ class Settling:
         retuned = self._in_parts("its last layer retuned", result.design, found, loop)
         result = replace(result, baselines=(*result.baselines, retuned))
         if not _better(retuned) and self._may_have_other_optima:
-            from ccdtools.co_design.rollouts import better_by_plans  # loaded where a policy is judged
+            from ccdtools.co_design.held_inputs import better_by_holding  # loaded where a policy is judged
 
-            ahead = better_by_plans(self.problem, policy, copy.deepcopy(self.scenarios))
+            ahead = better_by_holding(self.problem, policy, copy.deepcopy(self.scenarios))
             retuned = self._in_parts("other inputs held from the start", result.design, ahead, loop)
             result = replace(result, baselines=(*result.baselines, retuned))
         return replace(result, status=CoDesignStatus.NOT_STATIONARY) if _better(retuned) else result

@@ -18,6 +18,7 @@ from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
+from ccdtools.co_design.environment import EpisodeEnv
 from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy
 from ccdtools.co_design.landscape import combinations, valleys
 from ccdtools.co_design.learned_result import LearnedCoDesign
@@ -27,7 +28,6 @@ from ccdtools.co_design.loops import lqr_is_expert
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import Mean, check_followed, measure
-from ccdtools.co_design.rollouts import improved
 from ccdtools.co_design.tolerances import SAME_PLACE, WORTH_A_START
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -35,8 +35,9 @@ from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.models import for_long_work
 from ccdtools.progress import at, bar
 from ccdtools.statistics import paired_difference
-from ccdtools_ground.door import as_choice, as_count, as_instance, has_method
+from ccdtools_ground.door import as_choice, as_count, as_flag, as_instance, has_method
 from learning.networks import ActorCritic
+from learning.training import train
 from mpc import MPCError
 
 LED_ASTRAY = (CoDesignStatus.GRADIENT_UNTRUSTED, CoDesignStatus.NOT_STATIONARY)
@@ -67,10 +68,10 @@ class Learned:
         Of a problem with a `measurement` the policy sees the estimate of a Kalman filter of its design, extended where
         the model has expressions; it begins by imitating LQR, behind it LQG. With a number it sees so many last outputs
         and inputs instead, and begins by imitating LQG.
-    rollouts : int
-        Rounds of policy iteration at the first design before the climb: other inputs are held for a while, and what
-        returns more in the mean is imitated, jumps or not. `codesign` takes some where it goes on from a climb. Of
-        states that are seen.
+    from_scratch : bool
+        Whether a policy that PPO learns from nothing, at the first design, climbs beside it: what no small change of an
+        expert's imitation reaches, such as the use of a wall, it may find. `codesign` takes one where it goes on from a
+        climb.
     """
 
     by: str = "pathwise"
@@ -79,7 +80,7 @@ class Learned:
     judge: CoDesignProblem | None = None
     limits: StateLimitPenalty | None = None
     history: int | None = None
-    rollouts: int = 0
+    from_scratch: bool = False
 
     def __post_init__(self) -> None:
         as_choice("method", self.by, METHODS)
@@ -89,7 +90,7 @@ class Learned:
         object.__setattr__(self, "config", as_instance("config", config, CoDesignConfig, "a CoDesignConfig"))
         if self.history is not None:
             as_count("history", self.history)
-        as_count("rollouts", self.rollouts, least=0)
+        as_flag("from_scratch", self.from_scratch)
         if self.judge is not None:
             as_instance("judge", self.judge, CoDesignProblem, "a CoDesignProblem or None")
         if self.limits is not None:
@@ -126,11 +127,6 @@ class Learned:
         agent = first() if self.agent is None else self.agent
         check_agent(problem, agent)
         given = agent
-        if self.rollouts:
-            if problem.hidden or not isinstance(judge.risk, Mean):
-                got = "sensors, whose states plans would know" if problem.hidden else f"a {type(judge.risk).__name__}"
-                raise InputError("rollouts", f"{self.rollouts}, of a problem with {got}", "0")
-            agent = improved(judge, agent, design, rng, rounds=self.rollouts)
         limits = self.limits
         if limits is None and judge.limit_tolerance != "off":
             limits = StateLimitPenalty(judge)
@@ -141,6 +137,8 @@ class Learned:
         agents = [agent]
         if task.moves_policy and self.agent is not None and not problem.hidden and _spoilt(judge, agent, design, rng):
             agents.append(first())
+        if self.from_scratch:
+            agents.append(policy_from_scratch(problem, design, rng))
         ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
         result = _result(task, ascents, given, design, found)
         if not problem.hidden:
@@ -154,18 +152,30 @@ class Learned:
         return replace(self, agent=agent)
 
     def instead(self, result: CoDesignResult, problem: CoDesignProblem) -> Learned | None:
-        """PPO, after rollouts, from where a climb led to no optimum of the policy; else None."""
+        """PPO from where a climb led to no optimum of the policy, and from scratch; else None."""
         known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY
         ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
         behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
         config: Any = self.config
-        climbed = self.by == "pathwise" and config.policy_rate > 0 and (known or behind)
-        again = self.by == "ppo" and self.rollouts > 0 and result.status in LED_ASTRAY
-        if not (climbed or again) or not isinstance(problem.risk, Mean):
+        if self.by != "pathwise" or config.policy_rate == 0 or not (known or behind):
+            return None
+        if not isinstance(problem.risk, Mean):
             return None
         given = (self.agent, self.judge, problem.measurement, problem.discrepancy)
-        rounds = 5 if all(one is None for one in given) else self.rollouts
-        return replace(self, by="ppo", agent=getattr(result, "agent", None), rollouts=rounds)
+        scratch = self.from_scratch or all(one is None for one in given)
+        return replace(self, by="ppo", agent=getattr(result, "agent", None), from_scratch=scratch)
+
+
+def policy_from_scratch(
+    problem: CoDesignProblem, design: Array, rng: np.random.Generator, *, updates: int = 200, runs: int = 16,
+    steps: int = 64,
+) -> ActorCritic:  # fmt: skip
+    """Agent that PPO trains with its defaults at a design (np,), by `updates` of `steps` of each of `runs`."""
+    at("policy that PPO learns from scratch")
+    seed = int(rng.integers(2**31))
+    env = EpisodeEnv(problem, design, runs=runs, rng=rng)
+    generator = torch.Generator().manual_seed(seed)
+    return train(env, env.agent(seed=seed), iterations=updates, steps=steps, generator=generator).agent
 
 
 def _first_agent(
