@@ -5,7 +5,8 @@
 The mass flies towards a wall behind its target and may use it as a brake. At the bounce the speed jumps, which no
 derivative through the model sees. The optimum is that of dynamic programming over position, speed and time, on a grid
 of its own (bilinear values, five quadrature points of the disturbance), measured in closed loop like everything else:
-4000 runs, the same for all. Nothing was developed on the fourth case.
+4000 runs, the same for all. Beside it stands the usual network that is fitted to its law: what a smooth
+policy can do of it. Nothing was developed on the fourth case.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from ccdtools import (
 )  # fmt: skip
 from ccdtools.co_design.differentiable_model import scenario_tensors
 from ccdtools.disturbances import Uniform
+from learning import CloningConfig, fit_actor_critic
 
 DT, STEPS, RUNS, SCENARIOS, DESIGN = 0.1, 60, 4000, 7, [1.0]
 
@@ -115,6 +117,23 @@ class Optimum:
             total -= q**2 + 0.1 * v**2 + case.weight * u**2
         return total
 
+    def imitated(self, steps: int = 10_000) -> LearnedPolicy:
+        """Policy of the usual network that is fitted to the law of the first sample, on the states of 1000 runs."""
+        case = self.case
+        x0, pushes = scenario_tensors(case.problem(), 1000, np.random.default_rng(SCENARIOS + 1))
+        (q, v), seen, inputs = x0.double().numpy().T, [], []
+        for k in range(STEPS):
+            u = self.read(self.laws[0], q, v)
+            seen.append(np.stack([q, v, np.full_like(q, DESIGN[0])], axis=1))
+            inputs.append(u[:, None])
+            q, v = self.moved(q, v, u + pushes[:, k, 0].double().numpy())
+        actor = fit_actor_critic(
+            np.concatenate(seen), np.concatenate(inputs), np.zeros(1000 * STEPS),
+            action_bounds=([-case.force], [case.force]), rng=np.random.default_rng(0),
+            config=CloningConfig(steps=steps),
+        )  # fmt: skip
+        return LearnedPolicy(actor, DESIGN)
+
 
 CASES = (
     Case(),
@@ -135,7 +154,8 @@ def main() -> None:
     for number, case in enumerate(CASES):
         if asked.case not in (None, number):
             continue
-        problem, optimum = case.problem(), Optimum(case).returns()
+        problem, programme = case.problem(), Optimum(case)
+        optimum = programme.returns()
         best = float(optimum.mean())
 
         def mean(controller, problem=problem) -> float:
@@ -144,6 +164,10 @@ def main() -> None:
 
         print(f"{case}\ndynamic programming {best:.3f} ± {2 * optimum.std() / RUNS**0.5:.3f}")
         print(f"saturated LQR {mean(saturated_lqr(problem, DESIGN)):.3f}", flush=True)
+        copied = mean(programme.imitated())
+        print(
+            f"a network fitted to the optimum {copied:.3f}, {100 * (best - copied) / abs(best):.2f} % below", flush=True
+        )
         for method in asked.methods:
             for seed in range(asked.seeds):
                 start = time.process_time()
