@@ -265,6 +265,11 @@ def test_the_interval_holds_chance_of_training_and_of_runs():
     assert (high - low) / 2 > 2 * np.std(means, ddof=1) / np.sqrt(6)
 
 
+def test_few_seeds_are_said_to_be_too_few_for_their_intervals():
+    assert "9 seeds are too few for 95 % where returns are skewed: take 10 or more." in repr(found(seeds=9))
+    assert "too few" not in repr(found(seeds=10))
+
+
 def test_the_interquartile_mean_does_not_follow_one_bad_seed():
     def unlucky(design, rng):
         return LinearFeedback([[GAIN if made.append(0) or len(made) != 3 else -0.09]])
