@@ -29,8 +29,8 @@ from ccdtools.exceptions import CCDError, InputError
 from ccdtools.jobs import as_jobs, as_they_end
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
+from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.scenario import Scenario
-from ccdtools.simulation import Simulable, as_simulable
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
 from invariant_sets.system_checks import as_set
@@ -345,7 +345,7 @@ def _as_plants(plants: Any) -> dict[str, Simulable | None]:
     found = as_mapping("plants", plants, "a mapping of names to plants")
     if not found:
         raise InputError("plants", "none", "at least one, or None for the plants of the scenarios")
-    return {name: as_simulable(plant) for name, plant in found.items()}
+    return {name: as_simulable(plant, f"plants[{name!r}]") for name, plant in found.items()}
 
 
 def _as_folder(folder: str | Path) -> Path:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import InputError
-from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import SIMULATED_STEP
 
@@ -21,7 +20,7 @@ POINTS = np.arange(-2.0, 3.0)  # Steps at which a slope asks, exact to fourth or
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedModel(Immutable):
-    """Model of a `BlackBox`, with slopes by differences.
+    """Model of a simulator, with slopes by differences.
 
     A `CoDesignProblem` makes it. A slope asks the simulator four times for each state, input, disturbance and free
     entry of the design that is no whole number; noise of the simulator is a thousand times as large in it. For a design
@@ -29,7 +28,8 @@ class SimulatedModel(Immutable):
 
     Parameters
     ----------
-    box : BlackBox
+    box : BlackBox, or another Simulable
+        Its step must hold no memory.
     extent : (nx + nu + nw,) array_like
         Sizes of states, inputs and disturbances, which steps are parts of.
 
@@ -38,7 +38,7 @@ class SimulatedModel(Immutable):
     Fornberg, "Generation of finite difference formulas on arbitrarily spaced grids", Math. Comp. 51, 1988.
     """
 
-    box: BlackBox
+    box: Any
     extent: ArrayField
 
     few_rows = np.inf  # a step has no parts whose states are kept for the way back
