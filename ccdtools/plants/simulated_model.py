@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import InputError
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
+from ccdtools.plants.models import Simulable
 from ccdtools.plants.tolerances import SIMULATED_STEP
 
 POINTS = np.arange(-2.0, 3.0)  # Steps at which a slope asks, exact to fourth order.
@@ -38,7 +39,7 @@ class SimulatedModel(Immutable):
     Fornberg, "Generation of finite difference formulas on arbitrarily spaced grids", Math. Comp. 51, 1988.
     """
 
-    box: Any
+    box: Simulable
     extent: ArrayField
 
     few_rows = np.inf  # a step has no parts whose states are kept for the way back
@@ -69,7 +70,7 @@ class SimulatedModel(Immutable):
     @property
     def design(self) -> DesignSpace:
         """Box of designs."""
-        return self.box.design
+        return self.box.design or NO_DESIGN
 
     @property
     def sizes(self) -> tuple[int, ...]:

@@ -18,10 +18,12 @@ from ccdtools import (
     compare,
     deploy,
     experiment,
+    saturated_lqr,
     simulate,
 )
 from ccdtools.co_design import DesignEnv
 from ccdtools.plants import BlackBox
+from ccdtools.twin import replay_problem
 
 LAWS = {"LQR": LinearFeedback([[0.4, 0.8]]), "half": LinearFeedback([[0.2, 0.4]])}
 OBJECTIVE = QuadraticObjective(np.eye(2), [[0.1]], design_cost=lambda p: 2.0 / p[0])
@@ -111,3 +113,18 @@ def test_a_plant_that_is_not_discretised_is_no_simulator(illustrative):
         problem(illustrative.plant)
     with pytest.raises(InputError, match="model: got the class Cart"):
         problem(Cart)
+
+
+def test_a_recorded_log_is_a_plant_that_does_again_what_was_logged(suspension):
+    problem = suspension.problem()
+    design = problem.design.centre
+    law = saturated_lqr(problem, design)
+    drawn = suspension.disturbance.sample(3, 40, np.random.default_rng(1))
+    log = deploy(suspension.real.plant, law, design, drawn, x0=np.tile(suspension.x0, (3, 1)))
+    replayed = replay_problem(problem, log, 40)
+    x0, errors = replayed.scenarios.whole()
+    again = simulate(replayed.model, law, x0=x0, steps=40, disturbance=errors, design=design)
+    np.testing.assert_allclose(again.states, log.states, rtol=1e-9, atol=1e-9)
+    laws = {"LQR": law, "half": LinearFeedback(0.5 * law.K, law.lower, law.upper)}
+    table = compare(laws, Scenario(replayed.model, x0, errors), design=design, objective=problem.objective, X=problem.X)
+    assert table["LQR"].summary.mean > table["half"].summary.mean
