@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.models import Simulable
 from ccdtools.plants.tolerances import SIMULATED_STEP
+
+if TYPE_CHECKING:
+    from ccdtools.plants.models import Simulable
 
 POINTS = np.arange(-2.0, 3.0)  # Steps at which a slope asks, exact to fourth order.
 

@@ -246,7 +246,8 @@ def test_wrong_calls_of_many_environments_name_their_argument(problem):
     with pytest.raises(InputError, match="step: got no episodes"):
         env.step(np.zeros((3, 1)))
     for wrong, name in (({"seed": [1, 2]}, "seed: got 2 seeds"), ({"seed": -1}, "seed: got -1"),
-                        ({"seed": "1"}, "seed: got '1'"), ({"seed": [1, 2, 0.5]}, "seed: got 0.5"), ({"options": {"speed": 1}}, "options: got"),
+                        ({"seed": "1"}, "seed: got '1'"), ({"seed": [1, 2, 0.5]}, "seed: got 0.5"),
+                        ({"options": {"speed": 1}}, "options: got"),
                         ({"options": {"design": [1.0, 2.0]}}, "design: got shape")):  # fmt: skip
         with pytest.raises(InputError, match=name):
             env.reset(**wrong)
