@@ -33,6 +33,7 @@ from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.scenario import Scenario
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
+from ccdtools_ground.user_functions import stopped
 from invariant_sets.system_checks import as_set
 
 Maker = Callable[[Array, np.random.Generator], Any]
@@ -73,7 +74,7 @@ class Plan:
         """Scenarios of a seed, by their names and those of the plants."""
         found = {}
         for name, given in self.scenarios.items():
-            scenario = given if isinstance(given, Scenario) else given(_generator(seed, "scenario", name))
+            scenario = given if isinstance(given, Scenario) else _drawn(name, given, _generator(seed, "scenario", name))
             as_instance(f"scenarios[{name!r}]", scenario, Scenario, "a Scenario, or a function rng -> Scenario")
             for of_plant, plant in self.plants.items():
                 found[name, of_plant] = scenario if plant is None else replace(scenario, plant=plant)
@@ -299,6 +300,16 @@ def one_thread() -> Iterator[None]:
 def _generator(seed: int, *names: str) -> np.random.Generator:
     """Generator of its own for names and a seed."""
     return np.random.default_rng([seed, *"\0".join(names).encode()])
+
+
+def _drawn(name: str, given: Drawn, rng: np.random.Generator) -> Any:
+    """What a function makes of a generator, or an `InputError` that names it."""
+    try:
+        return given(rng)
+    except CCDError:
+        raise
+    except Exception as error:
+        raise stopped(f"scenarios[{name!r}]", given, error, "a function rng -> Scenario") from error
 
 
 def _check_maker(argument: str, maker: Any) -> None:
