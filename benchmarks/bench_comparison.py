@@ -3,6 +3,7 @@
     python benchmarks/bench_comparison.py [--seeds 10] [--jobs 2] [--page comparison.html]
     python benchmarks/bench_comparison.py --same          # serial, two processes, Dask, and killed six times
     python benchmarks/bench_comparison.py --cover 1000    # comparisons whose truth is known
+    python benchmarks/bench_comparison.py --tables 4000   # and tables of seeds and runs of other truths
 
 Two designs, three scenarios, and the car with one parameter off by 20 % with ``--plants``. PPO is trained from
 scratch for every design and seed, 192 000 samples each.
@@ -39,6 +40,7 @@ from ccdtools.co_design import EpisodeEnv
 from ccdtools.comparison.pid_tuning import tuned_pid
 from ccdtools.controllers import Passive
 from ccdtools.plants import library
+from ccdtools.statistics import interval_of_crossed
 from ccdtools.vehicles import GeneratedRoad
 from learning import train
 
@@ -183,6 +185,41 @@ def cover(number: int) -> None:
             print(f"{kind}, {seeds} seeds: {shares}", flush=True)
 
 
+def tables(number: int) -> None:
+    """How many intervals of tables of seeds and runs hold a known mean."""
+    rng = np.random.default_rng(0)
+
+    def normal(*shape):
+        return rng.standard_normal((number, *shape))
+
+    truths = {
+        "normal seeds, runs and both together": (lambda s, n: normal(s, 1) + normal(1, n) + normal(s, n), 0.0),
+        "runs alone matter": (lambda s, n: 0.1 * normal(s, 1) + 2 * normal(1, n) + 0.5 * normal(s, n), 0.0),
+        "exponential seeds and runs": (
+            lambda s, n: rng.exponential(size=(number, s, 1)) + rng.exponential(size=(number, 1, n)) + normal(s, n), 2.0
+        ),
+        "lognormal, seeds times runs": (lambda s, n: np.exp(0.5 * (normal(s, 1) + normal(1, n))), np.exp(0.25)),
+        "χ² runs of one degree of freedom": (
+            lambda s, n: 0.3 * (normal(s, 1) + normal(s, n)) - normal(1, n) ** 2, -1.0
+        ),
+        "squared gains times χ² runs": (
+            lambda s, n: -(rng.uniform(-1, 1, (number, s, 1)) ** 2) * normal(1, n) ** 2, -1 / 3
+        ),
+        "a fifth of the seeds fail": (
+            lambda s, n: -5.0 * (rng.random((number, s, 1)) < 0.2) + normal(1, n) + normal(s, n), -1.0
+        ),
+        "neither seeds nor runs, both together alone": (normal, 0.0),
+        "χ² seeds of one degree of freedom, no runs": (lambda s, n: normal(s, 1) ** 2, 1.0),
+    }  # fmt: skip
+    print("| truth | 5 × 20 | 10 × 20 | 20 × 20 | 10 × 50 |\n|---|---|---|---|---|")
+    for name, (drawn, mean) in truths.items():
+        shares = []
+        for sizes in ((5, 20), (10, 20), (20, 20), (10, 50)):
+            ends = np.array([interval_of_crossed(table) for table in drawn(*sizes)])
+            shares.append(f"{100 * np.mean((ends[:, 0] <= mean) & (mean <= ends[:, 1])):.1f} %")
+        print(f"| {name} | {' | '.join(shares)} |", flush=True)
+
+
 def main() -> None:
     """Print what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -193,6 +230,7 @@ def main() -> None:
     parser.add_argument("--plants", action="store_true")
     parser.add_argument("--same", action="store_true")
     parser.add_argument("--cover", type=int)
+    parser.add_argument("--tables", type=int)
     parser.add_argument("--part", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     torch.set_num_threads(1)
@@ -202,11 +240,13 @@ def main() -> None:
         same()
     elif asked.cover:
         cover(asked.cover)
+    elif asked.tables:
+        tables(asked.tables)
     else:
         start = time.monotonic()
         options = {"plants": wrong_plants()} if asked.plants else {}
         found = compared(asked.seeds, asked.jobs, asked.folder, **options)
-        print(f"{time.monotonic() - start:.0f} s\n{found}")
+        print(f"{time.monotonic() - start:.0f} s\n\n{found.table.markdown}\n\n" + "\n".join(found.notes))
         for kind, verdict in found.verdicts.items():
             print(f"{', '.join(kind)}: {verdict}")
         if asked.page:

@@ -13,7 +13,8 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement, Sensor
 from ccdtools.exceptions import InputError
-from ccdtools.simulation import as_output, as_reference, as_simulable, matched_runs, simulate
+from ccdtools.plants.models import as_simulable
+from ccdtools.simulation import as_output, as_reference, matched_runs, simulate
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_count, as_floats
 

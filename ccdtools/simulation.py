@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,42 +14,14 @@ from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.estimation.measurement import Measurement, as_measurement
 from ccdtools.exceptions import CCDError, InputError, SimulatorError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.progress import bar
 from ccdtools.tolerances import DIVERGENCE_LIMIT
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_count, as_finite, as_floats, as_generator, shown
 from ccdtools_ground.user_functions import stopped
 
-Step = Callable[[Array, Array, Array], Array]
 BATCHED = "It is called with the states (n, nx) of all runs and returns (n, nu): x[:, :1] for x[0], x @ K.T for K @ x."
-
-
-class Simulable(Protocol):
-    """Protocol of a plant that `simulate` can step."""
-
-    @property
-    def nx(self) -> int:
-        """Number of states."""
-
-    @property
-    def nu(self) -> int:
-        """Number of inputs."""
-
-    @property
-    def nw(self) -> int:
-        """Number of disturbances."""
-
-    @property
-    def dt(self) -> float:
-        """Sampling time [s]."""
-
-    @property
-    def design(self) -> DesignSpace | None:
-        """Box of designs, if any."""
-
-    def stepper(self, p: Array, *, batch: int) -> Step:
-        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
 
 
 def simulate(
@@ -183,19 +154,6 @@ def _asked(driver: Driver, k: int, x: Array, nu: int, running: NDArray[np.bool_]
     if not (np.isfinite(u).all() or np.isfinite(u[running]).all()):
         raise InputError("controller", f"an input that is not finite at step {k}", "finite ones")
     return u
-
-
-def as_simulable(plant: Any) -> Simulable:
-    """Plant that `simulate` can step; a `control.StateSpace` becomes a `LinearModel`."""
-    if isinstance(plant, type):
-        raise InputError("plant", shown(plant), "an object of it")
-    if hasattr(plant, "stepper"):
-        simulable: Simulable = plant
-        return simulable
-    if not all(hasattr(plant, name) for name in ("A", "B", "dt")):
-        cure = "Convert it with control.ss." if hasattr(plant, "num") else ""
-        raise InputError("plant", shown(plant), "a Plant, a LinearModel, a TwinPlant or a control.StateSpace", cure)
-    return LinearModel.from_state_space(plant)
 
 
 def _design(plant: Simulable, design: ArrayLike | None) -> Array:

@@ -156,16 +156,56 @@ def interval_of_parts(parts: ArrayLike, level: float = 0.95) -> tuple[float, flo
     ----------
     Hall, Journal of the Royal Statistical Society B 54, 1992; Satterthwaite, Biometrics Bulletin 2, 1946.
     """
-    values = as_floats("parts", parts)
-    n = len(values)
-    if n < 2:
+    return interval_of_crossed(as_floats("parts", parts)[:, None], level)
+
+
+def interval_of_crossed(values: ArrayLike, level: float = 0.95) -> tuple[float, float]:
+    """Interval of a mean over rows and columns that are both drawn.
+
+    Every row, such as a seed, meets every column, such as a run. The variances of both means are added; what rows and
+    columns do together is in both, and is taken off once. Third moments add up, and the degrees of freedom are
+    Satterthwaite's of the three mean squares. A single row, or a single column, is no source of chance.
+
+    Parameters
+    ----------
+    values : (S, N) array_like
+        NaN marks what does not count.
+    level : float
+
+    Returns
+    -------
+    (float, float)
+        NaN of a single value, or where a single row or column of several is left.
+
+    References
+    ----------
+    Dorfman, Berbaum and Metz, Investigative Radiology 27, 1992, and Hillis, Statistics in Medicine 26, 2007 (readers
+    and cases, crossed); Satterthwaite, Biometrics Bulletin 2, 1946; Hall, Journal of the Royal Statistical Society B
+    54, 1992.
+    """
+    table = as_floats("values", values)
+    factors = [kept_means(table, axis) for axis in (1, 0) if table.shape[1 - axis] > 1]
+    if not factors or min(map(len, factors)) < 2:
         return (float("nan"), float("nan"))
-    mean = float(values.mean())
-    spread = float(values.std())
-    if spread == 0:
+    mean = float(kept_means(table, 1).mean())
+    shapes = [_skewness_and_degrees(parts) for parts in factors]
+    squares = [float(parts.var(ddof=1)) / len(parts) for parts in factors]
+    together, free = _together(table)
+    variance = max(sum(squares) - together, *squares)
+    if variance == 0:
         return (mean, mean)
-    skewness, degrees = _skewness_and_degrees(values)
-    return _skewed(mean, spread / np.sqrt(n - 1), skewness, min(n - 1.0, max(degrees, FEWEST_RUNS)), level)
+    degrees = [min(len(parts) - 1.0, max(own, FEWEST_RUNS)) for parts, (_, own) in zip(factors, shapes)]
+    doubt = together**2 / free + sum(square**2 / own for square, own in zip(squares, degrees))
+    skewness = sum(own * square**1.5 for square, (own, _) in zip(squares, shapes)) / variance**1.5
+    return _skewed(mean, float(np.sqrt(variance)), skewness, variance**2 / doubt, level)
+
+
+def kept_means(values: Array, axis: int) -> Array:
+    """Means (n,) along an axis of what is not NaN, where anything is."""
+    kept = ~np.isnan(values)
+    number = kept.sum(axis=axis)
+    total = np.where(kept, values, 0.0).sum(axis=axis)
+    return np.asarray(total[number > 0] / number[number > 0])
 
 
 def summarise_returns(rewards: ArrayLike, *, runs: int | None = None) -> Summary:
@@ -232,6 +272,16 @@ def _alike(**given: ArrayLike) -> list[Array]:
     if pair[0].shape != pair[1].shape:
         raise InputError(", ".join(given), f"shapes {pair[0].shape} and {pair[1].shape}", "as many of each")
     return pair
+
+
+def _together(table: Array) -> tuple[float, float]:
+    """Variance of the mean by what rows and columns of (S, N) do together, and its degrees of freedom."""
+    kept = ~np.isnan(table)
+    full = table[np.ix_(kept.any(axis=1), kept.any(axis=0))]
+    rows, columns = kept_means(full, 1), kept_means(full, 0)
+    rest = (full - rows[:, None] - columns + rows.mean())[~np.isnan(full)]
+    free = max(rest.size - len(rows) - len(columns) + 1.0, 1.0)
+    return float(rest @ rest) / free / rest.size, free
 
 
 def _skewness_and_degrees(values: Array) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from ccdtools.co_design.design_controllers import (
     nonlinear_mpc as nonlinear_mpc,
     saturated_lqr as saturated_lqr,
 )
-from ccdtools.co_design.design_env import DesignEnv as DesignEnv
+from ccdtools.co_design.design_env import DesignEnv as DesignEnv, DesignVectorEnv as DesignVectorEnv
 from ccdtools.co_design.design_sensitivity import DesignSensitivity as DesignSensitivity
 from ccdtools.co_design.environment import EpisodeEnv as EpisodeEnv
 from ccdtools.co_design.expert import (

@@ -18,10 +18,9 @@ from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError
 from ccdtools.limit_tolerance import as_limit_tolerance
 from ccdtools.output_limits import OutputLimits, limits_of
-from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.casadi_arrays import SymbolicFunction
 from ccdtools.plants.design_space import DesignSpace
-from ccdtools.plants.models import as_regulated_model, check_at_rest
+from ccdtools.plants.models import as_regulated_model, as_simulable, check_at_rest, steps_alone
 from ccdtools.plants.simulated_model import SimulatedModel
 from ccdtools.plants.tolerances import ACCURACY, FEASIBLE
 from ccdtools.tolerances import DIVERGENCE
@@ -93,9 +92,9 @@ class CoDesignProblem(Immutable):
 
     Parameters
     ----------
-    model : LinearModel, SampledModel or BlackBox
+    model : LinearModel, SampledModel, BlackBox or another Simulable
         x⁺ = A(p) x + B(p) u + E(p) w, or any x⁺ = f(x, u, w, p) that rests at x = 0, u = 0, w = 0 at every design. A
-        simulator may move there by 1e-6 half-widths of X a sample.
+        simulator, of which only a step without memory is known, may move there by 1e-6 half-widths of X a sample.
         LQR, MPC and sets are then those of its linearisation there. The slopes of a simulator are differences, with
         steps of a thousandth of X, U and the box of designs, and twice that.
     X, U : Polytope, bounds (lower, upper), or function of p
@@ -199,8 +198,8 @@ class CoDesignProblem(Immutable):
     def _designable(self) -> Any:
         """The model, which has a design to choose."""
         model = self.model
-        if not isinstance(model, BlackBox | SimulatedModel):
-            as_regulated_model("model", model)
+        if not isinstance(model, SimulatedModel):
+            model = as_simulable(model, "model") if steps_alone(model) else as_regulated_model("model", model)
         if model.design is None or model.design.dim == 0:
             raise InputError("model", "a model without design parameters", "one of a plant with a DesignSpace")
         if not model.design.free.any():
@@ -235,7 +234,7 @@ class CoDesignProblem(Immutable):
 
     def _differenced(self, box: Any) -> Any:
         """Model of a simulator; other models as they are."""
-        if not isinstance(box, BlackBox):
+        if isinstance(box, SimulatedModel) or not steps_alone(box):
             return box
         w = np.abs(self._drawn()[1]).max(axis=(0, 1), initial=0.0)
         w = w if w.shape == (box.nw,) else np.zeros(box.nw)  # what is wrong with it is said later

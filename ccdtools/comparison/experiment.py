@@ -29,10 +29,11 @@ from ccdtools.exceptions import CCDError, InputError
 from ccdtools.jobs import as_jobs, as_they_end
 from ccdtools.limits import Excursions, divergence_limit, limits_in_words
 from ccdtools.output_limits import OutputLimits
+from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.scenario import Scenario
-from ccdtools.simulation import Simulable, as_simulable
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_choice, as_count, as_instance, as_mapping, as_vector, shown, writable_path
+from ccdtools_ground.user_functions import stopped
 from invariant_sets.system_checks import as_set
 
 Maker = Callable[[Array, np.random.Generator], Any]
@@ -73,7 +74,7 @@ class Plan:
         """Scenarios of a seed, by their names and those of the plants."""
         found = {}
         for name, given in self.scenarios.items():
-            scenario = given if isinstance(given, Scenario) else given(_generator(seed, "scenario", name))
+            scenario = given if isinstance(given, Scenario) else _drawn(name, given, _generator(seed, "scenario", name))
             as_instance(f"scenarios[{name!r}]", scenario, Scenario, "a Scenario, or a function rng -> Scenario")
             for of_plant, plant in self.plants.items():
                 found[name, of_plant] = scenario if plant is None else replace(scenario, plant=plant)
@@ -301,6 +302,16 @@ def _generator(seed: int, *names: str) -> np.random.Generator:
     return np.random.default_rng([seed, *"\0".join(names).encode()])
 
 
+def _drawn(name: str, given: Drawn, rng: np.random.Generator) -> Any:
+    """What a function makes of a generator, or an `InputError` that names it."""
+    try:
+        return given(rng)
+    except CCDError:
+        raise
+    except Exception as error:
+        raise stopped(f"scenarios[{name!r}]", given, error, "a function rng -> Scenario") from error
+
+
 def _check_maker(argument: str, maker: Any) -> None:
     """Raise an `InputError` unless it takes a design and a generator."""
     cure = "lambda design, rng: controller makes one of a controller."
@@ -345,7 +356,7 @@ def _as_plants(plants: Any) -> dict[str, Simulable | None]:
     found = as_mapping("plants", plants, "a mapping of names to plants")
     if not found:
         raise InputError("plants", "none", "at least one, or None for the plants of the scenarios")
-    return {name: as_simulable(plant) for name, plant in found.items()}
+    return {name: as_simulable(plant, f"plants[{name!r}]") for name, plant in found.items()}
 
 
 def _as_folder(folder: str | Path) -> Path:

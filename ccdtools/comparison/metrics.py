@@ -11,7 +11,7 @@ import numpy as np
 
 from ccdtools.arrays import Array
 from ccdtools.evidence.percent import word_of_change
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import CCDError, InputError
 from ccdtools.statistics import PairedDifference, paired_difference
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools.trajectory import Trajectory
@@ -46,8 +46,6 @@ def try_metrics(metrics: Metrics, plant: Any) -> None:
         if error.argument == "metrics":
             raise
         raise InputError("metrics", f"a function that stops with {error}".rstrip("."), EXPECTED) from error
-    except Exception as error:
-        raise stopped("metrics", metrics, error, EXPECTED) from error
 
 
 def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
@@ -56,10 +54,16 @@ def metrics_of(metrics: Metrics, run: Trajectory) -> dict[str, float]:
     Raises
     ------
     InputError
-        If they are no mapping of names to numbers.
+        If they are no mapping of names to numbers, or the function stops with an error.
     """
     lost = bool(run.diverged.all())
-    found = as_mapping("metrics", metrics(run if lost else _part(run, ~run.diverged, slice(None))), EXPECTED)
+    try:
+        given = metrics(run if lost else _part(run, ~run.diverged, slice(None)))
+    except CCDError:
+        raise
+    except Exception as error:
+        raise stopped("metrics", metrics, error, EXPECTED) from error
+    found = as_mapping("metrics", given, EXPECTED)
     for name, value in found.items():
         if not name.strip() or len(name.splitlines()) > 1:
             raise InputError("metrics", f"the name {shown(name)}", "names of one line")

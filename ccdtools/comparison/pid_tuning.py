@@ -16,7 +16,8 @@ from ccdtools.comparison.tolerances import RECOVERED, UNSTABLE_COST
 from ccdtools.controllers.controllers import PID, Controller, Passive
 from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
-from ccdtools.simulation import Simulable, simulate
+from ccdtools.plants.models import Simulable
+from ccdtools.simulation import simulate
 from ccdtools.twin.discrepancy import Discrepancy, TwinPlant
 from ccdtools_ground.door import as_array, as_count, as_generator, as_instance
 

@@ -1,10 +1,10 @@
-"""Kinds of discrete plant models."""
+"""Plants that step, and kinds of discrete models."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -13,13 +13,42 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.budgets import COMPILED_FROM
 from ccdtools.plants.design_space import DesignSpace, sample_designs
 from ccdtools.plants.linear_model import LinearModel
+from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.tolerances import MODEL_AT_REST
 from ccdtools_ground.door import shown
 
 Model: TypeAlias = LinearModel | SampledModel
+Step = Callable[[Array, Array, Array], Array]
 
 DEVIATIONS = "State it about its equilibrium, as discretise(deviations(plant, equilibrium(plant, p))) does."
+
+
+class Simulable(Protocol):
+    """Protocol of a plant that `simulate` can step."""
+
+    @property
+    def nx(self) -> int:
+        """Number of states."""
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+
+    @property
+    def nw(self) -> int:
+        """Number of disturbances."""
+
+    @property
+    def dt(self) -> float:
+        """Sampling time [s]."""
+
+    @property
+    def design(self) -> DesignSpace | None:
+        """Box of designs, if any."""
+
+    def stepper(self, p: Array, *, batch: int) -> Step:
+        """Step function (x (n, nx), u (n, nu), w (n, nw)) → x⁺."""
 
 
 class PlantOfModel:
@@ -51,6 +80,28 @@ class PlantOfModel:
     def design(self) -> DesignSpace | None:
         """Box of designs."""
         return self.model.design
+
+
+def as_simulable(plant: Any, argument: str = "plant") -> Simulable:
+    """Plant that `simulate` can step; a `control.StateSpace` becomes a `LinearModel`."""
+    if isinstance(plant, type):
+        raise InputError(argument, shown(plant), "an object of it")
+    if hasattr(plant, "stepper"):
+        missing = [name for name in ("nx", "nu", "nw", "dt", "design") if not hasattr(plant, name)]
+        if missing:
+            raise InputError(argument, f"{shown(plant)} without {', '.join(missing)}", "a Simulable, which has them")
+        simulable: Simulable = plant
+        return simulable
+    if not all(hasattr(plant, name) for name in ("A", "B", "dt")):
+        cure = "Convert it with control.ss." if hasattr(plant, "num") else ""
+        raise InputError(argument, shown(plant), "a Plant, a LinearModel, a TwinPlant or a control.StateSpace", cure)
+    return LinearModel.from_state_space(plant)
+
+
+def steps_alone(value: Any) -> bool:
+    """Whether only a step is known of a plant, as of a simulator."""
+    known = isinstance(value, type | Plant | PlantOfModel | LinearModel | SampledModel)
+    return hasattr(value, "stepper") and not known
 
 
 def as_model(argument: str, value: Any) -> Model:

@@ -5,23 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.exceptions import InputError
-from ccdtools.plants.black_box import BlackBox
-from ccdtools.plants.design_space import DesignSpace
+from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
 from ccdtools.plants.tolerances import SIMULATED_STEP
+
+if TYPE_CHECKING:
+    from ccdtools.plants.models import Simulable
 
 POINTS = np.arange(-2.0, 3.0)  # Steps at which a slope asks, exact to fourth order.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SimulatedModel(Immutable):
-    """Model of a `BlackBox`, with slopes by differences.
+    """Model of a simulator, with slopes by differences.
 
     A `CoDesignProblem` makes it. A slope asks the simulator four times for each state, input, disturbance and free
     entry of the design that is no whole number; noise of the simulator is a thousand times as large in it. For a design
@@ -29,7 +31,8 @@ class SimulatedModel(Immutable):
 
     Parameters
     ----------
-    box : BlackBox
+    box : BlackBox, or another Simulable
+        Its step must hold no memory.
     extent : (nx + nu + nw,) array_like
         Sizes of states, inputs and disturbances, which steps are parts of.
 
@@ -38,7 +41,7 @@ class SimulatedModel(Immutable):
     Fornberg, "Generation of finite difference formulas on arbitrarily spaced grids", Math. Comp. 51, 1988.
     """
 
-    box: BlackBox
+    box: Simulable
     extent: ArrayField
 
     few_rows = np.inf  # a step has no parts whose states are kept for the way back
@@ -69,7 +72,7 @@ class SimulatedModel(Immutable):
     @property
     def design(self) -> DesignSpace:
         """Box of designs."""
-        return self.box.design
+        return self.box.design or NO_DESIGN
 
     @property
     def sizes(self) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.disturbances.disturbance import Disturbance
 from ccdtools.exceptions import InputError, SamplingWarning
+from ccdtools.plants.design_space import NO_DESIGN
 from ccdtools.plants.integration_error import IntegrationError, Region, measured_error
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.runge_kutta import ExplicitStep
@@ -32,19 +33,20 @@ def check_finite(plant: Plant) -> None:
 def check_same_plant(model: Plant, real: RealPlant) -> None:
     """Raise unless the real plant is finite and sized like the model."""
     plant = real.plant
+    space = plant.design or NO_DESIGN
     for what, own, other in (("states", plant.nx, model.nx), ("inputs", plant.nu, model.nu)):
         if own != other:
             raise InputError("real.plant", f"{own} {what}", f"{other}, as the model has")
     if not np.isclose(plant.dt, model.dt, rtol=1e-9, atol=0.0):
         raise InputError("real.plant", f"dt = {plant.dt:g} s", f"{model.dt:g} s, the sampling time of the model")
-    own_space = (tuple(plant.design.names), plant.design.lower.tolist(), plant.design.upper.tolist())
+    own_space = (tuple(space.names), space.lower.tolist(), space.upper.tolist())
     if own_space != (tuple(model.design.names), model.design.lower.tolist(), model.design.upper.tolist()):
         raise InputError("real.plant", "another design space", "the parameters and bounds of the model")
-    u = np.zeros(plant.nu)
-    w = np.zeros(plant.nw)
-    for design in plant.design.spread():
-        if not np.isfinite(np.asarray(plant.step(real.x0, u, w, design), dtype=float)).all():
-            got = f"a first step that is not finite at {plant.design.describe(design)}"
+    u = np.zeros((1, plant.nu))
+    w = np.zeros((1, plant.nw))
+    for design in space.spread():
+        if not np.isfinite(plant.stepper(design, batch=1)(real.x0[None], u, w)).all():
+            got = f"a first step that is not finite at {space.describe(design)}"
             raise InputError("real.plant", got, "finite dynamics over the whole design box")
 
 

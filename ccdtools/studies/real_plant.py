@@ -11,11 +11,9 @@ from ccdtools.arrays import ArrayField, Immutable
 from ccdtools.disturbances.combinations import is_recorded
 from ccdtools.disturbances.disturbance import Disturbance, Recorded
 from ccdtools.exceptions import InputError
-from ccdtools.plants.black_box import BlackBox
-from ccdtools.plants.plant import Plant
-from ccdtools.plants.sampled_model import SampledModel
+from ccdtools.plants.models import Simulable, as_simulable
 from ccdtools.studies.tolerances import MINIMUM_LOG
-from ccdtools_ground.door import as_count, as_flag, as_instance, as_mapping, as_vector, has_method, shown
+from ccdtools_ground.door import as_count, as_flag, as_mapping, as_vector, has_method, shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -24,7 +22,7 @@ class RealPlant(Immutable):
 
     Attributes
     ----------
-    plant : Plant, SampledModel or BlackBox
+    plant : Plant, SampledModel, BlackBox or anything else that `simulate` takes
         Nonlinear or linear, with the states, inputs and design of the model. A `Plant` takes `substeps` Runge–Kutta
         steps a sample, a model of one that `discretise` has made takes its own.
     disturbance : Disturbance
@@ -48,7 +46,7 @@ class RealPlant(Immutable):
         If a field is of another kind or size, or a deployment would log fewer than 500 samples.
     """
 
-    plant: Plant | SampledModel | BlackBox
+    plant: Simulable
     disturbance: Disturbance
     x0: ArrayField
     runs: int
@@ -57,7 +55,7 @@ class RealPlant(Immutable):
     road: bool = False
 
     def __post_init__(self) -> None:
-        as_instance("real.plant", self.plant, (Plant, SampledModel, BlackBox), "a ccdtools.Plant, or a BlackBox")
+        self._set(plant=as_simulable(self.plant, "real.plant"))
         self._set(x0=as_vector("real.x0", self.x0, self.plant.nx, of="one per state"))
         self._set(runs=as_count("real.runs", self.runs))
         self._set(steps=as_count("real.steps", self.steps))
@@ -90,7 +88,7 @@ class RealPlant(Immutable):
         return f"RealPlant({self.plant!r}, {self.runs} runs of {self.steps} steps)"
 
 
-def check_disturbance(argument: str, disturbance: Disturbance, plant: Plant | SampledModel | BlackBox) -> None:
+def check_disturbance(argument: str, disturbance: Disturbance, plant: Simulable) -> None:
     """Raise unless samples of the disturbance have the plant's channels."""
     has_method(argument, disturbance, "sample", "an object with sample(runs, steps, rng)")
     try:

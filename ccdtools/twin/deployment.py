@@ -19,9 +19,10 @@ from ccdtools.controllers.signals import Reference
 from ccdtools.estimation.measurement import Measurement
 from ccdtools.evidence.switchback import TrialStatus
 from ccdtools.exceptions import InputError, SimulatorError
+from ccdtools.plants.models import Simulable
 from ccdtools.progress import at
 from ccdtools.scenario import Scenario
-from ccdtools.simulation import Simulable, simulate
+from ccdtools.simulation import simulate
 from ccdtools.tolerances import FEWEST_PAIRS
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.deployable import Deployable

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from ccdtools.arrays import Array, ArrayField, Immutable, Indices
 from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
-from ccdtools.twin.residuals import Residuals, groups
+from ccdtools.trajectory import Trajectory
+from ccdtools.twin.residuals import Residuals, groups, residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count, as_generator, as_instance, shown
@@ -112,8 +113,8 @@ class Replay(Immutable):
 
 
 def replay_problem(
-    problem: CoDesignProblem, errors: Sequence[Residuals], window: int, *, warm_up: int = 0,
-    starts: ArrayField = None,
+    problem: CoDesignProblem, errors: Trajectory | Residuals | Sequence[Trajectory | Residuals], window: int, *,
+    warm_up: int = 0, starts: ArrayField = None,
 ) -> CoDesignProblem:  # fmt: skip
     """Problem on the nominal model, driven by logged errors at any design.
 
@@ -123,8 +124,8 @@ def replay_problem(
     Parameters
     ----------
     problem : CoDesignProblem
-    errors : Residuals, or a sequence of them
-        What a `DigitalTwin` keeps of its logs: `twin.logs`.
+    errors : Trajectory or Residuals, or a sequence of them
+        A log, as `deploy` returns it, or what a `DigitalTwin` keeps of its logs: `twin.logs`.
     window : int
         Steps that count in an episode; with `warm_up` at most those of the longest logged run.
     warm_up : int
@@ -141,8 +142,10 @@ def replay_problem(
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     steps = as_count("window", window) + as_count("warm_up", warm_up, least=0)
     split = ErrorSplit(problem.model, problem.state_scale)
+    given: Sequence[Any] = errors if isinstance(errors, list | tuple) else [errors]
+    logs = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
     return replace(
-        problem, model=split.replayed_model, scenarios=Replay(errors, split, starts), steps=steps, warm_up=warm_up,
+        problem, model=split.replayed_model, scenarios=Replay(logs, split, starts), steps=steps, warm_up=warm_up,
         discrepancy=None, risk=of_logged_runs(problem.risk),
     )  # fmt: skip
 

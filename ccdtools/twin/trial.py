@@ -14,8 +14,9 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.excited import Excited
 from ccdtools.evidence.switchback import Trial, TrialStatus
 from ccdtools.exceptions import InputError
+from ccdtools.plants.models import Simulable
 from ccdtools.scenario import Scenario
-from ccdtools.simulation import Simulable, simulate
+from ccdtools.simulation import simulate
 from ccdtools.tolerances import FEWEST_PAIRS, NOT_WORSE
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.pieces import joined

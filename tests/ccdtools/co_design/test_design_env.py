@@ -8,12 +8,14 @@ import pytest
 import torch
 
 from ccdtools import FixedStart, Gaussian, InputError, Scenario, closed_loop_returns, compare, saturated_lqr
-from ccdtools.co_design import DesignEnv
+from ccdtools.co_design import DesignEnv, DesignVectorEnv
 from ccdtools.disturbances import Cases
 from learning import GymnasiumEnvs
 
 pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 
 @pytest.fixture
@@ -181,3 +183,77 @@ def test_an_agent_of_the_library_is_a_controller(problem):
     lower, upper = problem.input_bounds
     expected = (lower + upper) / 2 + action[0] * (upper - lower) / 2
     np.testing.assert_allclose(env.controller(agent)(info["state"][None])[0], expected, rtol=1e-5)
+
+
+def vectors(problem, design=None, runs=5):
+    """Return environments that step together, and as many that step in turn."""
+    return DesignVectorEnv(problem, runs, design), SyncVectorEnv([lambda: DesignEnv(problem, design)] * runs)
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+@pytest.mark.parametrize("divergence", [1000.0, 1.5])
+def test_environments_that_step_together_are_those_that_step_in_turn(illustrative, drawn, divergence):
+    problem = replace(illustrative.problem(), steps=30, divergence=divergence)
+    together, in_turn = vectors(problem, None if drawn else problem.design.centre)
+    assert together.observation_space == in_turn.observation_space
+    assert together.action_space == in_turn.action_space
+    assert together.metadata["autoreset_mode"] == in_turn.metadata["autoreset_mode"]
+    given = [env.reset(seed=7) for env in (together, in_turn)]
+    ends = 0
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        for (seen, infos), (expected, told) in [given]:
+            np.testing.assert_allclose(seen, expected, rtol=1e-4, atol=1e-5)
+            np.testing.assert_allclose(infos["design"], np.stack(told["design"]))
+        actions = rng.uniform(-1, 1, (5, 1)).astype(np.float32)
+        one, other = (env.step(actions) for env in (together, in_turn))
+        for found, expected in zip(one[1:4], other[1:4]):
+            np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+        ends += one[2].sum() + one[3].sum()
+        given = [one[::4], other[::4]]
+    assert ends >= 15
+
+
+def test_each_of_many_environments_may_have_a_design(problem):
+    env = DesignVectorEnv(problem, 3)
+    designs = problem.design.from_unit([[0.1], [0.5], [0.9]])
+    seen, infos = env.reset(seed=0, options={"design": designs})
+    np.testing.assert_array_equal(infos["design"], designs)
+    np.testing.assert_allclose(seen[:, 2], [-0.8, 0.0, 0.8], atol=1e-6)
+    _, infos = env.reset(options={"design": designs[1]})
+    np.testing.assert_array_equal(infos["design"], np.tile(designs[1], (3, 1)))
+    law = saturated_lqr(problem, designs[1])
+    total = np.zeros(3)
+    lower, upper = problem.input_bounds
+    for _ in range(problem.steps):
+        actions = (2 * law(infos["state"]) - upper - lower) / (upper - lower)
+        _, rewards, _, _, infos = env.step(actions)
+        total += rewards
+    expected = closed_loop_returns(problem, law, designs[1], rng=np.random.default_rng(0)).values[0]
+    np.testing.assert_allclose(total, expected + problem.cost_of_design(designs[1]), rtol=1e-5)
+
+
+def test_many_environments_take_the_wrappers_of_gymnasium(problem):
+    env = RecordEpisodeStatistics(DesignVectorEnv(replace(problem, steps=10), 4))
+    env.reset(seed=0)
+    for _ in range(10):
+        *_, infos = env.step(np.zeros((4, 1), np.float32))
+    assert (infos["episode"]["l"] == 10).all()
+
+
+def test_wrong_calls_of_many_environments_name_their_argument(problem):
+    env = DesignVectorEnv(problem, 3)
+    with pytest.raises(InputError, match="step: got no episodes"):
+        env.step(np.zeros((3, 1)))
+    for wrong, name in (({"seed": [1, 2]}, "seed: got 2 seeds"), ({"seed": -1}, "seed: got -1"),
+                        ({"seed": "1"}, "seed: got '1'"), ({"seed": [1, 2, 0.5]}, "seed: got 0.5"),
+                        ({"options": {"speed": 1}}, "options: got"),
+                        ({"options": {"design": [1.0, 2.0]}}, "design: got shape")):  # fmt: skip
+        with pytest.raises(InputError, match=name):
+            env.reset(**wrong)
+    env.reset(seed=0)
+    for actions in (np.zeros(3), np.zeros((2, 1)), np.full((3, 1), np.nan)):
+        with pytest.raises(InputError, match="actions"):
+            env.step(actions)
+    with pytest.raises(InputError, match="num_envs: got 0"):
+        DesignVectorEnv(problem, 0)

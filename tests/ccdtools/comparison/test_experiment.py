@@ -265,6 +265,11 @@ def test_the_interval_holds_chance_of_training_and_of_runs():
     assert (high - low) / 2 > 2 * np.std(means, ddof=1) / np.sqrt(6)
 
 
+def test_few_seeds_are_said_to_be_too_few_for_their_intervals():
+    assert "9 seeds are too few for 95 % where returns are skewed: take 10 or more." in repr(found(seeds=9))
+    assert "too few" not in repr(found(seeds=10))
+
+
 def test_the_interquartile_mean_does_not_follow_one_bad_seed():
     def unlucky(design, rng):
         return LinearFeedback([[GAIN if made.append(0) or len(made) != 3 else -0.09]])
@@ -377,7 +382,10 @@ def test_rows_are_saved_as_csv_parquet_and_a_page(tmp_path):
     ({"seeds": [-1]}, "seeds"),
     ({"baseline": "MPC"}, "baseline: got 'MPC'"),
     ({"plants": {}}, "plants: got none"),
-    ({"plants": {"a": 4}}, "plant: got 4"),
+    ({"plants": {"a": 4}}, r"plants\['a'\]: got 4"),
+    ({"scenarios": lambda: 3}, r"scenarios\[''\]: got a function that stops with TypeError"),
+    ({"scenarios": {"b": lambda rng: rng / 0}}, r"scenarios\['b'\]: got a function that stops with TypeError.*\(line"),
+    ({"metrics": lambda run: {"one": 1 / 0}}, "metrics: got a function that stops with ZeroDivisionError"),
     ({"designs": {}}, "designs: got none"),
     ({"designs": [1.0]}, "design"),
     ({"X": ([-1.0, -1.0], [1.0, 1.0])}, r"X\[0\]: got shape"),

@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from ccdtools import InputError, mean_interval
 from ccdtools.statistics import (
     change_of_level,
+    interval_of_crossed,
     interval_of_parts,
     paired_difference,
     paired_returns,
@@ -199,3 +200,60 @@ def test_the_interval_of_parts_covers_the_mean_of_a_skewed_tail_that_a_normal_on
     normal = np.abs(parts.mean(axis=1) - 1.0) < 1.96 * parts.std(axis=1) / np.sqrt(200)
     assert 0.93 <= np.mean((ends[:, 0] < 1.0) & (ends[:, 1] > 1.0)) <= 0.98
     assert normal.mean() < 0.92
+
+
+def product(rng, rows, columns):
+    """What trained gains (rows) lose on runs (columns), by their product alone."""
+    return np.exp(0.5 * rng.standard_normal((rows, 1)) + 0.5 * rng.standard_normal((1, columns)))
+
+
+def together(rng, rows, columns):
+    return rng.standard_normal((rows, columns))
+
+
+def apart(rng, rows, columns):
+    return rng.standard_normal((rows, 1)) + rng.standard_normal((1, columns)) + rng.standard_normal((rows, columns))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "truth", "least", "most"),
+    [(apart, 0.0, 0.935, 0.965), (product, np.exp(0.25), 0.92, 0.965), (together, 0.0, 0.95, 0.99)],
+)
+def test_rows_and_columns_that_are_both_drawn_are_covered(drawn, truth, least, most):
+    """Adding the squares of both half-widths covers 96 to 97 % of `apart`, and 99.7 % of `together`."""
+    rng = np.random.default_rng(8)
+    ends = [interval_of_crossed(drawn(rng, 20, 20)) for _ in range(2000)]
+    assert least <= np.mean([low <= truth <= high for low, high in ends]) <= most
+
+
+def test_mean_squares_of_rows_columns_and_of_both_together_make_the_variance():
+    rows, columns = np.array([-2.0, -1.0, 1.0, 2.0]), np.array([-3.0, 0.0, 3.0])
+    both = 0.5 * np.outer([1.0, -1.0, -1.0, 1.0], [1.0, -2.0, 1.0])
+    low, high = interval_of_crossed(7.0 + rows[:, None] + columns + both)
+    of_rows, of_columns, rest = 10 / 3 / 4, 18 / 2 / 3, (both**2).sum() / 6 / 12
+    variance = of_rows + of_columns - rest
+    degrees = variance**2 / (of_rows**2 / 3 + of_columns**2 / 2 + rest**2 / 6)
+    half = stats.t.ppf(0.975, degrees) * np.sqrt(variance)
+    assert (low, high) == pytest.approx((7 - half, 7 + half))
+
+
+def test_one_row_or_one_column_is_no_source_of_chance():
+    parts = np.random.default_rng(2).exponential(size=9)
+    for table in (parts[None], parts[:, None], np.tile(parts, (5, 1))):
+        assert interval_of_crossed(table) == pytest.approx(interval_of_parts(parts))
+
+
+def test_a_crossed_interval_knows_neither_units_nor_which_side_is_called_rows():
+    table = apart(np.random.default_rng(3), 6, 11)
+    expected = interval_of_crossed(table)
+    assert interval_of_crossed(table.T) == pytest.approx(expected)
+    assert interval_of_crossed(5 - 1e6 * table) == pytest.approx(tuple(5 - 1e6 * end for end in expected[::-1]))
+
+
+def test_of_seeds_that_lost_all_but_one_there_is_no_crossed_interval():
+    table = apart(np.random.default_rng(3), 3, 11)
+    table[0, 4] = np.nan
+    low, high = interval_of_crossed(table)
+    assert low < np.nanmean(table) < high
+    table[1:] = np.nan
+    assert np.isnan(interval_of_crossed(table)).all()

@@ -29,6 +29,19 @@ def hidden(study: Study) -> BlackBox:
     )  # fmt: skip
 
 
+class Strange:
+    """Its real plant with nothing but what `Simulable` asks for."""
+
+    nx, nu, nw, dt = 2, 1, 1, 0.1
+
+    def __init__(self, study: Study) -> None:
+        self.hidden = study.real.plant
+        self.design = study.real.plant.design
+
+    def stepper(self, p, *, batch):
+        return self.hidden.stepper(p, batch=batch)
+
+
 def test_a_simulator_of_another_size_or_rate_is_refused():
     study = spring()
     with pytest.raises(InputError, match=r"real\.plant: got dt = 0\.2 s"):
@@ -39,10 +52,11 @@ def test_a_simulator_of_another_size_or_rate_is_refused():
 def test_a_generation_on_a_simulator_is_that_on_the_plant_it_hides(tmp_path):
     study = spring()
     logs = []
-    for name, plant in (("open", study.real.plant), ("hidden", hidden(study))):
+    for name, plant in (("open", study.real.plant), ("hidden", hidden(study)), ("strange", Strange(study))):
         own = replace(study, real=replace(study.real, plant=plant))
         folder = RunFolder.create(tmp_path / name)
         config = tiny(configuration(own, quick=True))
         Generations(own, config, folder, generations=1, seed=1, echo=lambda line: None, progress=False).run()
         logs.append(folder.read_stage("deployment-1").arrays["states"])
-    np.testing.assert_allclose(logs[0], logs[1], rtol=1e-9, atol=1e-12)
+    for other in logs[1:]:
+        np.testing.assert_allclose(logs[0], other, rtol=1e-9, atol=1e-12)
