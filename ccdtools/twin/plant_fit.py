@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
+from scipy.optimize import Bounds, least_squares, minimize
 from scipy.stats import norm, t
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
@@ -256,7 +256,7 @@ def fit_plant(
     slopes = slopes if np.isfinite(slopes).all() else np.zeros_like(slopes)
     known = Information(np.arange(len(z)), names, values, found.units, np.eye(len(z))[:, ~held], slopes)
     open_ = tuple(one for one in known.named(1.0) if not set(one) <= set(noises))
-    status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held.any() else FitStatus.SOLVED
+    status = FitStatus.OPEN if open_ else FitStatus.AT_BOUND if held[: len(unknown.free)].any() else FitStatus.SOLVED
     status = status if found.rise(z) <= NEGLIGIBLE else FitStatus.UNSOLVED
     covariance, freedom = known.covariance(1.0), np.inf
     if output is None:
@@ -270,10 +270,10 @@ def fit_plant(
 
 
 def _lasting(runs: Sequence[Array], level: float = 1e-3, size: float = 0.1) -> bool:
-    """Whether errors (n, T, nx) have a mean, or tell the next."""
+    """Whether errors (n, T, nx), in units of their size, have a mean, or tell the next; not those of rounding."""
     e = np.concatenate([run.reshape(-1, run.shape[2]) for run in runs])
     pairs = np.concatenate([(run[:, 1:] * run[:, :-1]).reshape(-1, run.shape[2]) for run in runs])
-    square = (e**2).mean(axis=0)
+    square = np.maximum((e**2).mean(axis=0), 1.0)
     with np.errstate(all="ignore"):
         found = np.abs([e.mean(axis=0) / np.sqrt(square), pairs.mean(axis=0) / square])
     chance = norm.isf(level / found.size / 2) / np.sqrt([[len(e)], [max(len(pairs), 1)]])
@@ -321,6 +321,18 @@ class _Likelihood:
             z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
         return np.asarray(z)
 
+    def least(self, rounding: float = 4 * float(np.finfo(float).eps)) -> Array:
+        """Point (m,) of least squares, where variances are known."""
+
+        def errors(z: Array) -> Array:
+            return np.concatenate([part.at(self.values(z))[0] for part in self.parts])
+
+        def slopes(z: Array) -> Array:
+            return np.concatenate([part.at(self.values(z))[2] for part in self.parts]) * self.units
+
+        ends = {"xtol": rounding, "ftol": rounding, "gtol": rounding}
+        return np.asarray(least_squares(errors, 0 * self.guess, slopes, bounds=self.bounds, x_scale="jac", **ends).x)
+
     def held(self, z: Array) -> Mask:
         """Which of the parameters (m,) a bound holds."""
         return np.asarray(np.minimum(z - self.bounds.lb, self.bounds.ub - z) <= NEGLIGIBLE)
@@ -354,7 +366,7 @@ def _of_states(
     for _ in range(rounds):
         parts = [StateErrors.of(step, mean, size, *log) for step, log in zip(steps, kept)]
         found = _Likelihood(unknown, parts, problem.model.nx, end_of_noise=1.0)
-        z = found.largest()
+        z = found.least()
         left = [part.predicted(found.values(z))[0] for part in parts]
         square = np.concatenate([(size * e).reshape(-1, len(size)) ** 2 for e in left]).mean(axis=0)
         size = np.sqrt(square + (NEGLIGIBLE * problem.state_scale) ** 2)

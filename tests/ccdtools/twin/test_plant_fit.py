@@ -503,6 +503,17 @@ def test_of_states_a_loop_without_excitation_leaves_open_what_its_law_hides():
     assert found.values[2] == pytest.approx(-0.5, abs=4 * found.deviations[2])
 
 
+@pytest.mark.parametrize("digits", [np.float64, np.float32])
+def test_of_states_a_log_without_any_disturbance_is_exact(digits):
+    problem, _ = seen(cubic(c=2.0))
+    law, steps = saturated_lqr(problem, P), (4, STEPS, 1)
+    real = deploy(cubic(c=2.0), lambda x: law(x).astype(digits).astype(float), P, np.zeros(steps), x0=START)
+    log = replace(real, inputs=law(real.states[:, :-1].reshape(-1, 2)).reshape(steps))  # before they are rounded
+    found = fit_plant(problem, log, plant=cubic("c"))
+    assert found.status.name == "SOLVED"
+    assert found.values[0] == pytest.approx(2.0, rel=1e-4)  # the model integrates as well as that
+
+
 def test_of_states_wrong_logs_are_named():
     problem, log = seen(spring())
     for given, words in [
