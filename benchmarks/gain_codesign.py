@@ -2,8 +2,9 @@
 
     python benchmarks/gain_codesign.py [--only servo] [--seed 0] [--methods gain lqr]
 
-The limits are 95 to 40 per cent of what saturated LQR of the middle design reaches in the mean of its peaks; a price pulls the design to the middle of its box. A hundredth of the samples may
-be outside, and the peaks by a twentieth of the limit in the mean.
+The limits are 95 to 40 per cent of what saturated LQR of the middle design reaches in the mean of its peaks; a price
+pulls the design to the middle of its box. A hundredth of the samples may be outside, and the peaks by a twentieth of
+the limit in the mean.
 
 The reference shares nothing with the package but the step of the plant and the numbers of the problem: it simulates
 u = −K x, clipped, on 256 runs of its own and moves gain and design by CMA-ES (the package cma), from the gains of

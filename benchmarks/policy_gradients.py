@@ -5,7 +5,7 @@
 A policy imitates a linear law. The package takes slopes of its return along four changes of the last layer, through the
 model, on all runs; beside them stand central differences on the same runs, the plant simulated in NumPy. What differs
 is told in standard errors of both together, the largest of the four slopes, and as a part of the gradient's length.
-Then follows what `codesign` says of such a policy, from its check on 256 runs of their own.
+Then follows what `codesign` says of such a policy, from its check on 512 runs of their own.
 """
 
 from __future__ import annotations

@@ -146,6 +146,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--free", action="store_true", help="design the spring, too")
     parser.add_argument("--optimal-control", type=int, default=0, metavar="RUNS", help="runs of the plain program")
+    parser.add_argument("--springs", nargs="+", type=float, default=np.linspace(1e4, 4e4, 7), help="its own grid, N/m")
     parser.add_argument("--starts", nargs="*", default=["clipped LQR", "skyhook", "nothing"])
     given = parser.parse_args()
     torch.set_num_threads(1)
@@ -184,9 +185,9 @@ def main() -> None:
     row("best constant damper", returns(lambda x: np.full((*x.shape[:-1], 1), passive)))
     row("skyhook and groundhook, tuned", returns(skyhook(best.x)), f"{best.x[0]:.0f}, {best.x[1]:.0f} N·s/m")
     row("clipped LQR", reference)
-    best_spring = SPRING
-    if given.optimal_control and given.free:
-        springs = np.linspace(own.design.lower[0], own.design.upper[0], 7)
+    springs = given.springs if given.free else [SPRING]
+    best_spring = springs[0]
+    if given.optimal_control and len(springs) > 1:
         coarse = [returns(Predictive(own, k), k, runs=8).mean() for k in springs]
         print("plain program, 8 runs:", ", ".join(f"{v:.2f} at {k:.0f}" for k, v in zip(springs, coarse)), flush=True)
         best_spring = float(springs[np.argmax(coarse)])
