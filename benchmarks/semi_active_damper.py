@@ -4,7 +4,8 @@
 
 Every row is the mean of the same 400 runs of 2 s on a white road, beside clipped LQR, with the 95 % interval of the
 paired difference. The plain program plans 25 samples with Ipopt in every sample, the road taken as zero ahead, on the
-first runs. `--free` designs the spring with the policy.
+first runs. `--free` designs the spring with the policy; the plain program then stands beside it twice, at the spring
+that was learned and at the best of a grid of springs of its own.
 """
 
 from __future__ import annotations
@@ -145,6 +146,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--free", action="store_true", help="design the spring, too")
     parser.add_argument("--optimal-control", type=int, default=0, metavar="RUNS", help="runs of the plain program")
+    parser.add_argument("--springs", nargs="+", type=float, default=np.linspace(1e4, 4e4, 7), help="its own grid, N/m")
     parser.add_argument("--starts", nargs="*", default=["clipped LQR", "skyhook", "nothing"])
     given = parser.parse_args()
     torch.set_num_threads(1)
@@ -162,7 +164,17 @@ def main() -> None:
     lqr = clipped_lqr(SPRING)
     reference = returns(lqr)
 
-    planned = np.zeros(0)
+    plans: dict[float, np.ndarray] = {}  # returns of the plain program, by spring
+
+    def planned(k):
+        """Returns of the plain program with a spring."""
+        if k not in plans:
+            began, plan = time.process_time(), Predictive(own, k)
+            plans[k] = returns(plan, k, given.optimal_control)
+            each = (time.process_time() - began) / given.optimal_control / STEPS
+            note = f"k_s = {k:.0f}, {1e3 * each:.2f} ms a sample, {plan.failed} not solved"
+            row(f"plain program, {len(plans[k])} runs", plans[k], note)
+        return plans[k]
 
     def row(name, values, note="") -> None:
         paired = values - reference[: len(values)]
@@ -173,11 +185,14 @@ def main() -> None:
     row("best constant damper", returns(lambda x: np.full((*x.shape[:-1], 1), passive)))
     row("skyhook and groundhook, tuned", returns(skyhook(best.x)), f"{best.x[0]:.0f}, {best.x[1]:.0f} N·s/m")
     row("clipped LQR", reference)
+    springs = given.springs if given.free else [SPRING]
+    best_spring = springs[0]
+    if given.optimal_control and len(springs) > 1:
+        coarse = [returns(Predictive(own, k), k, runs=8).mean() for k in springs]
+        print("plain program, 8 runs:", ", ".join(f"{v:.2f} at {k:.0f}" for k, v in zip(springs, coarse)), flush=True)
+        best_spring = float(springs[np.argmax(coarse)])
     if given.optimal_control:
-        began, plan = time.process_time(), Predictive(own, SPRING)
-        values = planned = returns(plan, runs=given.optimal_control)
-        each = (time.process_time() - began) / given.optimal_control / STEPS
-        row(f"plain program, {len(values)} runs", values, f"{1e3 * each:.2f} ms a sample, {plan.failed} not solved")
+        planned(best_spring)
     laws = {"clipped LQR": lqr, "skyhook": skyhook(best.x), "nothing": None}
     for name in given.starts:
         for seed in range(given.seeds):
@@ -191,10 +206,12 @@ def main() -> None:
                 f"k_s = {found.design[0]:.0f}, {found.status.name}, {time.process_time() - began:.0f} s, "
                 f"{1e6 * min(repeat(lambda c=found.controller: c(X / 20), number=100, repeat=20)) / 100:.0f} µs a call"
             )
-            if len(planned):
-                beside = 100 * (values[: len(planned)] - planned) / abs(planned.mean())
+            springs = {best_spring, round(float(found.design[0]), -1)} if given.free else {best_spring}
+            for k in sorted(springs) if given.optimal_control else ():
+                theirs = planned(k)
+                beside = 100 * (values[: len(theirs)] - theirs) / abs(theirs.mean())
                 error = 1.96 * beside.std() / len(beside) ** 0.5
-                note += f", beside the plain program {beside.mean():+.2f} ± {error:.2f} %"
+                note += f", beside the plain program at {k:.0f} {beside.mean():+.2f} ± {error:.2f} %"
             row(f"learned from {name}, seed {seed}", values, note)
 
 

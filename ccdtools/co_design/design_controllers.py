@@ -193,16 +193,22 @@ class DesignLaw:
         return law
 
 
-def _clipped(problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:
-    """Law u = clip(−K(p) x), K(p) by each design's Riccati equation, with its exact slope."""
+def lqr_gain(problem: CoDesignProblem, p: Tensor) -> Tensor:
+    """K (nu, nx) of a design's Riccati equation, with its exact slope."""
     import torch
 
     at = p.detach()
-    if p.requires_grad:
-        found = lqr_sensitivity(**regulator_data(problem, at.numpy()))
-        K = torch.tensor(found.K) + torch.einsum("uxp,p->ux", torch.tensor(found.dK), p - at)
-    else:
-        K = torch.tensor(saturated_lqr(problem, at.numpy()).K)
+    if not p.requires_grad:
+        return torch.tensor(saturated_lqr(problem, at.numpy()).K)
+    found = lqr_sensitivity(**regulator_data(problem, at.numpy()))
+    return torch.tensor(found.K) + torch.einsum("uxp,p->ux", torch.tensor(found.dK), p - at)
+
+
+def _clipped(problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:
+    """Law u = clip(−K(p) x), with its exact slope."""
+    import torch
+
+    K = lqr_gain(problem, p)
     low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in problem.input_bounds_at(p))
     return lambda x: torch.clamp(-x @ K.T, low, high)
 

@@ -84,6 +84,11 @@ class DesignCost(ABC):
     repeatable = True
 
     @property
+    def space(self) -> DesignSpace:
+        """What a search moves: the design, then any parameters of the controller."""
+        return self.problem.design
+
+    @property
     @abstractmethod
     def words(self) -> str:
         """Name of the cost in tables."""
@@ -94,7 +99,7 @@ class DesignCost(ABC):
 
     @abstractmethod
     def controller(self, p: Array) -> Controller:
-        """Controller of a design, for use."""
+        """Controller of a design, with any parameters behind it, for use."""
 
     @property
     def evaluations(self) -> int:
@@ -109,7 +114,7 @@ class DesignCost(ABC):
     def differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
         """Slopes (count, np) of values (count,), central or one-sided at a bound."""
         slopes = np.zeros((count, len(v)))
-        allowed = self.problem.design.allowed
+        allowed = self.space.allowed
         side = allowed.sides(v)
         for i in np.flatnonzero(allowed.free | (allowed.whole & (side != 0))):
             ends = []
@@ -189,9 +194,9 @@ def best_design(
     with bar(label=name, total=len(begun), progress=progress) as shown:
         for cost, v in begun:
             first, value = cost.first_point(v)
-            end = DesignPoint(first, np.inf, np.zeros(len(v)))
+            end = DesignPoint(first, np.inf, np.zeros(len(first)))
             if np.isfinite(value):
-                end = descend(cost, space, first, size=_size(problem, value, first), evaluations=evaluations)
+                end = descend(cost, cost.space, first, size=_size(problem, value, first), evaluations=evaluations)
                 end = cost.within_limits(end, evaluations)
             ends.append(end)
             shown.update()
@@ -209,20 +214,21 @@ def best_design(
 
 def _size(problem: CoDesignProblem, value: float, v: Array) -> float:
     """Size of the return at a point, without design cost."""
-    size = float(problem.made_by_control(-value, problem.design.from_unit(v)))
+    size = float(problem.made_by_control(-value, problem.design.from_unit(v[: problem.design.dim])))
     return size if np.isfinite(size) and size > 0 else 1.0
 
 
 def _result(problem: CoDesignProblem, cost: DesignCost, best: DesignPoint) -> CoDesignResult:
     """Result of the best end."""
-    space = problem.design
+    space = cost.space
     best = cost.examined(best)
-    design = space.check_feasible(space.settled(best.v))
+    found = space.check_feasible(space.settled(best.v))
     multipliers, rest = active_set_at(space, best.v, best.slope, best.active)
     rest /= _size(problem, best.cost, best.v)
     return CoDesignResult(
-        design=design, controller=cost.controller(design), history=History.of(cost.rows), objective=-best.cost,
-        status=status_of(cost, space, best, rest, bool(multipliers)), slope=rest, multipliers=multipliers,
+        design=found[: problem.design.dim], controller=cost.controller(found), history=History.of(cost.rows),
+        objective=-best.cost, status=status_of(cost, space, best, rest, bool(multipliers)), slope=rest,
+        multipliers=multipliers,
         criterion=f"return of {cost.words}", limits=best.limits,
     )  # fmt: skip
 
@@ -242,7 +248,7 @@ def _with_end(space: DesignSpace, valley: Valley, points: list[Array], ends: lis
     if not begun:
         return valley
     first = min(begun, key=lambda end: end.order)
-    return replace(valley, found=space.settled(first.v), found_return=-first.cost)
+    return replace(valley, found=space.settled(first.v[: space.dim]), found_return=-first.cost)
 
 
 def active_set_at(

@@ -11,7 +11,7 @@ ALL = (
     "sequential", "nested Riccati", "nested LQR", "nested MPC", "nested trajectory", "simultaneous",
     "simultaneous gain", "CMA-ES", "Bayesian search", "pathwise",
 )  # fmt: skip
-NAMES = (*ALL, "nested LQG", "nested NMPC", "nested RL", "ppo", "pathwise+ppo")
+NAMES = (*ALL, "nested gain", "nested LQG", "nested NMPC", "nested RL", "ppo", "pathwise+ppo")
 EXPERTS = ("lqr", "mpc", "explicit")  # whose inputs a first policy imitates
 STUDY_EXPERTS = ("auto", *EXPERTS)
 SHORT = {"nested": "nested LQR", "search": "CMA-ES"}  # what `codesign` means by its short names

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,20 +18,13 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import ROUNDS_AT_ONE_DESIGN, ROUNDS_WITHOUT_GAIN
 from ccdtools.co_design.design_controllers import LQR, DesignLaw
 from ccdtools.co_design.design_search import DesignCost, DesignPoint, descend
-from ccdtools.co_design.differentiable_model import (
-    Episode,
-    Law,
-    ScenarioTensors,
-    Stepper,
-    in_double,
-    simulated,
-    to_design,
-)
+from ccdtools.co_design.differentiable_model import Episode, Law, ScenarioTensors, Stepper, in_double, simulated
 from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.risk import of_kept_runs
 from ccdtools.co_design.tolerances import NEGLIGIBLE_GAIN, PRICE_GROWTH, USED_SHARE
 from ccdtools.controllers.controllers import Controller
+from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.tolerances import EXACT
 from mpc import NotStabilisableError
 
@@ -46,12 +40,18 @@ class LoopCost(DesignCost):
     scenarios: ScenarioTensors  # (n, nx) and (n, T, nw)
     # what leaving the limits costs; `within_limits` raises it until they are kept, where they have a tolerance
     penalty: StateLimitPenalty | None = None
+    searched: DesignSpace | None = None  # the design with the parameters of the law behind it, where it has any
     evaluations: int = 0  # closed loops on all scenarios, those of differences included
 
     def __post_init__(self) -> None:
         self.problem = in_double(self.problem)
         x0, w = self.scenarios
         self.scenarios = x0.double(), w.double()
+
+    @property
+    def space(self) -> DesignSpace:
+        """What a search moves: the design, then any parameters of the law."""
+        return self.searched or self.problem.design
 
     @property
     def words(self) -> str:
@@ -62,17 +62,16 @@ class LoopCost(DesignCost):
         """Cost at a point (np,), and its slope (np,): exact, or by differences of whole closed loops."""
         exact = self.law.exact is not None
         point = torch.tensor(v, dtype=torch.float64, requires_grad=exact)
-        p = to_design(self.problem, point)
         self.evaluations += 1
         try:
             with torch.set_grad_enabled(exact):
-                law = self._law(self.problem, p)
-                seen = simulated(Stepper.at(self.problem, p), law, self.scenarios, depths=self._priced)
-                cost = self._cost(seen, point)
+                seen = self._simulated(point, depths=self._priced)
+                cost = self._cost(seen, self._design(point))
         except NotStabilisableError:  # any other error is a mistake in what was stated
             return np.inf, lambda: np.zeros(len(v))
         found = of_kept_runs(self.problem.risk, seen.total.detach().numpy(), seen.diverged.numpy())
-        self.remember(self.problem.design.from_unit(v), *found, samples=math.prod(self.scenarios[1].shape[:2]))
+        p = self.problem.design.from_unit(self._design(v))
+        self.remember(p, *found, samples=math.prod(self.scenarios[1].shape[:2]))
         if not exact:
             return float(cost), lambda: self.differences(v, self._value_at, 1)[0]
         if not cost.requires_grad:
@@ -84,7 +83,7 @@ class LoopCost(DesignCost):
         """Cost alone (1,), not in the history."""
         self.evaluations += 1
         try:
-            return np.array([float(self._cost(self.seen(v), torch.tensor(v)))])
+            return np.array([float(self._cost(self.seen(v), self._design(torch.tensor(v))))])
         except NotStabilisableError:
             return np.array([np.inf])
 
@@ -123,22 +122,38 @@ class LoopCost(DesignCost):
         if bool(seen.diverged.any()):
             return seen, penalty
         x0, w = self.scenarios
-        return seen, penalty.updated(seen, torch.tensor(v, dtype=torch.float32), (x0.float(), w.float()))
+        at = self._design(torch.tensor(v, dtype=torch.float32))
+        return seen, penalty.updated(seen, at, (x0.float(), w.float()))
 
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
         """Episodes of the law at a point, with limit violations."""
-        p = to_design(self.problem, torch.tensor(v, dtype=torch.float64))
-        return simulated(Stepper.at(self.problem, p), self._law(self.problem, p), self.scenarios, depths=True)
+        return self._simulated(torch.tensor(v, dtype=torch.float64), depths=True)
+
+    def _design(self, v: Any) -> Any:
+        """Entries (np,) of the design in a point, an array or a tensor."""
+        return v[: self.problem.design.dim]
+
+    def _simulated(self, v: Tensor, *, depths: bool) -> Episode:
+        """Episodes of the law at a point."""
+        lower = v.new_tensor(self.space.lower.tolist())
+        at = lower + v * (v.new_tensor(self.space.upper.tolist()) - lower)
+        law = self._law(self.problem, at)
+        return simulated(Stepper.at(self.problem, self._design(at)), law, self.scenarios, depths=depths)
 
     @property
     def _law(self) -> Callable[[CoDesignProblem, Tensor], Law]:
-        """Problem and design tensor (np,) → law, differentiable where it can be."""
+        """Problem and point (np + parameters,) → law, differentiable where it can be."""
         return self.law.exact or self.law.on_line
 
     def plain(self, seen: Episode) -> float:
         """Cost of episodes, whatever they do to the limits."""
         return float(-self.problem.risk.values(seen.total).mean())
+
+    def first_point(self, v: Array) -> tuple[Array, float]:
+        """Point to search from, the parameters of the law in the middle of their ranges, and its cost."""
+        first = np.r_[v, np.full(self.space.dim - len(v), 0.5)]
+        return first, self(first)[0]
 
     def worth_a_start(self, v: Array) -> bool:
         """Whether saturated LQR, which is cheap, loses no run at a point."""
@@ -171,7 +186,7 @@ class LoopCost(DesignCost):
                 break
             self.penalty = penalty.dearer(PRICE_GROWTH) if violation > 0 and self.penalty is not None else penalty
             penalty = self.penalty
-            found = descend(self, self.problem.design, found.v, size=found.size, evaluations=evaluations)
+            found = descend(self, self.space, found.v, size=found.size, evaluations=evaluations)
         if not ends:
             return unpriced
         best = min(ends, key=lambda end: end.order)
@@ -198,8 +213,8 @@ class LoopCost(DesignCost):
                 far = share
                 continue
             plain = self.plain(seen)
-            penalty = replace(best.penalty, v=torch.tensor(v, dtype=torch.float32))
-            impossible = bool(seen.diverged.any()) or self.problem.design.allowed.violation(v) > EXACT
+            penalty = replace(best.penalty, v=self._design(torch.tensor(v, dtype=torch.float32)))
+            impossible = bool(seen.diverged.any()) or self.space.allowed.violation(v) > EXACT
             if impossible or penalty.violation(seen) > 0 or plain >= best.cost:
                 far = share
             else:

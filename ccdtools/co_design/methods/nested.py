@@ -34,6 +34,7 @@ from mpc import NotStabilisableError
 
 RUNS = {
     "lqr": 1000,
+    "gain": 1000,
     "mpc": 32,
     "nmpc": 16,
     "riccati": 1,
@@ -43,6 +44,7 @@ RUNS = {
 }  # Scenarios of 100 steps
 NAMES = {
     "lqr": "LQR",
+    "gain": "gain",
     "mpc": "MPC",
     "nmpc": "NMPC",
     "riccati": "Riccati",
@@ -58,15 +60,17 @@ class Nested:
 
     Attributes
     ----------
-    inner : {"lqr", "riccati", "lqg", "mpc", "nmpc", "trajectory", "rl"}
+    inner : {"lqr", "gain", "riccati", "lqg", "mpc", "nmpc", "trajectory", "rl"}
         In closed loop on fixed scenarios: saturated LQR ("lqr"; slopes exact, through the Riccati equation and the
-        simulation), linear or nonlinear MPC (slopes by differences of closed loops), a policy trained at every design
-        ("rl", the bi-level form; slopes by the envelope theorem). Without a simulation: LQR that never saturates
-        ("riccati"), on the estimate of the problem's Kalman filter ("lqg"; slopes by differences). In open loop: the
-        best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes exact, by multipliers).
+        simulation); one saturated gain, found with the design from LQR's on ("gain", in one search), which may keep
+        limits that LQR by the cost's weights breaks; linear or nonlinear MPC (slopes by differences of closed loops); a
+        policy trained at every design ("rl", the bi-level form; slopes by the envelope theorem). Without a simulation:
+        LQR that never saturates ("riccati"), on the estimate of the problem's Kalman filter ("lqg"; slopes by
+        differences). In open loop: the best inputs of every scenario, its disturbance known ahead ("trajectory"; slopes
+        exact, by multipliers).
     runs : int, optional
-        Scenarios of 100 steps; of longer ones fewer are taken, except of trajectories. By default 1000 of LQR, 32 of
-        MPC, 16 of nonlinear MPC, 8 of trajectories, 256 of learning.
+        Scenarios of 100 steps; of longer ones fewer are taken, except of trajectories. By default 1000 of LQR or
+        a gain, 32 of MPC, 16 of nonlinear MPC, 8 of trajectories, 256 of learning.
     starts : int
         Designs to start from: the given one, and the best valleys of the landscape of saturated LQR.
     evaluations : int, optional
@@ -167,6 +171,10 @@ class Nested:
             given = drawn(problem, runs, rng)
             return lambda v: TrajectoryCost(problem, given, problem.design.settled(v), self.control)
         scenarios = scenario_tensors(problem, fewer_runs(runs, problem.steps), rng)
+        if self.inner == "gain":
+            from ccdtools.co_design.methods.gain_cost import gain_cost
+
+            return lambda v: gain_cost(problem, v, scenarios)
         if self.inner == "rl":
             from ccdtools.co_design.imitation import first_policy
             from ccdtools.co_design.methods.learned_cost import LearnedCost

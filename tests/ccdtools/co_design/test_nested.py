@@ -11,6 +11,7 @@ from small_plants import best_design, exact_return, mass, two_valleys
 import ccdtools as cc
 
 QUICK = cc.Nested(runs=200)
+GAIN = cc.Nested("gain", runs=QUICK.runs, starts=QUICK.starts)
 
 
 def spring_plant(unit=1.0):
@@ -34,9 +35,28 @@ def spring_problem(unit=1.0, **changes):
     return cc.CoDesignProblem(cc.discretise(spring_plant(unit)), **(given | changes))
 
 
+def slowed(unit):
+    """Regulation of that mass at a speed that LQR by the weights exceeds."""
+    start = cc.FixedStart([1.5 * unit, 0.0], cc.Gaussian([0.05 * unit]))
+    X = ([-3 * unit, -0.7 * unit], [3 * unit, 0.7 * unit])
+    return spring_problem(unit, X=X, scenarios=start, limit_tolerance=(0.01, 0.05))
+
+
+@pytest.mark.check
+def test_a_gain_found_with_the_plant_keeps_a_limit_that_lqr_by_the_weights_breaks():
+    metres, millimetres, lqr = (
+        cc.codesign(slowed(unit), method=cc.Nested(inner, runs=64, starts=1), rng=np.random.default_rng(0))
+        for inner, unit in (("gain", 1.0), ("gain", 1000.0), ("lqr", 1.0))
+    )
+    assert metres.method == "nested gain"
+    assert metres.limits.kept
+    assert metres.closed_loop.summary.mean == pytest.approx(millimetres.closed_loop.summary.mean, rel=0.01)
+    assert not lqr.limits.kept
+
+
 @pytest.mark.quick(2)
 @pytest.mark.parametrize("name", sorted(CASES))
-@pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK], ids=["riccati", "lqr"])
+@pytest.mark.parametrize("method", [cc.Nested("riccati"), QUICK, GAIN], ids=["riccati", "lqr", "gain"])
 def test_constrained_designs_are_those_of_slsqp_on_the_exact_cost(name, method):
     case = CASES[name]
     _, cost = case.best()
