@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
+from itertools import repeat
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -127,9 +128,9 @@ class Immutable:
 
 def as_array(argument: str, value: Any, *shapes: tuple[int | str | None, ...]) -> Array:
     """Read-only float64 array of finite numbers in one of `shapes`; words match any length ≥ 1, None any length."""
-    wanted = " or ".join(_shape_text(shape) for shape in shapes)
+    wanted = " or ".join(map(_shape_text, shapes))
     array = as_floats(argument, value, expected=f"numbers of shape {wanted}" if shapes else "numbers")
-    if shapes and not any(_fits(array.shape, shape) for shape in shapes):
+    if shapes and not any(map(_fits, repeat(array.shape), shapes)):
         raise InputError(argument, f"shape {array.shape}", wanted)
     return frozen(as_finite(argument, array))
 
@@ -336,5 +337,5 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int | str | None, ...]) -> bool:
 
 def _shape_text(shape: tuple[int | str | None, ...]) -> str:
     """Shape as written in a docstring."""
-    lengths = ["any" if length is None else str(length) for length in shape]
-    return f"({lengths[0]},)" if len(lengths) == 1 else f"({', '.join(lengths)})"
+    lengths = ", ".join(map(str, shape)).replace("None", "any")
+    return f"({lengths},)" if len(shape) == 1 else f"({lengths})"

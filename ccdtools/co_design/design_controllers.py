@@ -193,31 +193,40 @@ class DesignLaw:
         return law
 
 
-def lqr_gain(problem: CoDesignProblem, p: Tensor) -> Tensor:
-    """K (nu, nx) of a design's Riccati equation, with its exact slope."""
+def fed_back(problem: CoDesignProblem, at: Tensor, *, rounding: float = 0.0) -> Callable[[Tensor], Tensor]:
+    """Law u = clip(−(K(p) + ΔK) x), K(p) that of LQR, with its exact slope.
+
+    `at` holds p (np,), and behind it ΔK by rows, if any. Clipping is rounded off over this part of U.
+    """
     import torch
 
-    at = p.detach()
-    if not p.requires_grad:
-        return torch.tensor(saturated_lqr(problem, at.numpy()).K)
-    found = lqr_sensitivity(**regulator_data(problem, at.numpy()))
-    return torch.tensor(found.K) + torch.einsum("uxp,p->ux", torch.tensor(found.dK), p - at)
-
-
-def _clipped(problem: CoDesignProblem, p: Tensor) -> Callable[[Tensor], Tensor]:
-    """Law u = clip(−K(p) x), with its exact slope."""
-    import torch
-
-    K = lqr_gain(problem, p)
+    p = at[: problem.design.dim]
+    known = p.detach()
+    if p.requires_grad:
+        found = lqr_sensitivity(**regulator_data(problem, known.numpy()))
+        K = torch.tensor(found.K) + torch.einsum("uxp,p->ux", torch.tensor(found.dK), p - known)
+    else:
+        K = torch.tensor(saturated_lqr(problem, known.numpy()).K)
+    if len(at) > len(p):
+        K = K + at[len(p) :].view_as(K)
     low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in problem.input_bounds_at(p))
-    return lambda x: torch.clamp(-x @ K.T, low, high)
+    if not rounding:
+        return lambda x: torch.clamp(-x @ K.T, low, high)
+    soft = rounding * (high - low)
+
+    def rounded(x: Tensor) -> Tensor:
+        """Inputs."""
+        asked = -x @ K.T
+        return (low + high + torch.hypot(asked - low, soft) - torch.hypot(asked - high, soft)) / 2
+
+    return rounded
 
 
 PASSIVE = DesignLaw(
     "the passive plant", lambda problem, p: Passive(problem.model.nu),
     lambda problem, p: lambda x: x.new_zeros(len(x), problem.model.nu),
 )  # fmt: skip
-LQR = DesignLaw("saturated LQR", saturated_lqr, _clipped)
+LQR = DesignLaw("saturated LQR", saturated_lqr, fed_back)
 
 
 def mpc_law(horizon: int = HORIZON, *, nonlinear: bool = False) -> DesignLaw:

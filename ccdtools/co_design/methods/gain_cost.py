@@ -8,15 +8,14 @@ systems", IEEE Transactions on Automatic Control 15, 1970 (gains by gradient, wi
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ccdtools.arrays import Array
-from ccdtools.co_design.design_controllers import DesignLaw, lqr_gain, saturated_lqr
+from ccdtools.co_design.design_controllers import DesignLaw, fed_back, saturated_lqr
 from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design, visited
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
@@ -38,12 +37,11 @@ def _with_gain(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -
     """Box of designs with ΔK, by rows."""
     own, space = in_double(problem), problem.design
     p = to_design(own, torch.tensor(v, dtype=torch.float64))
-    K = lqr_gain(own, p)
     step = Stepper.at(own, p)
-    x, u, _ = visited(step, lambda x: _fed_back(own, p, K, x), (scenarios[0].double(), scenarios[1].double()))
+    x, u, _ = visited(step, fed_back(own, p), (scenarios[0].double(), scenarios[1].double()))
     size = x.clamp(-step.limit, step.limit).square().mean(dim=0).sqrt().clamp(min=1e-12)
     reach = (u.abs().amax(dim=0)[:, None] / size).flatten().clamp(min=1e-12).numpy()
-    names = [f"ΔK {i + 1},{j + 1}" for i in range(len(K)) for j in range(len(size))]
+    names = [f"ΔK {i + 1},{j + 1}" for i in range(len(reach) // len(size)) for j in range(len(size))]
     limits = space.constraints
     return DesignSpace(
         [*space.names, *names], np.r_[space.lower, -reach], np.r_[space.upper, reach], integer=space.integer,
@@ -58,22 +56,5 @@ def _controller(problem: CoDesignProblem, at: Array) -> LinearFeedback:
     return replace(own, K=own.K + at[problem.design.dim :].reshape(own.K.shape))
 
 
-def _law(problem: CoDesignProblem, at: Tensor) -> Callable[[Tensor], Tensor]:
-    """Law of a point (p, ΔK), with its exact slope."""
-    p = at[: problem.design.dim]
-    K = lqr_gain(problem, p)
-    K = K + at[len(p) :].view_as(K)
-    return lambda x: _fed_back(problem, p, K, x)
-
-
-def _fed_back(problem: CoDesignProblem, p: Tensor, K: Tensor, x: Tensor) -> Tensor:
-    """Inputs −K x within their bounds, rounded off there.
-
-    From a fixed start the best gain often just reaches a bound at once in all runs, where clipping has a kink.
-    """
-    low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in problem.input_bounds_at(p))
-    asked, soft = -x @ K.T, SATURATION * (high - low)
-    return (low + high + torch.hypot(asked - low, soft) - torch.hypot(asked - high, soft)) / 2
-
-
-GAIN = DesignLaw("one saturated gain", _controller, _law)
+# From a fixed start the best gain often just reaches a bound at once in all runs, where clipping has a kink.
+GAIN = DesignLaw("one saturated gain", _controller, partial(fed_back, rounding=SATURATION))

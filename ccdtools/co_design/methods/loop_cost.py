@@ -65,7 +65,9 @@ class LoopCost(DesignCost):
         self.evaluations += 1
         try:
             with torch.set_grad_enabled(exact):
-                seen = self._simulated(point, depths=self._priced)
+                at = self._at(point)
+                law = self._law(self.problem, at)
+                seen = simulated(Stepper.at(self.problem, self._design(at)), law, self.scenarios, depths=self._priced)
                 cost = self._cost(seen, self._design(point))
         except NotStabilisableError:  # any other error is a mistake in what was stated
             return np.inf, lambda: np.zeros(len(v))
@@ -128,18 +130,18 @@ class LoopCost(DesignCost):
     @torch.no_grad()
     def seen(self, v: Array) -> Episode:
         """Episodes of the law at a point, with limit violations."""
-        return self._simulated(torch.tensor(v, dtype=torch.float64), depths=True)
+        at = self._at(torch.tensor(v, dtype=torch.float64))
+        law = self._law(self.problem, at)
+        return simulated(Stepper.at(self.problem, self._design(at)), law, self.scenarios, depths=True)
 
     def _design(self, v: Any) -> Any:
         """Entries (np,) of the design in a point, an array or a tensor."""
         return v[: self.problem.design.dim]
 
-    def _simulated(self, v: Tensor, *, depths: bool) -> Episode:
-        """Episodes of the law at a point."""
+    def _at(self, v: Tensor) -> Tensor:
+        """Entries of a point of the unit box, as they are."""
         lower = v.new_tensor(self.space.lower.tolist())
-        at = lower + v * (v.new_tensor(self.space.upper.tolist()) - lower)
-        law = self._law(self.problem, at)
-        return simulated(Stepper.at(self.problem, self._design(at)), law, self.scenarios, depths=depths)
+        return lower + v * (v.new_tensor(self.space.upper.tolist()) - lower)
 
     @property
     def _law(self) -> Callable[[CoDesignProblem, Tensor], Law]:
