@@ -328,7 +328,7 @@ class _Likelihood:
             return np.concatenate([part.at(self.values(z))[0] for part in self.parts])
 
         def slopes(z: Array) -> Array:
-            return np.concatenate([part.at(self.values(z))[2] for part in self.parts]) * self.units
+            return np.asarray(np.concatenate([part.at(self.values(z))[2] for part in self.parts]) * self.units)
 
         ends = {"xtol": rounding, "ftol": rounding, "gtol": rounding}
         return np.asarray(least_squares(errors, 0 * self.guess, slopes, bounds=self.bounds, x_scale="jac", **ends).x)
