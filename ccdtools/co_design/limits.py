@@ -223,13 +223,11 @@ class StateLimitPenalty:
     def cost(self, episode: Episode, v: Tensor) -> Tensor:
         """Cost () of leaving X at `v`, as part of the return.
 
-        It is differentiable.
-
-        The fraction of the states outside X has no gradient: it is as the mean depth, in units of `spread`.
+        It is differentiable, the standard errors on top with it. The fraction of the states outside X has no gradient:
+        it is as the mean depth, in units of `spread`.
         """
         size = self.judge.made_by_control(episode.total.detach().mean(), to_design(self.judge, v.detach()))
-        means = torch.stack([episode.depth.mean() / self.spread, episode.peak.mean()])
-        means = means + means.new_tensor(measurement_errors(episode).values())
+        means = _expected_at_most(torch.stack([episode.depth / self.spread, episode.peak]))
         multipliers = torch.tensor(self.multipliers.values(), dtype=torch.float64)
         cost: Tensor = size * multipliers @ _penalty(_relative_excess(means, self.tolerance.at(v)))
         return cost
@@ -281,6 +279,14 @@ class StateLimitPenalty:
         if max(seen.values()) <= LEAST_TOLERANCE or self.tolerance.holds_at(v):
             return self.tolerance
         return tolerance_by_mpc(self.judge, v, scenarios)
+
+
+def _expected_at_most(values: Tensor) -> Tensor:
+    """Means plus one standard error of values (2, n), differentiable also where all are equal."""
+    n = values.shape[1]
+    mean = values.mean(dim=1)
+    square = (values - mean[:, None]).square().sum(dim=1) / max(n - 1, 1) / n
+    return mean + (square + torch.finfo(square.dtype).tiny).sqrt()
 
 
 def _relative_excess(means: Tensor, allowed: Tensor) -> Tensor:

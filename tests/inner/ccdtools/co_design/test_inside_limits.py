@@ -144,8 +144,7 @@ def priced():
     tolerance = Tolerance(Pair(0.1, 0.05), "made up", at, torch.tensor([[0.0], [2.0]], dtype=torch.float64))
     penalty = replace(StateLimitPenalty(rail()), tolerance=tolerance, v=at, multipliers=Pair(0.2, 0.3), spread=0.25)
     full = torch.ones(2, dtype=torch.float64)
-    depth = torch.tensor([0.015, 0.03], dtype=torch.float64)
-    return penalty, Episode(-100 * full, full < 0, depth, 0.045 * full, 0.09 * full), at
+    return penalty, Episode(-100 * full, full < 0, 0.0225 * full, 0.045 * full, 0.09 * full), at
 
 
 def by_unit(penalty, seen, v):
@@ -161,6 +160,19 @@ def test_the_cost_prices_peak_and_mean_depth_in_parts_of_the_return(priced):
     np.testing.assert_allclose(peak, 100 * 0.3 / 0.05)
     np.testing.assert_allclose(depth, 100 * 0.2 / 0.1 / 0.25)
     np.testing.assert_allclose(design, -100 * 0.3 * 0.9 * 2.0)  # a larger tolerance has less to pay
+
+
+def test_the_cost_follows_the_standard_errors_that_are_on_top(priced):
+    penalty, seen, v = priced
+    apart = torch.tensor([-1e-3, 1e-3], dtype=torch.float64)
+    shift = torch.zeros((), dtype=torch.float64, requires_grad=True)
+
+    def moved(t):
+        return penalty.cost(replace(seen, depth=seen.depth + (2 + t) * apart, peak=seen.peak + (3 + t) * apart), v)
+
+    (slope,) = torch.autograd.grad(moved(shift), shift)
+    assert float(slope) > 0
+    assert float(slope) == pytest.approx(float(moved(1e-5) - moved(-1e-5)) / 2e-5, rel=1e-6)
 
 
 def test_the_prices_are_the_slopes_of_the_cost(priced):
