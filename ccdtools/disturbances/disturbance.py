@@ -64,6 +64,11 @@ class Uniform(Immutable):
         """Number of channels."""
         return len(self.lower)
 
+    @property
+    def mean(self) -> Array:
+        """Middle of the bounds (nw,)."""
+        return np.asarray((self.lower + self.upper) / 2)
+
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
         check_draw(runs, steps, rng)

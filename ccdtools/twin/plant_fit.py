@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import Bounds, least_squares, minimize
+from scipy.optimize import Bounds, minimize
 from scipy.stats import norm, t
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Mask
@@ -204,8 +204,9 @@ def fit_plant(
     Returns
     -------
     PlantFit
-        Never SOLVED where the log leaves a combination open, but for factors of noise alone, a bound holds one, or the
-        errors of states last beyond what that correlation explains. Names that follow those of the plant are of noise.
+        Never SOLVED where the log leaves a combination open, but for factors of noise alone, a bound holds one of the
+        plant's, or the errors of states last beyond what a correlation below one explains. They count as no smaller
+        than a millionth of a state's size. Names that follow those of the plant are of noise.
 
     Raises
     ------
@@ -248,7 +249,7 @@ def fit_plant(
         raise InputError("logs", got, f"at least {len(names)}", "Log longer, or state a plant with fewer of them.")
     with np.errstate(all="ignore"):  # a filter may diverge
         if output is None:
-            found, z, left = _of_states(problem, unknown, several)
+            found, z, left, rounding = _of_states(problem, unknown, several)
         else:
             found = _Likelihood(unknown, [_innovations(problem, unknown, log, scaled) for log in given], len(noises))
             z = found.largest()
@@ -263,9 +264,13 @@ def fit_plant(
         told = np.isfinite(covariance).all(axis=1)
         inverse = np.where(np.outer(told, told), covariance, 0.0)
         moved = np.concatenate([part.scores(values, inverse) for part in found.parts]) @ inverse
-        covariance = np.where(np.outer(told, told), moved.T @ moved, covariance)
+        covariance = np.where(np.outer(told, told), moved.T @ moved + rounding**2 * inverse, covariance)
         freedom = max(len(moved) - len(names), 1)
-        status = FitStatus.LASTING if status is FitStatus.SOLVED and _lasting(left) else status
+        once = np.concatenate(
+            [part.of_one_step(values[: len(unknown.free)])[0].reshape(-1, len(noises)) for part in found.parts]
+        )
+        carried = held[len(unknown.free) :] & ((once**2).mean(axis=0) > 1.0)  # whole, and more than rounding
+        status = FitStatus.LASTING if status is FitStatus.SOLVED and (_lasting(left) or carried.any()) else status
     return PlantFit(names, values, covariance, status, open_, squares / measured, unknown, freedom)
 
 
@@ -310,28 +315,20 @@ class _Likelihood:
             self._last = key, (cost, slope, np.asarray(np.linalg.qr(rows, mode="r")), float(square.sum()))
         return self._last[1]
 
-    def largest(self) -> Array:
+    def largest(self, steps: int = 5) -> Array:
         """Likeliest point (m,), with Fisher's information as curvature."""
         cost, slope = (lambda z: self.at(z)[0]), (lambda z: self.at(z)[1])
         z = minimize(
             cost, 0 * self.guess, jac=slope, hess=lambda z: self.at(z)[2].T @ self.at(z)[2], method="trust-constr",
             bounds=self.bounds, callback=lambda z, _: self.rise(z) <= NEGLIGIBLE,
         ).x  # fmt: skip
+        for _ in range(steps):  # along what the log tells much better than the rest its steps end early
+            if self.rise(z) <= NEGLIGIBLE or not np.isfinite(self.rise(z)):
+                break
+            z = np.clip(z - self._best_step(z)[0], self.bounds.lb, self.bounds.ub)
         if not self.rise(z) <= NEGLIGIBLE:  # its barrier may end short of a bound, which a projection reaches
             z = minimize(cost, z, jac=slope, method="L-BFGS-B", bounds=self.bounds).x
         return np.asarray(z)
-
-    def least(self, rounding: float = 4 * float(np.finfo(float).eps)) -> Array:
-        """Point (m,) of least squares, where variances are known."""
-
-        def errors(z: Array) -> Array:
-            return np.concatenate([part.at(self.values(z))[0] for part in self.parts])
-
-        def slopes(z: Array) -> Array:
-            return np.asarray(np.concatenate([part.at(self.values(z))[2] for part in self.parts]) * self.units)
-
-        ends = {"xtol": rounding, "ftol": rounding, "gtol": rounding}
-        return np.asarray(least_squares(errors, 0 * self.guess, slopes, bounds=self.bounds, x_scale="jac", **ends).x)
 
     def held(self, z: Array) -> Mask:
         """Which of the parameters (m,) a bound holds."""
@@ -342,41 +339,56 @@ class _Likelihood:
 
         Neither what a bound holds nor what the log leaves open counts: along that the likelihood rises by nothing.
         """
+        return self._best_step(z)[1]
+
+    def _best_step(self, z: Array) -> tuple[Array, float]:
+        """Gauss–Newton's step (m,) down along what the log tells, and its square in standard deviations."""
         cost, slope, rows, _ = self.at(z)
+        move = np.zeros(len(z))
         if not (np.isfinite(cost) and np.isfinite(rows).all()):
-            return float("nan")
+            return move, float("nan")
         free = ~self.held(z)
         _, told, modes = np.linalg.svd(rows[:, free])
-        step = (modes[: len(told)] @ slope[free])[told > TOLD] / told[told > TOLD]
-        return float(step @ step)
+        modes, told = modes[: len(told)][told > TOLD], told[told > TOLD]
+        step = modes @ slope[free] / told
+        move[free] = modes.T @ (step / told)
+        return move, float(step @ step)
 
 
 def _of_states(
     problem: CoDesignProblem, unknown: UnknownPlant, logs: list[Trajectory], rounds: int = 3
-) -> tuple[_Likelihood, Array, list[Array]]:
-    """Criterion, its least point, and the errors left there.
+) -> tuple[_Likelihood, Array, list[Array], float]:
+    """Criterion, its least point, the errors left there, and what counts as rounding in their size.
 
     Each state's errors count by their own size at the former parameters. What noise does not reach, some combination of
     states, would tell the parameters exactly, if a model was exact: so correlations are left to the intervals.
     """
-    mean = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1))
+    mean = _mean_disturbance(problem)
     steps = [unknown.functions(problem, log.design)[0] for log in logs]
     kept = [(log.states[~log.diverged], log.inputs[~log.diverged]) for log in logs]
     size = problem.state_scale
     for _ in range(rounds):
         parts = [StateErrors.of(step, mean, size, *log) for step, log in zip(steps, kept)]
         found = _Likelihood(unknown, parts, problem.model.nx, end_of_noise=1.0)
-        z = found.least()
+        z = found.largest()
         left = [part.predicted(found.values(z))[0] for part in parts]
         square = np.concatenate([(size * e).reshape(-1, len(size)) ** 2 for e in left]).mean(axis=0)
-        size = np.sqrt(square + (NEGLIGIBLE * problem.state_scale) ** 2)
-    return found, z, left
+        last, size = size, np.sqrt(square + (NEGLIGIBLE * problem.state_scale) ** 2)
+    return found, z, left, float((NEGLIGIBLE * problem.state_scale / last).max())
+
+
+def _mean_disturbance(problem: CoDesignProblem) -> Array:
+    """Mean (nw,), by a sample where the scenarios do not know it."""
+    known = getattr(getattr(problem.scenarios, "disturbance", None), "mean", None)
+    if isinstance(known, np.ndarray):
+        return known
+    return np.asarray(problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1)))
 
 
 def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog, scaled: bool) -> Innovations:
     """Innovations of a log, by the problem's filter."""
     known = kalman_filter(problem, log.design)
-    mean = problem.scenarios.sample(4096, problem.steps, np.random.default_rng(0))[1].mean(axis=(0, 1))
+    mean = _mean_disturbance(problem)
     disturbance = (mean, problem.moments[2] - np.outer(mean, mean))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
     functions = unknown.functions(problem, log.design)

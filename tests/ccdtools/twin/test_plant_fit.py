@@ -514,6 +514,22 @@ def test_of_states_a_log_without_any_disturbance_is_exact(digits):
     assert found.values[0] == pytest.approx(2.0, rel=1e-4)  # the model integrates as well as that
 
 
+def test_of_states_a_constant_push_without_noise_lasts():
+    problem, _ = seen(spring())
+    log = deploy(spring(0.5, push=0.3), saturated_lqr(problem, P), P, np.zeros((4, STEPS, 1)), x0=START)
+    assert fit_plant(problem, log, plant=spring(names=("gain",))).status.name == "LASTING"
+
+
+@pytest.mark.parametrize("gain", [1e-3, 1e-6, 0.0])
+def test_of_states_what_small_inputs_do_not_tell_stays_open(gain):
+    for seed in range(3):
+        problem, log = seen(spring(1.3), seed, runs=3, law=LinearFeedback([[gain, gain]]))
+        found = fit_plant(problem, log, plant=spring(names=("gain",)))
+        assert found.status.name == "OPEN"
+        with pytest.raises(InputError, match="OPEN"):
+            updated_problem(problem, found)
+
+
 def test_of_states_wrong_logs_are_named():
     problem, log = seen(spring())
     for given, words in [
