@@ -185,10 +185,11 @@ class DesignVectorEnv(VectorBase):
         size = self._episodes.designs.shape
         designs = [None] * n if given is None else np.broadcast_to(as_array("design", given, size, size[1:]), size)
         known = self._generators or [np_random()[0] for _ in seeds]
-        self._generators = [
+        generators = [
             old if one is None else np_random(as_count("seed", one, least=0))[0] for old, one in zip(known, seeds)
         ]
-        self._episodes.begin(zip(range(n), self._generators, designs))
+        self._episodes.begin(zip(range(n), generators, designs))
+        self._generators = generators
         return self._seen()
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
@@ -225,7 +226,8 @@ class _Episodes:
             raise InputError(name, "no Gymnasium", "it installed: pip install ccdtools[gymnasium]")
         self.problem = as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
         self.fixed = None if design is None else problem.design.check_feasible(design)
-        self.designs = np.zeros((runs, problem.design.dim))
+        first = np.full(problem.design.dim, np.nan) if self.fixed is None else self.fixed
+        self.designs = np.tile(first, (runs, 1))
         self.over = np.ones(runs, bool)  # no episode goes on before the first reset
         self._k = np.zeros(runs, int)
         self._x = self._e = torch.zeros(runs, problem.model.nx)
@@ -242,8 +244,9 @@ class _Episodes:
     def begin(self, rows: Iterable[tuple[int, np.random.Generator, Any]]) -> None:
         """Begin episodes anew, by rows with a generator and a design, or None."""
         x, e = self._x.clone(), self._e.clone()
-        for row, rng, given in rows:
-            self.designs[row] = self._design(rng, given)
+        begun = [(row, rng, self._design(rng, given)) for row, rng, given in rows]  # all are checked before one changes
+        for row, rng, design in begun:
+            self.designs[row] = design
             x0, w = scenario_tensors(self.problem, cases_of(self.problem.scenarios), rng)
             case = int(rng.integers(len(x0)))  # any of the cases, which runs meet in turn
             if not len(self._w):

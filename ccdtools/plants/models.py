@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from types import NoneType
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.tolerances import MODEL_AT_REST
-from ccdtools_ground.door import shown
+from ccdtools_ground.door import as_count, as_instance, as_number, shown
 
 Model: TypeAlias = LinearModel | SampledModel
 Step = Callable[[Array, Array, Array], Array]
@@ -90,6 +91,12 @@ def as_simulable(plant: Any, argument: str = "plant") -> Simulable:
         missing = [name for name in ("nx", "nu", "nw", "dt", "design") if not hasattr(plant, name)]
         if missing:
             raise InputError(argument, f"{shown(plant)} without {', '.join(missing)}", "a Simulable, which has them")
+        for name, least in (("nx", 1), ("nu", 1), ("nw", 0)):
+            as_count(f"{argument}.{name}", getattr(plant, name), least=least)
+        as_number(f"{argument}.dt", plant.dt, expected="a sampling time > 0 s", low=0.0, strict=True)
+        as_instance(f"{argument}.design", plant.design, (DesignSpace, NoneType), "a DesignSpace or None")
+        if not callable(plant.stepper):
+            raise InputError(f"{argument}.stepper", shown(plant.stepper), "a method (p, batch) → step")
         simulable: Simulable = plant
         return simulable
     if not all(hasattr(plant, name) for name in ("A", "B", "dt")):

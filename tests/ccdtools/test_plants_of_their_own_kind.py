@@ -108,6 +108,16 @@ def test_what_is_missing_is_named(name):
         RealPlant(Half(), Gaussian([0.05]), x0=[0.0, 0.0], runs=30, steps=20)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("nx", 2.0), ("nu", 0), ("nw", -1), ("dt", None), ("design", ["m"]), ("stepper", 3)]
+)
+def test_what_is_of_another_kind_is_named(name, value):
+    wrong = type("Wrong", (Cart,), {name: value})()
+    for asked in (problem, lambda plant: simulate(plant, LAWS["LQR"], x0=[1.0, 0.0], steps=3, design=[1.0])):
+        with pytest.raises(InputError, match=f"{name}: got"):
+            asked(wrong)
+
+
 def test_a_plant_that_is_not_discretised_is_no_simulator(illustrative):
     with pytest.raises(InputError, match=r"model: got .*expected a LinearModel or a SampledModel.*discretise"):
         problem(illustrative.plant)

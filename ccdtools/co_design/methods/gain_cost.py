@@ -22,15 +22,19 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import SATURATION
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.plants.design_space import DesignSpace
+from mpc import NotStabilisableError
 
 
 def gain_cost(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -> LoopCost:
     """Cost over designs p with ΔK of u = clip(−(K(p) + ΔK) x), K(p) that of LQR.
 
     A search begins at ΔK = 0. An entry of ΔK goes no further than takes its state, of the size that LQR's loop gives it
-    at the point `v` (np,), to the largest input there.
+    at the point `v` (np,), to the largest input there; where LQR has no gain, the cost has no value either.
     """
-    return LoopCost(problem, GAIN, scenarios, searched=_with_gain(problem, v, scenarios))
+    try:
+        return LoopCost(problem, GAIN, scenarios, searched=_with_gain(problem, v, scenarios))
+    except NotStabilisableError:
+        return LoopCost(problem, GAIN, scenarios)
 
 
 def _with_gain(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -> DesignSpace:

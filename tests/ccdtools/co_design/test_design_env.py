@@ -257,3 +257,18 @@ def test_wrong_calls_of_many_environments_name_their_argument(problem):
             env.step(actions)
     with pytest.raises(InputError, match="num_envs: got 0"):
         DesignVectorEnv(problem, 0)
+
+
+def test_a_design_that_is_refused_leaves_all_environments_as_they_were(problem):
+    env = DesignVectorEnv(problem, 3)
+    space = problem.design
+    designs = np.stack([space.lower, space.centre, space.upper])
+    env.reset(seed=0, options={"design": designs[::-1]})
+    with pytest.raises(InputError, match="design"):
+        env.reset(options={"design": np.stack([space.lower, space.lower, 9 * space.upper])})
+    *_, infos = env.step(np.zeros((3, 1)))
+    np.testing.assert_array_equal(infos["design"], designs[::-1])
+
+
+def test_a_fixed_design_is_known_before_the_first_reset(problem):
+    np.testing.assert_array_equal(DesignEnv(problem, problem.design.centre).design, problem.design.centre)

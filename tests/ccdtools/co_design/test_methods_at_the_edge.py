@@ -25,7 +25,7 @@ def unreached(weight: float = 1.0) -> cc.CoDesignProblem:
 @pytest.mark.parametrize(
     "method",
     [cc.Sequential("open_loop", starts=1), cc.Simultaneous(runs=1, starts=1),
-     cc.Nested("trajectory", runs=1, starts=1), cc.Nested("lqr"), cc.Nested("riccati")],
+     cc.Nested("trajectory", runs=1, starts=1), cc.Nested("lqr"), cc.Nested("gain"), cc.Nested("riccati")],
 )  # fmt: skip
 def test_a_design_that_cannot_be_stabilised_is_named(method):
     with pytest.raises(cc.InputError, match=r"design: got b = [12]") as caught:
