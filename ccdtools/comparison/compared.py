@@ -43,7 +43,7 @@ class Compared:
         The gain over the baseline on the same runs, and the runs that each lost. A seed for which no controller could
         be made has lost all.
     better : PairedDifference
-        Share of the runs in which its return is higher than the baseline's; equal ones count half.
+        Share of the runs in which its return is higher than the baseline's; those equal to five digits count half.
     fraction, peak : float
         Of the states outside the limits, and mean largest depth in half-widths.
     times : (k,) array
@@ -197,9 +197,9 @@ def _left(cell: Cell) -> tuple[float, float]:
 
 
 def _won(own: Cell, base: Cell) -> Array:
-    """Runs (N,) better than the baseline's; equal ones count half."""
+    """Runs (N,) better than the baseline's; equal ones, to five digits, count half."""
     first, second = (np.where(cell.lost, -np.inf, cell.returns) for cell in (own, base))
-    return np.where(first == second, 0.5, first > second)
+    return np.where(np.isclose(first, second, atol=0.0), 0.5, first > second)
 
 
 def _mean(values: Sequence[Array], fresh: bool, series: Sequence[Array]) -> PairedDifference:

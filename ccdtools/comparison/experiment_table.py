@@ -155,7 +155,9 @@ class Experiment:
         seeds = len({one.seed for one in self.records})
         runs = " or ".join(str(n) for n in sorted({cell.runs for cell in self}))
         lines = [
-            f"{seeds} seeds, {runs} runs of each. µs a step: median, 99th percentile. Training: median of the seeds."
+            f"{seeds} seed{'s'[: seeds - 1]}, {runs} runs of each. µs a step: median, 99th percentile. "
+            "Training: median of the seeds.",
+            f"Per cents are of what control costs {self.baseline}, the price of the design left out.",
         ]
         if seeds == 1:
             lines.append("Of one seed intervals are of the runs alone, and say nothing of another training.")

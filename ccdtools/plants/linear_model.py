@@ -48,7 +48,8 @@ class DiscreteModel:
         stacked = np.asarray(self.function(np.atleast_2d(p).T), dtype=float)
         if not np.isfinite(stacked).all():
             where = f"a design at which the model is not finite: {p.tolist()}"
-            raise InputError("design", where, "one where A, B and E are finite", "Leave it out of the design bounds.")
+            cure = "Leave it out of the design bounds, or state a plant that x = 0 is no point of in deviations."
+            raise InputError("design", where, "one where A, B and E are finite", cure)
         matrices = stacked.reshape(self.nx, -1, self.function.size2_out(0)).transpose(1, 0, 2)
         M = matrices if p.ndim == 2 else matrices[0]
         A, B, E = (np.ascontiguousarray(part) for part in np.split(M, [self.nx, self.nx + self.nu], axis=-1))
