@@ -67,6 +67,7 @@ def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baselin
     ax.axvline(0.0, color="#444444", lw=0.9)
     ax.set_yticks(rows, [", ".join(name for name in cell.names if name) for cell in cells])
     ax.invert_yaxis()
+    ax.set_xscale("symlog", linthresh=1.0)  # one far behind hides no difference between the others
     ax.set_xlabel(f"gain over {baseline} [%], 95 % interval")
 
 
@@ -104,4 +105,4 @@ def _plot_times(ax: Any, cells: list[Compared], colours: dict[str, str]) -> None
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()
     ax.set_xscale("log")
-    ax.set_xlabel("µs a step: median to 99th percentile")
+    ax.set_xlabel("µs a step:\nmedian to 99th percentile")
