@@ -45,6 +45,10 @@ class ClosedLoopReturns(Immutable):
         Standard errors of both.
     beyond_inputs : float
         Furthest that an input is asked for beyond U, in half-widths of U; of lost runs, too.
+    labels : (n,) int array, optional
+        The logged run, or stretch of one, that each run is drawn from: intervals and `parts` are over these.
+    warm_up : int
+        First samples of every run, which do not count.
     """
 
     values: Array
@@ -54,6 +58,8 @@ class ClosedLoopReturns(Immutable):
     risk: Risk = MEAN
     limit_errors: tuple[float, float] = (0.0, 0.0)
     beyond_inputs: float = 0.0
+    labels: Indices | None = None
+    warm_up: int = 0
 
     def __repr__(self) -> str:
         return f"ClosedLoopReturns({self})"
@@ -65,16 +71,20 @@ class ClosedLoopReturns(Immutable):
         what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
         ends = f" [{low:.6g}, {high:.6g}]" if np.isfinite(found.ci95).all() else ""
         lost = f"; {self.lost_share:.2%} of the runs lost, not counted" if self.lost.any() else ""
-        return f"{what}{found.mean:.6g}{ends}, {found.n} runs{lost}{found.warning and f'; {found.warning}'}"
+        drawn = "" if self.labels is None else f" drawn from {len(np.unique(self.labels))} logged stretches"
+        counted = f", from sample {self.warm_up} on" if self.warm_up else ""
+        runs = f"{found.n} runs{drawn}{counted}"
+        return f"{what}{found.mean:.6g}{ends}, {runs}{lost}{found.warning and f'; {found.warning}'}"
 
     @cached_property
     def summary(self) -> Summary:
         """Risk and 95 % interval of kept runs, see `summarise_in_risk`."""
-        return summarise_in_risk(self.risk, self.values, self.lost)
+        return summarise_in_risk(self.risk, self.values, self.lost, self.labels)
 
     def parts(self, runs: Indices) -> Array:
-        """Parts (k,) of these runs in the risk, see `parts_of_risk`."""
-        return parts_of_risk(self.risk, self.values[runs], runs=runs)
+        """Parts (k,) of these runs, or of what was logged among them, in the risk, see `parts_of_risk`."""
+        labels = None if self.labels is None else self.labels[runs]
+        return parts_of_risk(self.risk, self.values[runs], labels, runs)
 
     @property
     def lost_share(self) -> float:
@@ -109,6 +119,8 @@ def closed_loop_returns(
     as_generator("rng", rng)
     p = torch.tensor(problem.design.check_one(design))
     all_runs = fewer_runs(RUNS, problem.steps)
+    grouped = getattr(problem.scenarios, "groups", None)
+    labels = None if grouped is None else grouped(all_runs, problem.steps, rng)
     x0, w = (part.double() for part in scenario_tensors(problem, all_runs, rng))
     chosen = ONLINE_RUNS if hasattr(controller, "horizon") else RUNS
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
@@ -143,7 +155,10 @@ def closed_loop_returns(
     limits = measured(seen)
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
     errors = measurement_errors(seen).values()
-    return ClosedLoopReturns(total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond))
+    return ClosedLoopReturns(
+        total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond),
+        None if labels is None else labels[:n], problem.warm_up,
+    )  # fmt: skip
 
 
 def behind_filter(problem: CoDesignProblem, controller: Any, design: Array) -> Any:

@@ -22,7 +22,7 @@ def parts_of_risk(risk: Risk, returns: Array, labels: Indices | None = None, run
     """Part (g,) of each group in a risk of returns (n,); the risk is their mean.
 
     The part of a group is how far the risk moves when it is left out; of runs that are groups of their own, and a risk
-    of this package, by its derivative. NaN of a single group.
+    of this package, by its derivative. NaN of a single group, unless the risk is the mean.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def parts_of_risk(risk: Risk, returns: Array, labels: Indices | None = None, run
     own = np.arange(len(returns)) if labels is None else labels
     numbers = np.arange(len(returns)) if runs is None else runs
     groups = np.unique(own)
-    if len(groups) < 2 and not isinstance(risk, Mean):
-        return np.full(len(groups), np.nan)
+    if len(groups) < 2:
+        return np.full(len(groups), risk_of(risk, returns, numbers) if isinstance(risk, Mean) else np.nan)
     if len(groups) == len(returns) and isinstance(risk, Mean | MeanSpread | CVaR | WorstCase):
         alone = _parts_of_case(risk, returns, numbers) if isinstance(risk, WorstCase) else risk.values(returns)
         return np.asarray(alone[np.argsort(own)])
@@ -64,22 +64,25 @@ def too_few(risk: Risk, runs: Indices) -> str:
     return f"{count} runs decide it, fewer than {FEWEST_RUNS}: no interval"
 
 
-def summarise_in_risk(risk: Risk, returns: Array, lost: Mask) -> Summary:
+def summarise_in_risk(risk: Risk, returns: Array, lost: Mask, labels: Indices | None = None) -> Summary:
     """Risk, with 95 % interval, of returns (n,) without `lost` (n,) runs.
 
-    `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
+    With `labels` (n,) the interval is over the groups that they name, such as logged runs drawn more than once. `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
     that fewer than ten runs decide the risk, which then has no interval.
     """
     runs = np.flatnonzero(~lost)
     kept = returns[runs]
     plain = summarise(kept)
-    if isinstance(risk, Mean):
+    if isinstance(risk, Mean) and labels is None:
         return plain
     value = risk_of(risk, kept, runs)
-    parts = parts_of_risk(risk, kept, runs=runs)
+    own = None if labels is None else labels[runs]
+    parts = parts_of_risk(risk, kept, own, runs)
     std = float(parts.std(ddof=1)) if len(parts) > 1 else float("nan")
     warning = too_few(risk, runs)
     ends = NONE if warning else _interval(risk, kept, parts, runs)
+    if isinstance(risk, Mean):
+        return Summary(value, plain.std, plain.median, plain.n, ends, summarise(parts).warning)
     return Summary(value, std, plain.median, plain.n, ends, warning)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -73,6 +74,10 @@ class Replay(Immutable):
             x0[other] = self.starts[rng.integers(0, len(self.starts), int(other.sum()))]
         return x0, w
 
+    def groups(self, runs: int, steps: int, rng: np.random.Generator) -> Indices:
+        """Logged stretch (runs,) of every sample that the generator, left as it is, would draw."""
+        return self.windows(runs, steps, copy.deepcopy(rng))[2]
+
     def windows(self, runs: int, steps: int, rng: np.random.Generator) -> tuple[Array, Array, Indices]:
         """Samples from logged states, with one group per logged stretch."""
         as_count("runs", runs)
@@ -81,7 +86,9 @@ class Replay(Immutable):
         if longest < as_count("steps", steps):
             raise InputError("steps", steps, f"at most {longest}, the length of the longest logged run")
         windows = np.array([len(e.x) * max(e.x.shape[1] - steps + 1, 0) for e in self.logs])
-        draw = np.sort(rng.integers(0, windows.sum(), runs))
+        drawn = rng.integers(0, windows.sum(), runs)
+        order = np.argsort(drawn, kind="stable")
+        draw, back = drawn[order], np.argsort(order)  # the first of many are as good as any
         edges = np.concatenate([[0], np.cumsum(windows)])
         own = np.split(groups(self.logs), np.cumsum([log.runs for log in self.logs])[:-1])
         x0 = []
@@ -93,7 +100,7 @@ class Replay(Immutable):
             x0.append(errors.x[run, start])
             w.append(entering[run[:, None], start[:, None] + np.arange(steps)])
             labels.append(alike[run] * errors.steps + start // steps)
-        return np.concatenate(x0), np.concatenate(w), np.concatenate(labels)
+        return np.concatenate(x0)[back], np.concatenate(w)[back], np.concatenate(labels)[back]
 
     def whole(self) -> tuple[Array, Array]:
         """First states (n, nx) and errors (n, T, ·) of every run, for judging.
