@@ -79,9 +79,9 @@ def deviations(plant: Plant, about: Equilibrium) -> Plant:
     ----------
     plant : Plant
     about : Equilibrium
-        Of the plant; or of another of the same numbers of states, inputs and disturbances and the same box of designs,
-        such as the nominal one of a real plant. The real plant is then in the coordinates of the nominal one, and
-        rests at 0 only where both rest alike.
+        Of the plant; or of another of the same numbers of states, inputs and disturbances whose design is in the
+        plant's, such as the nominal one of a real plant, or of one with unknown entries besides. The plant is then in
+        the coordinates of the nominal one, and rests at 0 only where both rest alike.
 
     Raises
     ------
@@ -102,16 +102,17 @@ def deviations(plant: Plant, about: Equilibrium) -> Plant:
 def _check_alike(plant: Plant, other: Plant) -> None:
     """Raise an `InputError` unless sizes and boxes of designs agree."""
     own, its = ((f"{one.nx} states, {one.nu} inputs and {one.nw} disturbances", one.design) for one in (plant, other))
-    box, its_box = ((d.names, d.lower.tolist(), d.upper.tolist()) for d in (own[1], its[1]))
+    box, its_box = (set(zip(d.names, d.lower.tolist(), d.upper.tolist())) for d in (own[1], its[1]))
     if own[0] != its[0]:
         raise InputError("about", f"an equilibrium of a plant of {its[0]}", f"one of {own[0]}")
-    if box != its_box:
+    if not its_box <= box:
         raise InputError("about", f"an equilibrium over {its[1]!r}", f"one over the designs of the plant, {own[1]!r}")
 
 
 def _point(plant: Plant, about: Equilibrium) -> ca.SX:
     """(x, u, w) at rest, as expressions in the design."""
-    x, u = about.function(plant.p)
+    names = list(plant.design.names)
+    x, u = about.function(plant.p[[names.index(name) for name in about.plant.design.names]])
     return ca.vertcat(x, u, ca.SX(ca.DM(about.w)) if plant.nw else ca.SX(0, 1))
 
 

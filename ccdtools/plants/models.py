@@ -101,7 +101,7 @@ def as_simulable(plant: Any, argument: str = "plant") -> Simulable:
         return simulable
     if not all(hasattr(plant, name) for name in ("A", "B", "dt")):
         cure = "Convert it with control.ss." if hasattr(plant, "num") else ""
-        raise InputError(argument, shown(plant), "a Plant, a LinearModel, a TwinPlant or a control.StateSpace", cure)
+        raise InputError(argument, shown(plant), "a Plant, a model, a control.StateSpace, or an object with the members of `Simulable`", cure)
     return LinearModel.from_state_space(plant)
 
 
@@ -125,17 +125,19 @@ def for_long_work(model: Model, samples: int) -> Model:
     return model
 
 
-def as_regulated_model(argument: str, value: Any) -> Model:
+def as_regulated_model(argument: str, value: Any, cure: str = DEVIATIONS) -> Model:
     """`value`, if it is a model that rests at 0 at every design."""
     model = as_model(argument, value)
     if isinstance(model, SampledModel):
-        check_at_rest(argument, model, model.plant.state_names)
+        check_at_rest(argument, model, model.plant.state_names, cure=cure)
     elif model.affine:
-        raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", DEVIATIONS)
+        raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", cure)
     return model
 
 
-def check_at_rest(argument: str, model: Any, names: Sequence[str], slack: Array | float = 0.0) -> None:
+def check_at_rest(
+    argument: str, model: Any, names: Sequence[str], slack: Array | float = 0.0, cure: str = DEVIATIONS
+) -> None:
     """Raise an `InputError` unless a model rests at 0 within `slack` (nx,)."""
     for p in sample_designs(model.design):
         A, B, _ = model.matrices(p)
@@ -145,4 +147,4 @@ def check_at_rest(argument: str, model: Any, names: Sequence[str], slack: Array 
             i = int(np.argmax(moved))
             where = f"{names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
             got = f"a plant that does not rest at x = 0, u = 0: {where}"
-            raise InputError(argument, got, "one that does", DEVIATIONS)
+            raise InputError(argument, got, "one that does", cure)

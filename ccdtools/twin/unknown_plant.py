@@ -16,12 +16,14 @@ from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.discretisation import discretise
-from ccdtools.plants.models import Model
+from ccdtools.plants.models import Model, as_regulated_model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.symbols import elements
 from ccdtools.twin.transport import Transport
 from ccdtools_ground.door import as_instance, shown
+
+ELSEWHERE = "State plant and problem anew at the values of the fit, about the rest of that plant."
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,8 @@ class UnknownPlant:
                 cure = "What the log tells of a constant part of w is added to its disturbance."
                 raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
             scenarios = replace(scenarios, disturbance=Sum((scenarios.disturbance, Gaussian(0 * constant, constant))))
-        return replace(problem, model=_sampled(problem, plant), measurement=sensors, scenarios=scenarios)
+        model = as_regulated_model("twin", _sampled(problem, plant), ELSEWHERE)
+        return replace(problem, model=model, measurement=sensors, scenarios=scenarios)
 
 
 def _sampled(problem: CoDesignProblem, plant: Plant) -> Model:

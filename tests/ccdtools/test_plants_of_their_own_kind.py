@@ -22,6 +22,7 @@ from ccdtools import (
     simulate,
 )
 from ccdtools.co_design import DesignEnv
+from ccdtools.exceptions import SimulatorError
 from ccdtools.plants import BlackBox
 from ccdtools.twin import replay_problem
 
@@ -116,6 +117,38 @@ def test_what_is_of_another_kind_is_named(name, value):
     for asked in (problem, lambda plant: simulate(plant, LAWS["LQR"], x0=[1.0, 0.0], steps=3, design=[1.0])):
         with pytest.raises(InputError, match=f"{name}: got"):
             asked(wrong)
+
+
+class Dying(Cart):
+    """Cart whose licence is lost at the fourth sample."""
+
+    def stepper(self, p, *, batch):
+        left = iter(range(3))
+
+        def step(x, u, w):
+            if next(left, None) is None:
+                raise OSError("licence lost")
+            return moved(x, u, w, p)
+
+        return step
+
+
+class Alone(Cart):
+    """Cart that forgets the runs."""
+
+    def stepper(self, p, *, batch):
+        return lambda x, u, w: moved(x, u, w, p)[0]
+
+
+def test_one_that_dies_says_where_and_keeps_what_was_simulated():
+    with pytest.raises(SimulatorError, match=r"licence lost at x = .* at step 3 of a simulation") as caught:
+        simulate(Dying(), LAWS["LQR"], x0=[1.0, 0.0], steps=30, design=[1.0])
+    assert caught.value.kept.inputs.shape == (1, 3, 1)
+
+
+def test_one_that_moves_to_another_shape_says_so():
+    with pytest.raises(SimulatorError, match=r"states of shape \(2,\), expected \(1, 2\)"):
+        simulate(Alone(), LAWS["LQR"], x0=[1.0, 0.0], steps=30, design=[1.0])
 
 
 def test_a_plant_that_is_not_discretised_is_no_simulator(illustrative):

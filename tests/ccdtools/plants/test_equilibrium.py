@@ -6,8 +6,21 @@ import pytest
 from nonlinear_plants import GRAVITY, swing, tank_rates, tanks
 from scipy.optimize import approx_fprime, fsolve
 
-from ccdtools import DesignSpace, InputError, Plant, discretise, equilibrium, linearise
+from ccdtools import (
+    CoDesignProblem,
+    DesignSpace,
+    FixedStart,
+    Gaussian,
+    InputError,
+    Plant,
+    QuadraticObjective,
+    deploy,
+    discretise,
+    equilibrium,
+    linearise,
+)
 from ccdtools.plants import deviations
+from ccdtools.twin import fit_plant, updated_problem
 
 NAN = np.nan
 
@@ -289,3 +302,45 @@ def test_a_plant_that_rests_at_zero_everywhere_is_followed_from_any_design(desig
     for p in plant.design.spread()[:20]:
         x, u = (np.asarray(part).ravel() for part in rest.function(p))
         np.testing.assert_allclose(np.r_[x, u], 0, atol=1e-6)
+
+
+def heated(names, lower, upper, **known):
+    """Tank that loses heat; its heater has an efficiency, and its loss a factor, which may be unknown."""
+    x, u, w, p = (ca.SX.sym(*sized) for sized in (("x", 1), ("u", 1), ("w", 1), ("p", len(names))))
+    entries = {"mass": 2.0, "loss": 1.0, "efficiency": 1.0} | known | dict(zip(names, ca.vertsplit(p)))
+    rate = (entries["efficiency"] * u - entries["loss"] * (x - 20) * (1 + 0.01 * (x - 20)) + w) / entries["mass"]
+    return Plant(x, u, w, p, rate, DesignSpace(names, lower, upper), dt=0.1)
+
+
+def test_a_plant_with_unknown_entries_is_in_the_coordinates_of_the_nominal_one():
+    rest = equilibrium(heated(["mass"], [1.0], [3.0]), [2.0], x=[60.0], u=[np.nan])
+    unknown = heated(["loss", "mass", "efficiency"], [0.5, 1.0, 0.5], [1.5, 3.0, 1.5])
+    shifted = deviations(unknown, rest)
+    rate = ca.Function("rate", [shifted.x, shifted.u, shifted.w, shifted.p], [shifted.dynamics])
+    assert float(rate(0, 0, 0, [1.0, 2.5, 1.0])) == pytest.approx(0.0, abs=1e-9)
+    assert float(rate(3, -4, 2, [0.8, 2.5, 0.9])) == pytest.approx((0.9 * 52 - 0.8 * 43 * 1.43 + 2) / 2.5)
+
+
+def test_the_rest_of_another_box_is_refused():
+    rest = equilibrium(heated(["mass"], [1.0], [2.5]), [2.0], x=[60.0], u=[np.nan])
+    with pytest.raises(InputError, match="about: got an equilibrium over"):
+        deviations(heated(["mass", "loss"], [1.0, 0.5], [3.0, 1.5]), rest)
+
+
+def test_a_fitted_plant_that_rests_elsewhere_is_to_be_stated_anew():
+    nominal = heated(["mass"], [1.0], [3.0])
+    rest = equilibrium(nominal, [2.0], x=[60.0], u=[np.nan])
+    unknown = deviations(heated(["mass", "loss", "efficiency"], [1.0, 0.5, 0.5], [3.0, 1.5, 1.5]), rest)
+    limits = {"X": ([-20.0], [20.0]), "U": ([-40.0], [40.0])}
+    problem = CoDesignProblem(
+        discretise(deviations(nominal, rest), **limits, W=(-2.0, 2.0)), **limits, steps=50,
+        objective=QuadraticObjective([[1.0]], [[0.01]]), scenarios=FixedStart([5.0], Gaussian([0.5])),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    real = deviations(heated(["mass"], [1.0], [3.0], loss=0.8, efficiency=0.9), rest)
+    w = Gaussian([0.5]).sample(20, 50, rng)
+    log = deploy(real, lambda x: rng.uniform(-20, 20, x.shape), [2.0], w, x0=np.zeros((20, 1)))
+    fit = fit_plant(problem, log, plant=unknown)
+    assert fit.values[:2] == pytest.approx([0.8, 0.9], abs=0.02)
+    with pytest.raises(InputError, match="twin: .* State plant and problem anew at the values of the fit"):
+        updated_problem(problem, fit)
