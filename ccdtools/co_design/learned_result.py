@@ -190,8 +190,9 @@ class LearnedCoDesign(CoDesignResult):
         ended = "" if self.convergence is None else f" after {self.convergence.iterations} iterations"
         lines = [f"{self.method}: {self.status.value}{ended}. {self.status.advice}"]
         if self.gains:
-            parts = (f"{gain:+.4g} from the {what}" for what, gain in self.gains.items())
-            lines.append(f"gain on the model: {', '.join(parts)}")
+            moved, learned = (self.gains[part] for part in ("design", "policy"))
+            by_policy = f"{learned:+.4g} by learning at the design found"
+            lines.append(f"gain on the model: {moved:+.4g} by moving the design under the first policy, {by_policy}")
         return lines + self._of_loop()
 
     def _remarks(self) -> list[str]:

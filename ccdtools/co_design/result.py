@@ -162,8 +162,8 @@ class Baseline(Immutable):
     def __repr__(self) -> str:
         low, high = self.gain.ci95
         ends = f" [{100 * low:+.2f}, {100 * high:+.2f}]" if np.isfinite([low, high]).all() else ""
-        return f"{self.name}: {100 * self.gain.mean:+.2f} %{ends}" + (
-            "" if self.measure == "mean" else f" in the {self.measure}")  # fmt: skip
+        return f"{self.name}: {100 * self.gain.mean:+.2f} %{ends} of what control costs" + (
+            "" if self.measure == "mean" else f", in the {self.measure}")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -67,8 +67,9 @@ def too_few(risk: Risk, runs: Indices) -> str:
 def summarise_in_risk(risk: Risk, returns: Array, lost: Mask, labels: Indices | None = None) -> Summary:
     """Risk, with 95 % interval, of returns (n,) without `lost` (n,) runs.
 
-    With `labels` (n,) the interval is over the groups that they name, such as logged runs drawn more than once. `std` is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says
-    that fewer than ten runs decide the risk, which then has no interval.
+    With `labels` (n,) the interval is over the groups that they name, such as logged runs drawn more than once. `std`
+    is the standard deviation of the runs' parts in the risk, `median` that of their returns, and `warning` says that
+    fewer than ten runs decide the risk, which then has no interval.
     """
     runs = np.flatnonzero(~lost)
     kept = returns[runs]

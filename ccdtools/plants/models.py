@@ -101,7 +101,8 @@ def as_simulable(plant: Any, argument: str = "plant") -> Simulable:
         return simulable
     if not all(hasattr(plant, name) for name in ("A", "B", "dt")):
         cure = "Convert it with control.ss." if hasattr(plant, "num") else ""
-        raise InputError(argument, shown(plant), "a Plant, a model, a control.StateSpace, or an object with the members of `Simulable`", cure)
+        expected = "a Plant, a model, a control.StateSpace, or an object with the members of `Simulable`"
+        raise InputError(argument, shown(plant), expected, cure)
     return LinearModel.from_state_space(plant)
 
 

@@ -342,5 +342,5 @@ def test_a_fitted_plant_that_rests_elsewhere_is_to_be_stated_anew():
     log = deploy(real, lambda x: rng.uniform(-20, 20, x.shape), [2.0], w, x0=np.zeros((20, 1)))
     fit = fit_plant(problem, log, plant=unknown)
     assert fit.values[:2] == pytest.approx([0.8, 0.9], abs=0.02)
-    with pytest.raises(InputError, match="twin: .* State plant and problem anew at the values of the fit"):
+    with pytest.raises(InputError, match=r"twin: .* State plant and problem anew at the values of the fit"):
         updated_problem(problem, fit)
