@@ -9,14 +9,14 @@ systems", IEEE Transactions on Automatic Control 15, 1970 (gains by gradient, wi
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.design_controllers import DesignLaw, fed_back, saturated_lqr
-from ccdtools.co_design.differentiable_model import ScenarioTensors, Stepper, in_double, to_design, visited
+from ccdtools.co_design.differentiable_model import Law, ScenarioTensors, Stepper, in_double, to_design, visited
 from ccdtools.co_design.methods.loop_cost import LoopCost
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import SATURATION
@@ -28,37 +28,55 @@ from mpc import NotStabilisableError
 def gain_cost(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -> LoopCost:
     """Cost over designs p with ΔK of u = clip(−(K(p) + ΔK) x), K(p) that of LQR.
 
-    A search begins at ΔK = 0. An entry of ΔK goes no further than takes its state, of the size that LQR's loop gives it
-    at the point `v` (np,), to the largest input there; where LQR has no gain, the cost has no value either.
+    A search begins at ΔK = 0. Its unit of an entry of ΔK is what takes its state, of the size that LQR's loop gives it
+    at the point `v` (np,), to the largest input there; the further, the longer its steps. Where LQR has no gain, the
+    cost has no value either.
     """
     try:
-        return LoopCost(problem, GAIN, scenarios, searched=_with_gain(problem, v, scenarios))
+        reach = _reach(problem, v, scenarios)
     except NotStabilisableError:
-        return LoopCost(problem, GAIN, scenarios)
+        return LoopCost(problem, _law(np.zeros(0)), scenarios)
+    space, limits = problem.design, problem.design.constraints
+    nx = problem.model.nx
+    ends = np.ones(len(reach))
+    searched = DesignSpace(
+        [*space.names, *(f"ΔK {i // nx + 1},{i % nx + 1}" for i in range(len(reach)))], np.r_[space.lower, -ends],
+        np.r_[space.upper, ends], integer=space.integer,
+        constraints=None if limits is None else lambda p: limits(p[: space.dim]),
+        constraint_names=space.constraint_names,
+    )  # fmt: skip
+    return LoopCost(problem, _law(reach), scenarios, searched=searched)
 
 
-def _with_gain(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -> DesignSpace:
-    """Box of designs with ΔK, by rows."""
-    own, space = in_double(problem), problem.design
+def _reach(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -> Array:
+    """Units of the entries of ΔK, by rows."""
+    own = in_double(problem)
     p = to_design(own, torch.tensor(v, dtype=torch.float64))
     step = Stepper.at(own, p)
     x, u, _ = visited(step, fed_back(own, p), (scenarios[0].double(), scenarios[1].double()))
     size = x.clamp(-step.limit, step.limit).square().mean(dim=0).sqrt().clamp(min=1e-12)
-    reach = (u.abs().amax(dim=0)[:, None] / size).flatten().clamp(min=1e-12).numpy()
-    names = [f"ΔK {i + 1},{j + 1}" for i in range(len(reach) // len(size)) for j in range(len(size))]
-    limits = space.constraints
-    return DesignSpace(
-        [*space.names, *names], np.r_[space.lower, -reach], np.r_[space.upper, reach], integer=space.integer,
-        constraints=None if limits is None else lambda p: limits(p[: space.dim]),
-        constraint_names=space.constraint_names,
-    )  # fmt: skip
+    return np.asarray((u.abs().amax(dim=0)[:, None] / size).flatten().clamp(min=1e-12))
 
 
-def _controller(problem: CoDesignProblem, at: Array) -> LinearFeedback:
-    """Gain of a point (p, ΔK), clipped to U."""
-    own = saturated_lqr(problem, at[: problem.design.dim])
-    return replace(own, K=own.K + at[problem.design.dim :].reshape(own.K.shape))
+def _law(reach: Array) -> DesignLaw:
+    """Gain of a point (p, z), z from −1 to 1 for each entry of ΔK, clipped to U.
+
+    Clipping is rounded off: from a fixed start the best gain often just reaches a bound at once in all runs, where it
+    has a kink.
+    """
+    units = torch.tensor(reach)
+
+    def controller(problem: CoDesignProblem, at: Array) -> LinearFeedback:
+        own = saturated_lqr(problem, at[: problem.design.dim])
+        return replace(own, K=own.K + _stretched(at[problem.design.dim :], reach).reshape(own.K.shape))
+
+    def law(problem: CoDesignProblem, at: torch.Tensor) -> Law:
+        n = problem.design.dim
+        return fed_back(problem, torch.cat([at[:n], _stretched(at[n:], units)]), rounding=SATURATION)
+
+    return DesignLaw("one saturated gain", controller, law)
 
 
-# From a fixed start the best gain often just reaches a bound at once in all runs, where clipping has a kink.
-GAIN = DesignLaw("one saturated gain", _controller, partial(fed_back, rounding=SATURATION))
+def _stretched(z: Any, reach: Any, *, most: float = 100.0) -> Any:
+    """Entries of ΔK at z, `most` units at its ends."""
+    return reach * z / (1.0 - (1.0 - 1.0 / most) * z * z)
