@@ -15,7 +15,7 @@ from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.plants.models import Model, PlantOfModel
 from ccdtools.trajectory import Trajectory
 from ccdtools.twin.budgets import RIDGES
-from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, residuals
+from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, in_problem, residuals
 from ccdtools.twin.transport import carried
 from ccdtools_ground.door import as_instance
 from mpc import lqr
@@ -53,6 +53,7 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> L
     errors = errors_of(logs, problem.model)
     for i, log in enumerate(errors):
         check_errors(f"logs[{i}]", problem.model, log)
+    in_problem(problem, errors)
     A, B, _ = problem.model.matrices(p)
     dA, dB, c = fitted_change(
         [carried(problem.model, log, p, problem.state_scale) for log in errors], problem.state_scale

@@ -18,7 +18,7 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.models import as_model
 from ccdtools.plants.plant import Plant
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.residuals import residuals
+from ccdtools.twin.residuals import in_problem, residuals
 from ccdtools.twin.state_errors import StateErrors
 from ccdtools.twin.unknown_plant import UnknownPlant, changed_plant, stated_plant
 from ccdtools_ground.door import (
@@ -237,6 +237,7 @@ def fit_plant(
     scaled = as_choice("noise", noise, ("fitted", "known")) == "fitted" and output is not None
     if output is None:
         errors = [residuals(problem.model, log) for log in several]  # which checks the logs
+        in_problem(problem, errors)
         p, measured = errors[-1].p, sum(log.e_next[:, 1:].size for log in errors)
     else:
         given = [_checked(f"logs[{i}]", log, problem) for i, log in enumerate(several)]

@@ -15,7 +15,7 @@ from ccdtools.co_design.problem import CoDesignProblem, as_seen_problem
 from ccdtools.co_design.risk import of_logged_runs
 from ccdtools.exceptions import InputError
 from ccdtools.trajectory import Trajectory
-from ccdtools.twin.residuals import Residuals, groups, residuals
+from ccdtools.twin.residuals import Residuals, groups, in_problem, residuals
 from ccdtools.twin.transport import ErrorSplit
 from ccdtools.twin.twin import DigitalTwin
 from ccdtools_ground.door import as_count, as_generator, as_instance, shown
@@ -151,6 +151,7 @@ def replay_problem(
     split = ErrorSplit(problem.model, problem.state_scale)
     given: Sequence[Any] = errors if isinstance(errors, list | tuple) else [errors]
     logs = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
+    in_problem(problem, logs)
     return replace(
         problem, model=split.replayed_model, scenarios=Replay(logs, split, starts), steps=steps, warm_up=warm_up,
         discrepancy=None, risk=of_logged_runs(problem.risk),

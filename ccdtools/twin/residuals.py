@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, frozen
-from ccdtools.exceptions import InputError
+from ccdtools.exceptions import InputError, LimitWarning
 from ccdtools.plants.models import Model, as_model
 from ccdtools.trajectory import Trajectory
 from ccdtools_ground.door import as_finite, as_floats, as_instance, shown
+
+if TYPE_CHECKING:
+    from ccdtools.co_design.problem import CoDesignProblem
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,6 +125,18 @@ def errors_of(logs: Logs, model: Model | None) -> list[Residuals]:
     known = [residuals(model, one) if isinstance(one, Trajectory) and model is not None else one for one in given]
     kinds = "a Trajectory, or Residuals" if model is not None else "Residuals; with `model=` a Trajectory, too"
     return [as_instance(f"logs[{i}]", one, Residuals, kinds) for i, one in enumerate(known)]
+
+
+def in_problem(problem: CoDesignProblem, logs: Sequence[Residuals]) -> None:
+    """Warn of logs that may be in other coordinates: most of their states lie outside X."""
+    for log in logs:
+        inside = problem.state_limits(log.p).contains(log.x.reshape(-1, problem.model.nx)).mean()
+        if inside < 0.5:
+            warnings.warn(
+                f"{1 - inside:.0%} of the logged states lie outside X. A log has the coordinates of the problem: where "
+                "that is about a rest, deviations from it.",
+                LimitWarning, stacklevel=3,
+            )  # fmt: skip
 
 
 def of_linearisation(model: Model, errors: Residuals) -> Residuals:

@@ -1,13 +1,15 @@
 """Intervals on a replay are of the logged runs, not of how often these are drawn."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ccdtools import CVaR, Gaussian, LinearFeedback, closed_loop_returns, load_study, replay_problem
+from ccdtools.exceptions import LimitWarning
 from ccdtools.statistics import interval_of_parts
-from ccdtools.twin import deploy
+from ccdtools.twin import deploy, fit_plant, identified_lqr
 
 LOGS, RUNS, STEPS = 60, 12, 40
 DESIGN = [1.0]
@@ -72,3 +74,17 @@ def test_few_runs_are_of_all_that_was_logged(problem):
     found = closed_loop_returns(replay_problem(problem, log, window=STEPS), STRONG, DESIGN,
                                 np.random.default_rng(0), runs=100)  # fmt: skip
     assert len(np.unique(found.labels)) > 50  # in the order of the log they were the first 8
+
+
+@pytest.mark.parametrize("taken", [
+    lambda problem, log: replay_problem(problem, log, window=STEPS),
+    lambda problem, log: identified_lqr(problem, DESIGN, log),
+    fit_plant,
+])  # fmt: skip
+def test_a_log_of_other_coordinates_is_doubted(problem, taken):
+    log = logged(problem, 6)
+    with pytest.warns(LimitWarning, match="100% of the logged states lie outside X"):
+        taken(problem, replace(log, states=log.states + 60.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LimitWarning)
+        taken(problem, log)
