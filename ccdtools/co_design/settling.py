@@ -4,9 +4,9 @@ It is made once, of the controller handed out, after its closed loop was measure
 
 What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
 far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, MPC
-of its design neither, its gradient is that of the closed loop, and neither a plain search over its last layer nor other
-inputs that are held from the start are better. Where LQR brings nothing to rest that MPC is of the model itself, and
-looks ahead over an episode.
+of its design and one gain tuned from there neither, its gradient is that of the closed loop, and neither a plain search
+over its last layer nor other inputs that are held from the start are better. Where LQR brings nothing to rest that MPC
+is of the model itself, and looks ahead over an episode.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class Settling:
         if self.designing:
             space = self.problem.design
             starts = [space.settled(v) for v in start_points(space, result.design, result.valleys[:1], 2)]
-            others = [one for one in self._references if one.name != result.method]
+            others = [one for one in self._references(result) if one.name != result.method]
             found += [self._nested(other, start, loop) for other in others for start in starts]
         return [one for one in found if one is not None]
 
@@ -194,10 +194,16 @@ class Settling:
         """Where controllers of the state stand, if it is measured."""
         return "" if self.problem.measurement is None else ", behind the filter"
 
-    @property
-    def _references(self) -> list[Nested]:
-        """Nested co-designs that results are held against: one knows that inputs saturate, one the sensors."""
-        inner = ("lqr",) if self.problem.measurement is None else ("lqr", "lqg")
+    def _references(self, result: CoDesignResult) -> list[Nested]:
+        """Nested co-designs that results are held against.
+
+        One knows that inputs saturate, one the sensors; a policy should do more than one tuned gain.
+        """
+        inner = ["lqr"]
+        if self.problem.measurement is not None:
+            inner.append("lqg")
+        elif _learned(result.controller):
+            inner.append("gain")
         return [Nested(kind, runs=SETTLING_RUNS, starts=1, evaluations=20) for kind in inner]
 
     def _nested(self, method: Nested, start: Array, loop: ClosedLoopReturns) -> Baseline | None:
