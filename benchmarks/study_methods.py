@@ -1,6 +1,6 @@
 """Methods beside each other on the studies where learning matters: a row a method, on common fresh runs.
 
-    python benchmarks/study_methods.py [--studies wall swing_up] [--peer] [--iterations 120] [--steps 96000] [--seed 0]
+    python benchmarks/study_methods.py [--studies wall swing_up] [--peer] [--without METHOD] [--iterations 120] [--steps 96000]
 
 Nested methods and two that learn choose the design; nonlinear MPC stands at that of nested LQR. PPO from scratch and
 Stable-Baselines3, which must be installed, learn at the first one, by equal steps. Returns are means of 500 runs of the
@@ -22,18 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ccdtools import (
-    CCDError,
-    CoDesignConfig,
-    CoDesignProblem,
-    Learned,
-    LearnedPolicy,
-    Nested,
-    Scenario,
-    Study,
-    codesign,
-    load_study,
-)  # fmt: skip
+import ccdtools as cc
 from ccdtools.arrays import Array
 from ccdtools.co_design import DesignEnv, EpisodeEnv
 from ccdtools.co_design.imitation import EXPERTS
@@ -43,34 +32,34 @@ from learning import train
 STUDIES = ("wall", "backlash_servo", "semi_active_damper", "swing_up", "suspension")
 RUNS, FEW, AT_ONCE = 500, 8, 16
 End = tuple[Any, Array, str]  # controller, design (np,) and status
-Run = Callable[[CoDesignProblem, Array, int], End]  # of a problem, its first design and a seed
+Run = Callable[[cc.CoDesignProblem, Array, int], End]  # of a problem, its first design and a seed
 
 
 def designed(method: Any) -> Run:
     """Co-design by a method of the library."""
 
-    def run(problem: CoDesignProblem, design: Array, seed: int) -> End:
-        found = codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
+    def run(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
+        found = cc.codesign(problem, method=method, rng=np.random.default_rng(seed), design=design)
         return found.controller, found.design, found.status.name
 
     return run
 
 
-def planned(problem: CoDesignProblem, design: Array, seed: int) -> End:
+def planned(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
     """Nonlinear MPC at the design of nested LQR."""
-    found = codesign(problem, method="nested", rng=np.random.default_rng(seed), design=design)
+    found = cc.codesign(problem, method="nested", rng=np.random.default_rng(seed), design=design)
     return EXPERTS["nonlinear MPC"](problem, found.design), found.design, ""
 
 
 def cold(steps: int) -> Run:
     """PPO from scratch at the first design."""
 
-    def run(problem: CoDesignProblem, design: Array, seed: int) -> End:
+    def run(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
         env = EpisodeEnv(problem, design, runs=AT_ONCE, rng=np.random.default_rng(seed))
         generator, length = torch.Generator().manual_seed(seed), problem.steps
         trained = train(env, env.agent(seed=seed), iterations=steps // (AT_ONCE * length), steps=length,
                         generator=generator)  # fmt: skip
-        return LearnedPolicy(trained.agent, design), design, ""
+        return cc.LearnedPolicy(trained.agent, design), design, ""
 
     return run
 
@@ -78,7 +67,7 @@ def cold(steps: int) -> Run:
 def peer(steps: int) -> Run:
     """PPO of Stable-Baselines3 with its defaults, observations and rewards normalised."""
 
-    def run(problem: CoDesignProblem, design: Array, seed: int) -> End:
+    def run(problem: cc.CoDesignProblem, design: Array, seed: int) -> End:
         from stable_baselines3 import PPO
         from stable_baselines3.common.env_util import make_vec_env
         from stable_baselines3.common.vec_env import VecNormalize
@@ -96,22 +85,22 @@ def peer(steps: int) -> Run:
 
 def methods(iterations: int, steps: int, by_peer: bool) -> dict[str, Run]:
     """Methods by the names of their rows."""
-    config = CoDesignConfig(iterations=iterations, starts=1)
+    config = cc.CoDesignConfig(iterations=iterations, starts=1)
     found = {
-        "nested LQR": designed(Nested("lqr")), "nested LQG": designed(Nested("lqg")),
-        "nested MPC": designed(Nested("mpc", runs=FEW, starts=1, evaluations=4)), "nonlinear MPC": planned,
-        "gradient through the model": designed(Learned(config=config)),
-        "PPO from an imitation": designed(Learned(by="ppo", config=config)), "PPO from scratch": cold(steps),
+        "nested LQR": designed(cc.Nested("lqr")), "nested LQG": designed(cc.Nested("lqg")),
+        "nested MPC": designed(cc.Nested("mpc", runs=FEW, starts=1, evaluations=4)), "nonlinear MPC": planned,
+        "gradient through the model": designed(cc.Learned(config=config)),
+        "PPO from an imitation": designed(cc.Learned(by="ppo", config=config)), "PPO from scratch": cold(steps),
     }  # fmt: skip
     return found | ({"Stable-Baselines3": peer(steps)} if by_peer else {})
 
 
-def scenarios(study: Study) -> tuple[Scenario, Scenario]:
+def scenarios(study: cc.Study) -> tuple[cc.Scenario, cc.Scenario]:
     """Fresh runs of the model and of the real plant."""
     rng, real = np.random.default_rng(10**6), study.real
     x0, w = study.problem().scenarios.sample(RUNS, study.steps, rng)
     driven = real.disturbance.sample(RUNS, study.steps, rng)
-    return Scenario(study.model, x0, w), Scenario(real.plant, np.tile(real.x0, (RUNS, 1)), driven)
+    return cc.Scenario(study.model, x0, w), cc.Scenario(real.plant, np.tile(real.x0, (RUNS, 1)), driven)
 
 
 def beside(values: Array, reference: Array, size: float) -> str:
@@ -130,6 +119,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
     parser.add_argument("--peer", action="store_true", help="Stable-Baselines3, too")
+    parser.add_argument("--without", nargs="*", default=[], help="methods that are not run")
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--steps", type=int, default=96_000)
     parser.add_argument("--seed", type=int, default=0)
@@ -137,14 +127,16 @@ def main() -> None:
     torch.set_num_threads(1)
     print("| study | method | design | model | real plant | time | status |\n|---|---|---|---|---|---|---|")
     for name in asked.studies:
-        study = load_study(name)
+        study = cc.load_study(name)
         problem, places = study.problem(), scenarios(study)
         first: list[tuple[Array, float]] = []  # returns of nested LQR, and what its control costs
         for method, run in methods(asked.iterations, asked.steps, asked.peer).items():
+            if method in asked.without:
+                continue
             began = time.process_time()
             try:
                 controller, design, status = run(problem, study.p0, asked.seed)
-            except CCDError as error:
+            except cc.CCDError as error:
                 print(f"| {name} | {method} | – | – | – | – | {type(error).__name__} |", flush=True)
                 continue
             seconds = time.process_time() - began
