@@ -1,6 +1,6 @@
 """Methods beside each other on the studies where learning matters: a row a method, on common fresh runs.
 
-    python benchmarks/study_methods.py [--studies wall swing_up] [--peer] [--without METHOD] [--iterations 120] [--steps 96000]
+    python benchmarks/study_methods.py [--studies wall swing_up] [--without METHOD] [--peer] [--iterations 120]
 
 Nested methods and two that learn choose the design; nonlinear MPC stands at that of nested LQR. PPO from scratch and
 Stable-Baselines3, which must be installed, learn at the first one, by equal steps. Returns are means of 500 runs of the
