@@ -66,6 +66,7 @@ class Task:
     method: str  # "pathwise", "ppo" or "pathwise+ppo"
     config: CoDesignConfig
     limits: StateLimitPenalty | None = None
+    begun: str = ""  # what is to be said of the policy that it begins with
 
     @property
     def pathwise(self) -> bool:

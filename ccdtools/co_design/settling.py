@@ -30,13 +30,13 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.limits import BY_MPC, NOTHING, UNTIL_LEFT, LimitsOutcome, Pair, tolerance_at
 from ccdtools.co_design.methods.nested import Nested
 from ccdtools.co_design.objective import QuadraticObjective
-from ccdtools.co_design.policy_check import better_by_search, gradient_of_policy
+from ccdtools.co_design.policy_check import astray, better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
 from ccdtools.co_design.risk import Mean, measure
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
-from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_TOLERANCE
+from ccdtools.co_design.tolerances import LEAST_TOLERANCE
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -280,9 +280,7 @@ class Settling:
         if isinstance(result, LearnedCoDesign) and "pathwise" in result.method:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
-            wrong = "" if check.trusted else "the gradient of the policy is not that of its return, beyond chance"
-            if check.blind > BLIND_SHARE:
-                wrong = f"the policy has no gradient in {check.blind:.0%} of the runs"
+            wrong = astray(check)
             if not wrong and result.method == "pathwise" and getattr(self.problem.model, "jump", False):
                 wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:

@@ -14,7 +14,7 @@ import torch
 from ccdtools.arrays import Array
 from ccdtools.co_design.agents import check_agent
 from ccdtools.co_design.ascent import Ascent, Task
-from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS
+from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import closed_loop_returns
 from ccdtools.co_design.configuration import METHODS, CoDesignConfig
 from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scenario_tensors
@@ -25,6 +25,7 @@ from ccdtools.co_design.learned_result import LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.loops import lqr_is_expert
+from ccdtools.co_design.policy_check import astray, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult, CoDesignStatus, History, Valley
 from ccdtools.co_design.risk import Mean, check_followed, measure
@@ -51,8 +52,8 @@ class Learned:
     ----------
     by : {"pathwise", "ppo", "pathwise+ppo"}
         What moves the policy: its gradient through the model, PPO, or both. Where `codesign` finds at the end of a
-        climb that this gradient is not that of the return, or that a plain search or LQR is better, PPO goes on from
-        there. `config.design_gradient` says what moves the design.
+        climb that the policy has no gradient, or not that of its return, or that a plain search or LQR is better, PPO
+        goes on from there, with one from scratch beside it. `config.design_gradient` says what moves the design.
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
         is made, or, where LQR brings nothing to rest, as in a swing-up, MPC of the model; and beside one that is far
@@ -69,9 +70,9 @@ class Learned:
         the model has expressions; it begins by imitating LQR, behind it LQG. With a number it sees so many last outputs
         and inputs instead, and begins by imitating LQG.
     from_scratch : bool
-        Whether a policy that PPO learns from nothing, at the first design, climbs beside it: what no small change of an
-        expert's imitation reaches, such as the use of a wall, it may find. `codesign` takes one where it goes on from a
-        climb.
+        Whether a policy that PPO learns from nothing, at the first design, climbs beside it, along its own gradient
+        where that is the one of its return, else as `by` says. It may find what no small change of an expert's
+        imitation reaches, such as the use of a wall. `codesign` takes one where it goes on from a climb.
     """
 
     by: str = "pathwise"
@@ -134,13 +135,14 @@ class Learned:
         task = replace(task, limits=limits)
         at("landscape of saturated LQR")
         found = chosen_valleys(replace(task, problem=known), design, rng)
-        agents = [agent]
+        agents = [(task, agent)]
         if task.moves_policy and self.agent is not None and not problem.hidden and _spoilt(judge, agent, design, rng):
-            agents.append(first())
+            agents.append((task, first()))
         if self.from_scratch:
-            agents.append(policy_from_scratch(problem, design, rng))
-        ascents = race(task, agents, start_designs(task, design, found), rng, progress=progress)
-        result = _result(task, ascents, given, design, found)
+            learned = policy_from_scratch(problem, design, rng)
+            agents.append((_on_from_scratch(task, learned, design, rng), learned))
+        ascents = race(agents, start_designs(task, design, found), rng, progress=progress)
+        result = _result(ascents, given, design, found)
         if not problem.hidden:
             return result
         from ccdtools.co_design.output_filter import memory_at
@@ -176,6 +178,17 @@ def policy_from_scratch(
     env = EpisodeEnv(problem, design, runs=runs, rng=rng)
     generator = torch.Generator().manual_seed(seed)
     return train(env, env.agent(seed=seed), iterations=updates, steps=steps, generator=generator).agent
+
+
+def _on_from_scratch(task: Task, agent: ActorCritic, design: Array, rng: np.random.Generator) -> Task:
+    """Task of a policy from scratch, by its gradient where this leads."""
+    task = replace(task, begun="PPO learned from scratch what the policy began with")
+    own = replace(task, method="pathwise")
+    problem = task.problem
+    if getattr(problem.model, "jump", False) or not own.pathwise:
+        return task
+    drawn = scenario_tensors(problem, fewer_runs(2 * SETTLING_RUNS, problem.steps), copy.deepcopy(rng))
+    return task if astray(gradient_of_policy(problem, LearnedPolicy(agent, design), drawn)) else own
 
 
 def _first_agent(
@@ -215,11 +228,10 @@ def _spoilt(problem: CoDesignProblem, agent: ActorCritic, design: Array, rng: np
     return other.summary.mean - own.summary.mean > WORTH_A_START * size
 
 
-def _result(
-    task: Task, ascents: list[Ascent], agent: ActorCritic, design: Array, found: tuple[Valley, ...]
-) -> LearnedCoDesign:
+def _result(ascents: list[Ascent], agent: ActorCritic, design: Array, found: tuple[Valley, ...]) -> LearnedCoDesign:
     """Winner of the race, with the others' outcomes."""
     winner = ascents[0]
+    task = winner.task
     best = winner.region.settled(winner.best.v)
     assert winner.status is not None
     return LearnedCoDesign(
@@ -228,6 +240,7 @@ def _result(
         evaluations=sum(ascent.iterations for ascent in ascents), history=History.of(winner.rows),
         limits=winner.best.limits, valleys=_with_ends(found, ascents, design), gradients=winner.check,
         gains=_gains(task, winner, agent, design), convergence=winner.convergence(),
+        notes=(task.begun,) if task.begun else (),
     )  # fmt: skip
 
 
@@ -308,20 +321,20 @@ def start_designs(task: Task, design: Array, found: tuple[Valley, ...]) -> list[
 
 
 def race(
-    task: Task, agents: list[ActorCritic], starts: list[Array], rng: np.random.Generator, *, progress: bool
+    agents: list[tuple[Task, ActorCritic]], starts: list[Array], rng: np.random.Generator, *, progress: bool
 ) -> list[Ascent]:
-    """Ascents of every agent from every start, best first.
+    """Ascents of every agent, with its task, from every start, best first.
 
     They climb a block at a time. One is given up when it has come to the place of a better one, loses runs that a
     better one keeps, or is behind it by more than its last block gained and than chance explains. Each draws from a
     generator of its own, and all are scored on the same scenarios.
     """
     at("first look at every start")
-    config = task.config
-    evaluation = scenario_tensors(task.judge, fewer_runs(config.evaluation_runs, task.judge.steps), rng)
+    config, judge = agents[0][0].config, agents[0][0].judge
+    evaluation = scenario_tensors(judge, fewer_runs(config.evaluation_runs, judge.steps), rng)
     ascents = [
         Ascent(task, copy.deepcopy(agent), design, np.random.default_rng(rng.integers(2**63, size=4)), evaluation)
-        for agent in agents
+        for task, agent in agents
         for design in starts
     ]
     climbing = list(ascents)
