@@ -65,7 +65,8 @@ def _offset(problem: CoDesignProblem, p: Tensor, K: Tensor, P: Tensor, R: Tensor
     A, B, E = matrices(problem.model, p)
     drift = E @ torch.tensor(problem.mean_disturbance)
     ahead = torch.linalg.solve(torch.eye(len(A)) - (A - B @ K).T, P @ drift)
-    return -torch.linalg.solve(R + B.T @ P @ B, B.T @ ahead)
+    offset: Tensor = -torch.linalg.solve(R + B.T @ P @ B, B.T @ ahead)
+    return offset
 
 
 def regulator_data(problem: CoDesignProblem, p: Array) -> dict[str, Array]:

@@ -78,17 +78,20 @@ class UnknownPlant:
         A constant part of w is added to the disturbance. Anything else that moves the plant at rest, such as a slope,
         enters with a further disturbance, which is 1.
         """
-        (plant, slope), sensors, scenarios = self.at(problem.design, values), problem.measurement, problem.scenarios
+        plant, slope = self.at(problem.design, values)
+        sensors, scenarios = problem.measurement, problem.scenarios
         constant = values[len(values) - self.constants :]
-        if (constant.any() or not slope.is_zero()) and not isinstance(scenarios, FixedStart | RandomStarts):
-            cure = "What the log tells of a constant part is added to its disturbance."
-            raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
-        if constant.any():
-            scenarios = replace(scenarios, disturbance=Sum((scenarios.disturbance, Gaussian(0 * constant, constant))))
-        if not slope.is_zero():
-            one = ca.SX.sym("one")
-            plant = replace(plant, w=ca.vertcat(plant.w, one), dynamics=plant.dynamics + slope * one)
-            scenarios = replace(scenarios, disturbance=Stacked((scenarios.disturbance, Gaussian([0.0], [1.0]))))
+        if constant.any() or not slope.is_zero():
+            if not isinstance(scenarios, FixedStart | RandomStarts):
+                cure = "What the log tells of a constant part is added to its disturbance."
+                raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
+            w = scenarios.disturbance
+            w = Sum((w, Gaussian(0 * constant, constant))) if constant.any() else w
+            if not slope.is_zero():
+                one = ca.SX.sym("one")
+                plant = replace(plant, w=ca.vertcat(plant.w, one), dynamics=plant.dynamics + slope * one)
+                w = Stacked((w, Gaussian([0.0], [1.0])))
+            scenarios = replace(scenarios, disturbance=w)
         if sensors is not None and isinstance(sensors.output, Plant):
             sensors = replace(sensors, output=plant)
         return replace(problem, model=_sampled(problem, plant), measurement=sensors, scenarios=scenarios)
