@@ -39,12 +39,34 @@ def tangent_note(problem: CoDesignProblem) -> str:
 
 
 def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback:
-    """LQR of the nominal model at a design, clipped to U."""
+    """LQR of the nominal model at a design, clipped to U.
+
+    With a disturbance whose stated mean d is not 0 it has the offset that costs least on average,
+    −(R + B'PB)⁻¹ B' (I − (A − BK)')⁻¹ P E d.
+    """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
     A, B, _ = problem.model.matrices(p)
-    K, _ = lqr(A, B, **problem.weights(p).keywords())
-    return LinearFeedback(K, *problem.input_bounds_at(p))
+    K, P = lqr(A, B, **problem.weights(p).keywords())
+    offset: Any = 0.0
+    if problem.mean_disturbance.any():
+        import torch
+
+        offset = _offset(problem, *(torch.tensor(value) for value in (p, K, P, problem.weights(p).R))).numpy()
+    return LinearFeedback(K, *problem.input_bounds_at(p), offset=offset)
+
+
+def _offset(problem: CoDesignProblem, p: Tensor, K: Tensor, P: Tensor, R: Tensor) -> Tensor:
+    """Input (nu,) of LQR at x = 0, against the mean of the disturbance."""
+    import torch
+
+    from ccdtools.co_design.differentiable_model import matrices
+
+    A, B, E = matrices(problem.model, p)
+    drift = E @ torch.tensor(problem.mean_disturbance)
+    ahead = torch.linalg.solve(torch.eye(len(A)) - (A - B @ K).T, P @ drift)
+    offset: Tensor = -torch.linalg.solve(R + B.T @ P @ B, B.T @ ahead)
+    return offset
 
 
 def regulator_data(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
@@ -194,7 +216,7 @@ class DesignLaw:
 
 
 def fed_back(problem: CoDesignProblem, at: Tensor, *, rounding: float = 0.0) -> Callable[[Tensor], Tensor]:
-    """Law u = clip(−(K(p) + ΔK) x), K(p) that of LQR, with its exact slope.
+    """Law u = clip(k(p) − (K(p) + ΔK) x), k and K those of LQR, with its exact slope.
 
     `at` holds p (np,), and behind it ΔK by rows, if any. Clipping is rounded off over this part of U.
     """
@@ -202,21 +224,31 @@ def fed_back(problem: CoDesignProblem, at: Tensor, *, rounding: float = 0.0) -> 
 
     p = at[: problem.design.dim]
     known = p.detach()
+
+    def near(value: Array, slope: Array) -> Tensor:
+        """Value with its slope."""
+        return torch.tensor(value) + torch.tensor(slope) @ (p - known)
+
+    offset: Any = 0.0
     if p.requires_grad:
-        found = lqr_sensitivity(**regulator_data(problem, known.numpy()))
-        K = torch.tensor(found.K) + torch.einsum("uxp,p->ux", torch.tensor(found.dK), p - known)
+        data = regulator_data(problem, known.numpy())
+        found = lqr_sensitivity(**data)
+        K = near(found.K, found.dK)
+        if problem.mean_disturbance.any():
+            offset = _offset(problem, p, K, near(found.P, found.dP), near(data["R"], data["dR"]))
     else:
-        K = torch.tensor(saturated_lqr(problem, known.numpy()).K)
+        law = saturated_lqr(problem, known.numpy())
+        K, offset = torch.tensor(law.K), torch.tensor(law.offset)
     if len(at) > len(p):
         K = K + at[len(p) :].view_as(K)
     low, high = (torch.as_tensor(bound, dtype=torch.float64) for bound in problem.input_bounds_at(p))
     if not rounding:
-        return lambda x: torch.clamp(-x @ K.T, low, high)
+        return lambda x: torch.clamp(offset - x @ K.T, low, high)
     soft = rounding * (high - low)
 
     def rounded(x: Tensor) -> Tensor:
         """Inputs."""
-        asked = -x @ K.T
+        asked = offset - x @ K.T
         return (low + high + torch.hypot(asked - low, soft) - torch.hypot(asked - high, soft)) / 2
 
     return rounded

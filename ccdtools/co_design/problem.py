@@ -294,6 +294,13 @@ class CoDesignProblem(Immutable):
         away = x0 - mean
         return mean, away.T @ away / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
+    @property
+    def mean_disturbance(self) -> Array:
+        """Mean (nw,) that the disturbance states; 0 where it states none, or errors are learned."""
+        known = getattr(getattr(self.scenarios, "disturbance", None), "mean", None)
+        stated = self.discrepancy is None and isinstance(known, np.ndarray)
+        return known if stated else np.zeros(self.model.nw)  # type: ignore[return-value]
+
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.
 

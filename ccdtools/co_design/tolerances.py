@@ -13,7 +13,7 @@ UNRESOLVED_SLOPE = 0.05  # A slope says nothing if its error over `SLOPE_AHEAD` 
 LEAST_FILL = 0.1
 FINER_STEPS = (1e-2, 1e-3, 1e-4, 1e-5)  # Central differences of a return try these half steps in the unit box in turn.
 COST_STEP = 1e-4  # Central differences of a cost have this half step in the unit box.
-POLICY_STEPS = (1e-2, 1e-3)  # Differences of a policy have these half steps, in parts of what it does.
+POLICY_STEP = 1e-2  # Differences of a policy have this half step, in parts of what it does.
 TRUSTED_SLOPE = 0.2  # Adam does not mind this relative error of a gradient's length and direction.
 SAME_SENSITIVITY = 0.1  # The slopes to both sides of an optimum may differ by this part of the slope.
 SMALL_SENSITIVITY = 0.01  # They may also differ by this part of the unit box per change of the value by itself.
@@ -89,7 +89,6 @@ EXCITATION = 0.3  # Inputs of the first fit have this standard deviation, in par
 BLIND_SHARE = 0.5  # A policy without a gradient in a larger share of the runs is not led by it.
 NO_GRADIENT = 1e-9  # A run whose gradient is smaller than this part of the return has none.
 LEAST_ACTION = 1e-3  # A policy is taken to do at least this part of the range of an input.
-NOISIER = 2.0  # Returns jump where smaller steps have errors larger by this factor; then only the larger step counts.
 # A search of the numbers that are tuned begins with these steps.
 RETUNE_STEPS = {"gain": 0.5, "offset": 0.1, "law": 0.2}
 FEW_RUNS_DECIDE = 2.0  # A few runs decide where their standard deviation exceeds this multiple of their mean.

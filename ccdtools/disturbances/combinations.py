@@ -37,12 +37,23 @@ class Combination(Immutable):
         widths = (getattr(term, "nw", None) for term in self.terms)
         return [width for width in widths if width is not None]
 
+    @property
+    def _means(self) -> list[Array] | None:
+        """Means of the terms, if all know theirs."""
+        means = [getattr(term, "mean", None) for term in self.terms]
+        return means if all(isinstance(one, np.ndarray) for one in means) else None  # type: ignore[return-value]
+
 
 @dataclass(frozen=True, eq=False)
 class Sum(Combination):
     """Sum of independent disturbances with the same channels."""
 
     terms: tuple[Disturbance, ...]
+
+    @property
+    def mean(self) -> Array | None:
+        """Mean (nw,), if all terms know theirs."""
+        return None if self._means is None else np.sum(self._means, axis=0)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""
@@ -75,6 +86,11 @@ class Stacked(Combination):
     def nw(self) -> int | None:
         """Number of channels, if all terms know theirs."""
         return sum(self._known) if len(self._known) == len(self.terms) else None
+
+    @property
+    def mean(self) -> Array | None:
+        """Mean (nw,), if all terms know theirs."""
+        return None if self._means is None else np.concatenate(self._means)
 
     def sample(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Sequences (runs, steps, nw)."""

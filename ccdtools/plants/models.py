@@ -126,19 +126,17 @@ def for_long_work(model: Model, samples: int) -> Model:
     return model
 
 
-def as_regulated_model(argument: str, value: Any, cure: str = DEVIATIONS) -> Model:
+def as_regulated_model(argument: str, value: Any) -> Model:
     """`value`, if it is a model that rests at 0 at every design."""
     model = as_model(argument, value)
     if isinstance(model, SampledModel):
-        check_at_rest(argument, model, model.plant.state_names, cure=cure)
+        check_at_rest(argument, model, model.plant.state_names)
     elif model.affine:
-        raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", cure)
+        raise InputError(argument, "a constant term in the dynamics", "a model that rests at 0", DEVIATIONS)
     return model
 
 
-def check_at_rest(
-    argument: str, model: Any, names: Sequence[str], slack: Array | float = 0.0, cure: str = DEVIATIONS
-) -> None:
+def check_at_rest(argument: str, model: Any, names: Sequence[str], slack: Array | float = 0.0) -> None:
     """Raise an `InputError` unless a model rests at 0 within `slack` (nx,)."""
     for p in sample_designs(model.design):
         A, B, _ = model.matrices(p)
@@ -148,4 +146,4 @@ def check_at_rest(
             i = int(np.argmax(moved))
             where = f"{names[i]} moves by {moved[i]:.3g} a sample at {model.design.describe(p)}"
             got = f"a plant that does not rest at x = 0, u = 0: {where}"
-            raise InputError(argument, got, "one that does", cure)
+            raise InputError(argument, got, "one that does", DEVIATIONS)

@@ -62,10 +62,10 @@ class Evaluation:
         return self.study.problem()
 
     def of_plant(self, values: Array) -> Evaluation:
-        """Evaluation on the model with its unknown entries at values (m,)."""
+        """Evaluation on the model with its unknown entries at values (m,); a constant part is left to the errors."""
         own, unknown = self.study.plant, self.study.unknown
         assert unknown is not None
-        plant = stated_plant(self.problem, unknown).at(self.problem.design, values)
+        plant, _ = stated_plant(self.problem, unknown).at(self.problem.design, values)
         plant = replace(
             plant, outputs=own.output(plant.x, plant.u, plant.p) if own.ny else None, output_names=own.output_names,
             output_limits=own.output_limits, state_names=own.state_names, input_names=own.input_names,

@@ -11,19 +11,17 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.co_design.problem import CoDesignProblem, FixedStart
 from ccdtools.co_design.random_starts import RandomStarts
-from ccdtools.disturbances.combinations import Sum
+from ccdtools.disturbances.combinations import Stacked, Sum
 from ccdtools.disturbances.disturbance import Gaussian
 from ccdtools.exceptions import InputError
 from ccdtools.plants.design_space import DesignSpace
 from ccdtools.plants.discretisation import discretise
-from ccdtools.plants.models import Model, as_regulated_model
+from ccdtools.plants.models import Model
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools.plants.symbols import elements
 from ccdtools.twin.transport import Transport
 from ccdtools_ground.door import as_instance, shown
-
-ELSEWHERE = "State plant and problem anew at the values of the fit, about the rest of that plant."
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,32 +56,45 @@ class UnknownPlant:
         outputs = ca.Function("output", [x, u, theta], [self.plant.output(x, u, whole)])
         return ca.Function("step", [x, u, w, theta], [after]), outputs
 
-    def at(self, box: DesignSpace, values: Array) -> Plant:
-        """Plant of a box of designs, its unknown entries at values (m,)."""
+    def at(self, box: DesignSpace, values: Array) -> tuple[Plant, ca.SX]:
+        """Plant of a box of designs that rests at 0, its unknown entries at values (m,), and what they add at rest."""
         if set(self.plant.design.names) != {*box.names, *self.free}:
             expected = "a problem with the design of the one that was fitted"
             raise InputError("problem", f"a design of {', '.join(box.names) or 'nothing'}", expected)
-        cut = len(values) - self.constants
         symbols = dict(zip(self.plant.design.names, elements(self.plant.p)))
         p, rest = (ca.vertcat(*(symbols[name] for name in names)) for names in (box.names, self.free))
+        cut = len(values) - self.constants
         held = ca.DM([*values[:cut], *(0 * values[cut:])])
         put: Callable[[ca.SX], ca.SX] = lambda expression: ca.substitute(expression, rest, held)  # noqa: E731
-        own = self.plant
-        return replace(own, p=p, dynamics=put(own.dynamics), outputs=put(own.outputs), design=box)
+        own, dynamics = self.plant, put(self.plant.dynamics)
+        signals = ca.vertcat(own.x, own.u, own.w)
+        slope = ca.substitute(dynamics, signals, ca.DM.zeros(signals.shape))
+        plant = replace(own, p=p, dynamics=dynamics - slope, outputs=put(own.outputs), design=box)
+        return plant, slope
 
     def known(self, problem: CoDesignProblem, values: Array) -> CoDesignProblem:
-        """Problem with the unknown entries at values (m,)."""
-        plant, sensors, scenarios = self.at(problem.design, values), problem.measurement, problem.scenarios
+        """Problem with the unknown entries at values (m,).
+
+        A constant part of w is added to the disturbance. Anything else that moves the plant at rest, such as a slope,
+        enters with a further disturbance, which is 1.
+        """
+        plant, slope = self.at(problem.design, values)
+        sensors, scenarios = problem.measurement, problem.scenarios
         constant = values[len(values) - self.constants :]
+        if constant.any() or not slope.is_zero():
+            if not isinstance(scenarios, FixedStart | RandomStarts):
+                cure = "What the log tells of a constant part is added to its disturbance."
+                raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
+            w = scenarios.disturbance
+            w = Sum((w, Gaussian(0 * constant, constant))) if constant.any() else w
+            if not slope.is_zero():
+                one = ca.SX.sym("one")
+                plant = replace(plant, w=ca.vertcat(plant.w, one), dynamics=plant.dynamics + slope * one)
+                w = Stacked((w, Gaussian([0.0], [1.0])))
+            scenarios = replace(scenarios, disturbance=w)
         if sensors is not None and isinstance(sensors.output, Plant):
             sensors = replace(sensors, output=plant)
-        if constant.any():
-            if not isinstance(scenarios, FixedStart | RandomStarts):
-                cure = "What the log tells of a constant part of w is added to its disturbance."
-                raise InputError("problem.scenarios", shown(scenarios), "a FixedStart or RandomStarts", cure)
-            scenarios = replace(scenarios, disturbance=Sum((scenarios.disturbance, Gaussian(0 * constant, constant))))
-        model = as_regulated_model("twin", _sampled(problem, plant), ELSEWHERE)
-        return replace(problem, model=model, measurement=sensors, scenarios=scenarios)
+        return replace(problem, model=_sampled(problem, plant), measurement=sensors, scenarios=scenarios)
 
 
 def _sampled(problem: CoDesignProblem, plant: Plant) -> Model:

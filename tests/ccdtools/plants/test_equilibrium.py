@@ -14,12 +14,15 @@ from ccdtools import (
     InputError,
     Plant,
     QuadraticObjective,
+    codesign,
     deploy,
     discretise,
     equilibrium,
     linearise,
+    simulate,
 )
 from ccdtools.plants import deviations
+from ccdtools.statistics import paired_difference
 from ccdtools.twin import fit_plant, updated_problem
 
 NAN = np.nan
@@ -327,7 +330,7 @@ def test_the_rest_of_another_box_is_refused():
         deviations(heated(["mass", "loss"], [1.0, 0.5], [3.0, 1.5]), rest)
 
 
-def test_a_fitted_plant_that_rests_elsewhere_is_to_be_stated_anew():
+def test_what_a_fitted_plant_adds_at_the_nominal_rest_is_designed_for():
     nominal = heated(["mass"], [1.0], [3.0])
     rest = equilibrium(nominal, [2.0], x=[60.0], u=[np.nan])
     unknown = deviations(heated(["mass", "loss", "efficiency"], [1.0, 0.5, 0.5], [3.0, 1.5, 1.5]), rest)
@@ -342,5 +345,10 @@ def test_a_fitted_plant_that_rests_elsewhere_is_to_be_stated_anew():
     log = deploy(real, lambda x: rng.uniform(-20, 20, x.shape), [2.0], w, x0=np.zeros((20, 1)))
     fit = fit_plant(problem, log, plant=unknown)
     assert fit.values[:2] == pytest.approx([0.8, 0.9], abs=0.02)
-    with pytest.raises(InputError, match=r"twin: .* State plant and problem anew at the values of the fit"):
-        updated_problem(problem, fit)
+    before, after = (
+        codesign(one, method="nested", design=[2.0], rng=rng) for one in (problem, updated_problem(problem, fit))
+    )
+    assert after.controller.offset[0] == pytest.approx(-6.2, abs=1.0)  # 49.8 W hold it in place of 56
+    runs = [simulate(real, one.controller, x0=np.full((20, 1), 5.0), steps=50, disturbance=w, design=one.design)
+            for one in (before, after)]  # fmt: skip
+    assert paired_difference(*(run.returns(problem.objective) for run in runs[::-1])).ci95[0] > 0

@@ -147,3 +147,57 @@ def test_another_kind_of_plant_is_named():
     elsewhere = RealPlant(spring(0.5), Gaussian([0.3]), [1.2, 0.0], 40, 50)
     with pytest.raises(InputError, match="the start that the filter knows"):
         fitted_generations(stated(), elsewhere, rng=np.random.default_rng(0))
+
+
+SLIDE = DesignSpace(["m"], [0.5], [4.0], ["kg"])
+UNKNOWN = DesignSpace(["m", "actuator", "slope"], [0.5, 0.3, -0.2], [4.0, 1.5, 0.2])
+
+
+def slide(values=(), actuator=1.0, slope=0.0):
+    """Carriage whose mass is designed; with `values` in its design its actuator and slope are unknown."""
+    x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p", 3 if values else 1)
+    actuator, slope = (p[1], p[2]) if values else (actuator, slope)
+    rate = (actuator * u + w - 0.5 * x[1]) / p[0] - 9.81 * slope
+    return Plant(x, u, w, p, [x[1], rate], UNKNOWN if values else SLIDE, dt=0.05)
+
+
+def on_a_slope():
+    """Problem on the level, the real slide, and the plant with what is unknown of it."""
+    problem = CoDesignProblem(
+        discretise(slide()), X=([-1, -3], [1, 3]), U=(-20, 20), steps=100, limit_tolerance="off",
+        objective=QuadraticObjective(np.diag([20.0, 1.0]), [[0.05]]),
+        scenarios=FixedStart([0.3, 0.0], Gaussian([1.5])),
+    )  # fmt: skip
+    real = RealPlant(slide(actuator=0.7, slope=0.05), Gaussian([1.5]), [0.3, 0.0], 60, 100)
+    return problem, real, slide(("actuator", "slope"))
+
+
+def test_a_slope_that_is_unknown_is_designed_for():
+    problem, real, wide = on_a_slope()
+    first, second = fitted_generations(
+        problem, real, method=Nested("lqr"), plant=wide, design=[2.0], rng=np.random.default_rng(1)
+    )
+    assert second.accepted
+    away = second.fit.values[:2] - [0.7, 0.05]
+    assert (np.abs(away) < 4 * second.fit.deviations[:2]).all()
+    w = Gaussian([1.5]).sample(1000, 100, np.random.default_rng(9))
+    own, other = (
+        Scenario(real.plant, [0.3, 0.0], w).run(one.controller, design=one.design).returns(problem.objective)
+        for one in (second, first)
+    )
+    assert (own - other).mean() > 0.1 * abs(other.mean())
+    assert second.predicted.mean == pytest.approx((own - other).mean(), rel=0.2)
+
+
+def test_a_slope_enters_the_updated_plant_with_a_disturbance_of_one():
+    problem, real, wide = on_a_slope()
+    _, second = fitted_generations(
+        problem, real, method=Nested("lqr"), plant=wide, design=[2.0], rng=np.random.default_rng(1)
+    )
+    updated = second.fit.updated(problem)
+    _, B, E = updated.model.matrices(np.array([1.3]))
+    w = updated.scenarios.sample(500, 100, np.random.default_rng(0))[1]
+    assert w.shape[2] == 2
+    assert (w[:, :, 1] == 1).all()
+    assert B[1, 0] == pytest.approx(second.fit.values[0] * 0.05 / 1.3, rel=0.02)
+    assert E[1, 1] == pytest.approx(-9.81 * second.fit.values[1] * 0.05, rel=0.02)
