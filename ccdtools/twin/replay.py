@@ -151,10 +151,11 @@ def replay_problem(
     split = ErrorSplit(problem.model, problem.state_scale)
     given: Sequence[Any] = errors if isinstance(errors, list | tuple) else [errors]
     logs = [residuals(problem.model, log) if isinstance(log, Trajectory) else log for log in given]
-    in_problem(problem, logs)
+    scenarios = Replay(logs, split, starts)
+    in_problem(problem, scenarios.logs)
     return replace(
-        problem, model=split.replayed_model, scenarios=Replay(logs, split, starts), steps=steps, warm_up=warm_up,
-        discrepancy=None, risk=of_logged_runs(problem.risk),
+        problem, model=split.replayed_model, scenarios=scenarios, steps=steps, warm_up=warm_up, discrepancy=None,
+        risk=of_logged_runs(problem.risk),
     )  # fmt: skip
 
 
