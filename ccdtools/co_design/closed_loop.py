@@ -71,7 +71,8 @@ class ClosedLoopReturns(Immutable):
         what = "" if isinstance(self.risk, Mean) else f"{measure(self.risk)} "
         ends = f" [{low:.6g}, {high:.6g}]" if np.isfinite(found.ci95).all() else ""
         lost = f"; {self.lost_share:.2%} of the runs lost, not counted" if self.lost.any() else ""
-        drawn = "" if self.labels is None else f" drawn from {len(np.unique(self.labels))} logged stretches"
+        logged = 0 if self.labels is None else len(np.unique(self.labels))
+        drawn = f" drawn from {logged} logged stretch{'es' * (logged > 1)}" if logged else ""
         counted = f", from sample {self.warm_up} on" if self.warm_up else ""
         runs = f"{found.n} runs{drawn}{counted}"
         return f"{what}{found.mean:.6g}{ends}, {runs}{lost}{found.warning and f'; {found.warning}'}"
@@ -119,8 +120,7 @@ def closed_loop_returns(
     as_generator("rng", rng)
     p = torch.tensor(problem.design.check_one(design))
     all_runs = fewer_runs(RUNS, problem.steps)
-    grouped = getattr(problem.scenarios, "groups", None)
-    labels = None if grouped is None else grouped(all_runs, problem.steps, rng)
+    labels = stretches(problem, all_runs, rng)
     x0, w = (part.double() for part in scenario_tensors(problem, all_runs, rng))
     chosen = ONLINE_RUNS if hasattr(controller, "horizon") else RUNS
     n = fewer_runs(chosen, problem.steps) if runs is None else as_count("runs", runs)
@@ -154,11 +154,18 @@ def closed_loop_returns(
         seen = simulated(Stepper.at(in_double(problem), p), law, (x0, w), depths=True, guarded=True)
     limits = measured(seen)
     total, lost = (np.repeat(value.numpy(), n // len(x0)) for value in (seen.total, seen.diverged))
-    errors = measurement_errors(seen).values()
+    alike = 1.0 if labels is None else n / len(np.unique(labels[:n]))
+    fraction, depth = (alike**0.5 * error for error in measurement_errors(seen).values())
     return ClosedLoopReturns(
-        total, lost, limits.fraction, limits.depth, problem.risk, errors, max(beyond),
+        total, lost, limits.fraction, limits.depth, problem.risk, (fraction, depth), max(beyond),
         None if labels is None else labels[:n], problem.warm_up,
     )  # fmt: skip
+
+
+def stretches(problem: CoDesignProblem, runs: int, rng: np.random.Generator) -> Indices | None:
+    """What was logged of each of the runs that a generator would draw; None of other scenarios than a log's."""
+    drawn = getattr(problem.scenarios, "stretches", None)
+    return None if drawn is None else drawn(runs, problem.steps, rng)
 
 
 def behind_filter(problem: CoDesignProblem, controller: Any, design: Array) -> Any:

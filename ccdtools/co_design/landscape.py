@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, MAP_POINTS, MOST_CLIMBED
-from ccdtools.co_design.design_controllers import lqr_gains
+from ccdtools.co_design.design_controllers import lqr_gains, saturated_lqr
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, scenario_tensors, simulated, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
@@ -60,11 +60,12 @@ class Landscape:
         gains = lqr_gains(self.problem, A, B, designs)
         known = np.isfinite(gains).all(axis=(1, 2)) & self.problem.design.feasible(designs)
         out = np.full(len(V), -np.inf)
-        K = gains[known]
-        values = [
-            self._simulated(V[known][i : i + self._batch], K[i : i + self._batch])
-            for i in range(0, len(K), self._batch)
-        ]
+        K, at = gains[known], V[known]
+        k = np.zeros(K.shape[:2])
+        if self.problem.mean_disturbance.any():
+            k = np.array([saturated_lqr(self.problem, p).offset for p in designs[known]]).reshape(k.shape)
+        parts = [slice(i, i + self._batch) for i in range(0, len(K), self._batch)]
+        values = [self._simulated(at[part], K[part], k[part]) for part in parts]
         if values:
             out[known] = np.concatenate(values)
         return out
@@ -75,10 +76,10 @@ class Landscape:
         return max(1, 6000 // len(self._x0))  # runs side by side
 
     @torch.no_grad()
-    def _simulated(self, V: Array, K: Array) -> Array:
-        """Mean returns (n,) of gains `K` (n, nu, nx) at points `V` (n, np)."""
+    def _simulated(self, V: Array, K: Array, k: Array) -> Array:
+        """Mean returns (n,) of gains `K` (n, nu, nx) and offsets `k` (n, nu) at points `V` (n, np)."""
         runs = len(self._x0)
-        gains = torch.tensor(K, dtype=torch.float32).repeat_interleave(runs, dim=0)
+        gains, offsets = (torch.tensor(part, dtype=torch.float32).repeat_interleave(runs, dim=0) for part in (K, k))
         designs = to_design(self.problem, torch.tensor(V, dtype=torch.float32))
         step = Stepper.for_each(self.problem, designs, runs)
         bounds = self.problem.input_bounds_at(step.p)
@@ -86,7 +87,7 @@ class Landscape:
 
         def law(x: Tensor) -> Tensor:
             """Inputs (n · runs, nu)."""
-            return torch.clamp(-torch.bmm(gains, x[:, :, None])[:, :, 0], low, high)
+            return torch.clamp(offsets - torch.bmm(gains, x[:, :, None])[:, :, 0], low, high)
 
         scenarios = (self._x0.repeat(len(V), 1), self._w.repeat(len(V), 1, 1))
         values = self.problem.risk.values(simulated(step, law, scenarios).total.reshape(len(V), runs))

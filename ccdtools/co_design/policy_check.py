@@ -19,7 +19,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.co_design.design_gradients import compared
 from ccdtools.co_design.differentiable_model import (
     Episode,
@@ -32,6 +32,8 @@ from ccdtools.co_design.differentiable_model import (
 )
 from ccdtools.co_design.learned_result import GradientCheck
 from ccdtools.co_design.problem import CoDesignProblem
+from ccdtools.co_design.risk import MEAN
+from ccdtools.co_design.risk_intervals import parts_of_risk
 from ccdtools.co_design.tolerances import BLIND_SHARE, LEAST_ACTION, NO_GRADIENT, POLICY_STEP, RETUNE_STEPS
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.statistics import PairedDifference, paired_difference
@@ -109,7 +111,7 @@ def gradient_of_policy(problem: CoDesignProblem, policy: LearnedPolicy, scenario
     """Policy slopes along random changes of its last layer.
 
     They are differences, and the slope through the model at a point between both ends that is drawn for each run. Of
-    any return that is continuous both have the same mean, where it bends or has a kink, too: only jumps are not seen.
+    any return that is continuous both have the same mean, where it bends or has a kink, too.
     """
     retuned = Retuned(problem, policy, scenarios)
     size = int(np.prod(retuned.shape))
@@ -146,11 +148,13 @@ def astray(check: GradientCheck) -> str:
 
 @torch.no_grad()
 def better_by_search(
-    problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors
-) -> PairedDifference:
+    problem: CoDesignProblem, policy: LearnedPolicy, scenarios: ScenarioTensors, fresh: ScenarioTensors,
+    labels: Indices | None = None,
+) -> PairedDifference:  # fmt: skip
     """Gain on fresh scenarios of the best policy by search, in the precision of training.
 
-    None that leaves the limits further, or loses more runs, counts.
+    None that leaves the limits further, or loses more runs, counts. `labels` (n,) are of what was logged of the fresh
+    ones, if they are of a log.
     """
     retuned = Retuned(problem, policy, scenarios, torch.float32)
     count = int(np.prod(retuned.shape))
@@ -169,7 +173,8 @@ def better_by_search(
     found = minimize(cost, np.zeros(count), method="Nelder-Mead", options=options).x
     again = retuned.on(fresh)
     better = again.values(torch.as_tensor(found.reshape(retuned.shape), dtype=torch.float32))
-    return paired_difference(better.numpy(), again.values(nothing).numpy())
+    parts = parts_of_risk(MEAN, (better - again.values(nothing)).double().numpy(), labels)
+    return paired_difference(parts, 0 * parts)
 
 
 def _left(seen: Episode) -> Array:

@@ -298,8 +298,8 @@ class CoDesignProblem(Immutable):
     def mean_disturbance(self) -> Array:
         """Mean (nw,) that the disturbance states; 0 where it states none, or errors are learned."""
         known = getattr(getattr(self.scenarios, "disturbance", None), "mean", None)
-        stated = self.discrepancy is None and isinstance(known, np.ndarray)
-        return known if stated else np.zeros(self.model.nw)  # type: ignore[return-value]
+        stated = self.discrepancy is None and np.shape(known) == (self.model.nw,)
+        return np.asarray(known, dtype=float) if stated else np.zeros(self.model.nw)
 
     def driving(self, runs: int, steps: int, rng: np.random.Generator) -> Array:
         """Disturbance, draws or errors (runs, steps, ·) for any `steps`.

@@ -80,7 +80,7 @@ def summarise_in_risk(risk: Risk, returns: Array, lost: Mask, labels: Indices | 
     own = None if labels is None else labels[runs]
     parts = parts_of_risk(risk, kept, own, runs)
     std = float(parts.std(ddof=1)) if len(parts) > 1 else float("nan")
-    warning = too_few(risk, runs)
+    warning = too_few(risk, runs if labels is None else np.arange(len(parts)))
     ends = NONE if warning else _interval(risk, kept, parts, runs)
     if isinstance(risk, Mean):
         return Summary(value, plain.std, plain.median, plain.n, ends, summarise(parts).warning)

@@ -22,7 +22,7 @@ import torch
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
-from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns
+from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns, stretches
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
 from ccdtools.co_design.differentiable_model import fewer_runs, scenario_tensors
 from ccdtools.co_design.landscape import start_points
@@ -121,10 +121,14 @@ class Settling:
 
     def _drawn(self, number: int, runs: int = SETTLING_RUNS) -> tuple[torch.Tensor, torch.Tensor]:
         """Scenarios of the checks, other ones per number."""
+        return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), self._generator(number))
+
+    def _generator(self, number: int) -> np.random.Generator:
+        """Generator of these scenarios."""
         rng = copy.deepcopy(self.scenarios)
         for _ in range(number):
             rng = np.random.default_rng(rng.integers(2**63, size=4))
-        return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), rng)
+        return rng
 
     def _baselines(self, result: CoDesignResult, loop: ClosedLoopReturns) -> list[Baseline]:
         """LQR of the design, MPC beside a policy where its few runs decide, and nested LQR, within limits."""
@@ -285,7 +289,8 @@ class Settling:
                 wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
-        found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2))
+        labels = stretches(self.problem, fewer_runs(SETTLING_RUNS, self.problem.steps), self._generator(2))
+        found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2), labels)
         retuned = self._in_parts("its last layer retuned", result.design, found, loop)
         result = replace(result, baselines=(*result.baselines, retuned))
         if not _better(retuned) and self._may_have_other_optima:
@@ -301,11 +306,12 @@ class Settling:
         """Whether plans are to be tried.
 
         Of a linear model with quadratic costs MPC, a baseline, has the best ones. Behind sensors they would know the
-        state, and a learned error is not judged by what a search finds in it.
+        state, and errors that were logged or learned are not judged by what a search finds in them.
         """
         problem = self.problem
         plain = isinstance(problem.model, LinearModel) and isinstance(problem.objective, QuadraticObjective)
-        known = not problem.hidden and problem.discrepancy is None
+        logged = hasattr(problem.scenarios, "stretches")
+        known = not problem.hidden and not logged and problem.discrepancy is None
         return isinstance(problem.risk, Mean) and known and not plain
 
 

@@ -41,7 +41,8 @@ class Combination(Immutable):
     def _means(self) -> list[Array] | None:
         """Means of the terms, if all know theirs."""
         means = [getattr(term, "mean", None) for term in self.terms]
-        return means if all(isinstance(one, np.ndarray) for one in means) else None  # type: ignore[return-value]
+        known = all(isinstance(one, np.ndarray) and one.ndim == 1 for one in means)
+        return means if known else None  # type: ignore[return-value]
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ class Replay(Immutable):
             x0[other] = self.starts[rng.integers(0, len(self.starts), int(other.sum()))]
         return x0, w
 
-    def groups(self, runs: int, steps: int, rng: np.random.Generator) -> Indices:
+    def stretches(self, runs: int, steps: int, rng: np.random.Generator) -> Indices:
         """Logged stretch (runs,) of every sample that the generator, left as it is, would draw."""
         return self.windows(runs, steps, copy.deepcopy(rng))[2]
 
@@ -90,6 +90,7 @@ class Replay(Immutable):
         order = np.argsort(drawn, kind="stable")
         draw, back = drawn[order], np.argsort(order)  # the first of many are as good as any
         edges = np.concatenate([[0], np.cumsum(windows)])
+        apart = longest  # more than any log has stretches
         own = np.split(groups(self.logs), np.cumsum([log.runs for log in self.logs])[:-1])
         x0 = []
         w = []
@@ -99,7 +100,7 @@ class Replay(Immutable):
             run, start = np.divmod(chosen, max(errors.x.shape[1] - steps + 1, 1))
             x0.append(errors.x[run, start])
             w.append(entering[run[:, None], start[:, None] + np.arange(steps)])
-            labels.append(alike[run] * errors.steps + start // steps)
+            labels.append(alike[run] * apart + start // steps)
         return np.concatenate(x0)[back], np.concatenate(w)[back], np.concatenate(labels)[back]
 
     def whole(self) -> tuple[Array, Array]:

@@ -57,7 +57,7 @@ class UnknownPlant:
         return ca.Function("step", [x, u, w, theta], [after]), outputs
 
     def at(self, box: DesignSpace, values: Array) -> tuple[Plant, ca.SX]:
-        """Plant of a box of designs that rests at 0, its unknown entries at values (m,), and what they add at rest."""
+        """Plant of a box of designs at values (m,) of its unknown entries, moved to rest at 0, and by what (nx, 1)."""
         if set(self.plant.design.names) != {*box.names, *self.free}:
             expected = "a problem with the design of the one that was fitted"
             raise InputError("problem", f"a design of {', '.join(box.names) or 'nothing'}", expected)
@@ -115,7 +115,8 @@ def stated_plant(problem: CoDesignProblem, plant: Plant) -> UnknownPlant:
         raise InputError("plant", got, f"one of {', '.join(own)}, and what is unknown besides")
     sizes = [(one.nx, one.nu, one.nw) for one in (plant, model)]
     if sizes[0] != sizes[1]:
-        raise InputError("plant", f"(nx, nu, nw) = {sizes[0]}", f"{sizes[1]}, as of the problem's model")
+        cure = "An updated problem may have a further disturbance: fit the one that it was made of."
+        raise InputError("plant", f"(nx, nu, nw) = {sizes[0]}", f"{sizes[1]}, as of the problem's model", cure)
     C = None if problem.measurement is None else problem.measurement.output
     if isinstance(C, Plant) and plant.ny != C.ny:
         raise InputError("plant", f"{plant.ny} outputs", f"{C.ny}, as many as the problem measures")

@@ -26,7 +26,7 @@ from mpc import NotStabilisableError
 
 
 def gain_cost(problem: CoDesignProblem, v: Array, scenarios: ScenarioTensors) -> LoopCost:
-    """Cost over designs p with ΔK of u = clip(−(K(p) + ΔK) x), K(p) that of LQR.
+    """Cost over designs p with ΔK of u = clip(k(p) − (K(p) + ΔK) x), k(p) and K(p) those of LQR.
 
     A search begins at ΔK = 0. Its unit of an entry of ΔK is what takes its state, of the size that LQR's loop gives it
     at the point `v` (np,), to the largest input there; the further, the longer its steps. Where LQR has no gain, the

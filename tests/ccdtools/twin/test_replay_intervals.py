@@ -87,3 +87,18 @@ def test_a_log_of_other_coordinates_is_doubted(problem, taken):
     with warnings.catch_warnings():
         warnings.simplefilter("error", LimitWarning)
         taken(problem, log)
+
+
+def test_logs_of_other_lengths_have_stretches_of_their_own(problem):
+    logs = [logged(problem, 7, runs=1, steps=1000), logged(problem, 8, runs=8, steps=40)]
+    replay = replay_problem(problem, logs, window=10).scenarios
+    x0, _, labels = replay.windows(4000, 10, np.random.default_rng(0))
+    moving = x0.any(axis=1)  # all runs begin at 0, and the first of both logs count as of one disturbance
+    second = (x0[:, None] == logs[1].states[1:].reshape(-1, 2)).all(axis=2).any(axis=1)
+    assert not set(labels[moving & second]) & set(labels[moving & ~second])
+
+
+def test_a_risk_of_few_logged_runs_has_no_interval(problem):
+    found = returned(replace(problem, risk=CVaR(0.2)), logged(problem, 9, runs=3), STRONG, window=STEPS).summary
+    assert np.isnan(found.ci95).all()
+    assert "fewer than 10: no interval" in found.warning
