@@ -297,7 +297,7 @@ class CoDesignProblem(Immutable):
     @property
     def mean_disturbance(self) -> Array:
         """Mean (nw,) that the disturbance states; 0 where it states none, or errors are learned."""
-        known = getattr(getattr(self.scenarios, "disturbance", None), "mean", None)
+        known: Any = getattr(getattr(self.scenarios, "disturbance", None), "mean", None)
         stated = self.discrepancy is None and np.shape(known) == (self.model.nw,)
         return np.asarray(known, dtype=float) if stated else np.zeros(self.model.nw)
 
