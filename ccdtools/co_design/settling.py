@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ccdtools.arrays import Array
+from ccdtools.arrays import Array, Indices
 from ccdtools.co_design.budgets import MPC_RUNS, SETTLING_RUNS
 from ccdtools.co_design.closed_loop import RUNS as LOOP_RUNS, ClosedLoopReturns, closed_loop_returns, stretches
 from ccdtools.co_design.design_controllers import linear_mpc, saturated_lqr
@@ -122,6 +122,10 @@ class Settling:
     def _drawn(self, number: int, runs: int = SETTLING_RUNS) -> tuple[torch.Tensor, torch.Tensor]:
         """Scenarios of the checks, other ones per number."""
         return scenario_tensors(self.problem, fewer_runs(runs, self.problem.steps), self._generator(number))
+
+    def _logged(self, number: int) -> Indices | None:
+        """What was logged of each of these scenarios, if they are of a log."""
+        return stretches(self.problem, fewer_runs(SETTLING_RUNS, self.problem.steps), self._generator(number))
 
     def _generator(self, number: int) -> np.random.Generator:
         """Generator of these scenarios."""
@@ -289,8 +293,7 @@ class Settling:
                 wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))
-        labels = stretches(self.problem, fewer_runs(SETTLING_RUNS, self.problem.steps), self._generator(2))
-        found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2), labels)
+        found = better_by_search(self.problem, policy, self._drawn(1), self._drawn(2), self._logged(2))
         retuned = self._in_parts("its last layer retuned", result.design, found, loop)
         result = replace(result, baselines=(*result.baselines, retuned))
         if not _better(retuned) and self._may_have_other_optima:

@@ -30,8 +30,8 @@ class RiccatiCost(DesignCost):
     Raises
     ------
     InputError
-        If the problem has a learned error, a warm-up, a disturbance with a mean, a risk other than the mean, or an
-        objective whose rewards are not those of the weights that LQR takes.
+        If the problem has a learned error, a warm-up, a risk other than the mean, or an objective whose rewards are not
+        those of the weights that LQR takes.
     """
 
     words = "LQR without saturation, by the Riccati equation"
@@ -45,8 +45,7 @@ class RiccatiCost(DesignCost):
                    f"the risk {problem.risk!r}": not isinstance(problem.risk, Mean),
                    "an objective with rewards of its own": own,
                    "weights Q and R in the place of those of its cost": given,
-                   "a warm-up": problem.warm_up > 0,
-                   "a mean of the disturbance": problem.mean_disturbance.any()}  # fmt: skip
+                   "a warm-up": problem.warm_up > 0}  # fmt: skip
         for got, is_so in refused.items():
             if is_so:
                 cure = "Nested('lqr') simulates the problem as it is."

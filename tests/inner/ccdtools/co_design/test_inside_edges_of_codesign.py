@@ -377,6 +377,7 @@ def test_a_policy_is_not_led_by_a_gradient_that_half_of_its_runs_lack(monkeypatc
     stated = SimpleNamespace(
         problem=SimpleNamespace(model=None),
         _drawn=lambda *_: None,
+        _logged=lambda *_: None,
         _in_parts=lambda *_: none,
         _may_have_other_optima=False,
     )
