@@ -126,6 +126,7 @@ def test_on_a_linear_plant_nonlinear_mpc_changes_as_linear_mpc_does():
         assert found.input_by_state == pytest.approx(linear.input_by_state, rel=1e-6)
 
 
+@pytest.mark.check
 def test_nonlinear_mpc_of_a_pendulum_on_a_cart():
     X, U = ([-2.0, -4.0, -1.2, -6.0], [2.0, 4.0, 1.2, 6.0]), (-10.0, 10.0)
     model = discretise(pendulum_on_cart(), X=X, U=U, W=(-0.6, 0.6))

@@ -39,7 +39,7 @@ def simulator(x, u, w, p):
     return 2 * x + 0.1 * u * p
 
 
-@pytest.mark.parametrize("model", ["equations", "simulator"])
+@pytest.mark.parametrize("model", ["equations", pytest.param("simulator", marks=pytest.mark.check)])
 def test_a_plant_that_escapes_every_law_is_told_as_diverging(model):
     if model == "equations":
         model = equations(lambda x, u, p: 2 * x + 0.1 * p * u + 0.001 * x**3)
