@@ -48,7 +48,7 @@ from ccdtools.co_design.limits import LimitsOutcome, Prices, StateLimitPenalty
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignStatus, HistoryRow
 from ccdtools.co_design.risk import of_kept_runs
-from ccdtools.co_design.tolerances import FINER_STEPS, LEAST_FILL, WORTHWHILE_VIOLATION
+from ccdtools.co_design.tolerances import FINER_STEPS, LEAST_FILL, SAME_PLACE, WORTHWHILE_VIOLATION
 from ccdtools.progress import at
 from ccdtools.statistics import PairedDifference, paired_difference
 from learning.networks import ActorCritic
@@ -164,6 +164,8 @@ class Ascent:
         self.blocks = 0
         self.quiet = 0
         self.longer = 1
+        self.reach = 1.0  # of the design in a block, in parts of the unit box
+        self.gone = 0.0  # so far from the best design a block has ended
         self.step = FINER_STEPS[0]  # of the finite differences, where the design follows them
         self.prices: Prices | None = None  # of leaving X, at the last cost
         self.rows: list[HistoryRow] = []
@@ -213,6 +215,7 @@ class Ascent:
                 self._count(bar)
                 if (k + 1) % config.evaluate_every == 0 or k + 1 == length:
                     self._look()
+        self.gone = float((self.v.detach() - self.best.v).abs().max())
         self.agent.load_state_dict(self.best.agent.state_dict())
         with torch.no_grad():
             self.v.copy_(self.best.v)
@@ -227,6 +230,7 @@ class Ascent:
         fewer = best.lost < before.lost or best.violation < WORTHWHILE_VIOLATION * before.violation
         improving = fewer or worthwhile
         self.quiet = 0 if improving else self.quiet + 1
+        self.reach = min(1.0, 2 * self.reach) if improving else self.reach
         spent = self.iterations >= self.task.config.iterations
         enough = QUIET_BLOCKS_LIMITED if self.limited else QUIET_BLOCKS[self.task.method]
         if not spent and self.quiet < enough:
@@ -234,7 +238,10 @@ class Ascent:
         climbing = self._climbs() if self.task.moving else False
         if climbing and not spent:
             self.quiet = 0
-            self.longer *= 2  # a slope that the block was too short to follow
+            if self.gone > SAME_PLACE:  # where the scenarios of the block led, others return less
+                self.reach = self.gone / 2
+            else:  # a slope that the block was too short to follow
+                self.longer *= 2
             return
         self.status = self._verdict(improving, climbing)
 
@@ -300,6 +307,7 @@ class Ascent:
             scale=self._size or 1.0,
             slope=(lambda: self._slope_by_differences(scenarios)) if self.by_differences else None,
             region=None if self.region.whole_box else self.region,
+            reach=self.reach,
         )
         climb(average, length, counted=counted, look=self._look)
 

@@ -33,6 +33,8 @@ class SampleAverage:
         The design's gradient of the mean return, in the place of the one through the model.
     region : DesignRegion, optional
         What the design has to keep: it is set to the nearest point of it.
+    reach : float
+        How far every entry of the design may go, in parts of the unit box.
 
     Attributes
     ----------
@@ -40,12 +42,12 @@ class SampleAverage:
         Where weights and design are at first, in units of `UNIT_OF_Z`: a quasi-Newton method begins with a step of
         length one.
     bounds : list of pairs
-        The unit box for the design, nothing for the weights.
+        What of the unit box the design may reach, nothing for the weights.
     """
 
     def __init__(
         self, cost: Callable[[], Tensor], *, weights: list[Tensor], v: Tensor | None, scale: float,
-        slope: Callable[[], Tensor] | None = None, region: DesignRegion | None = None,
+        slope: Callable[[], Tensor] | None = None, region: DesignRegion | None = None, reach: float = 1.0,
     ) -> None:  # fmt: skip
         self._cost = cost
         self._moving = v is not None
@@ -57,7 +59,8 @@ class SampleAverage:
         self.first: Array = torch.cat([part.detach().ravel() for part in self._parts]).double().numpy() / UNIT_OF_Z
         self._at = slice(len(self.first) - (0 if v is None else len(v)), None)  # of the design in z
         self.bounds: list[tuple[float | None, float | None]] = [(None, None)] * len(self.first)
-        self.bounds[self._at] = [(0.0, 1.0 / UNIT_OF_Z)] * len(self.first[self._at])
+        within = np.clip(UNIT_OF_Z * self.first[self._at] + [[-reach], [reach]], 0.0, 1.0) / UNIT_OF_Z
+        self.bounds[self._at] = list(zip(*within.tolist()))
 
     def put(self, z: Array) -> bool:
         """Set policy and nearest feasible design to `z`; return whether one was found."""

@@ -112,8 +112,9 @@ def codesign(
     scenarios = _own_generator(rng)
     began = time.perf_counter()
     frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0
-    measured_elsewhere = callable(getattr(chosen, "of", None))
-    settling = Settling(getattr(chosen, "judge", None) or problem, scenarios, not (frozen or measured_elsewhere))
+    elsewhere = callable(getattr(chosen, "of", None))  # designs are measured
+    judge = getattr(chosen, "judge", None) or problem
+    settling = Settling(judge, scenarios, designing=not (frozen or elsewhere), foreseen=not elsewhere)
     result = chosen.run(problem, np.asarray(first), rng, progress=progress)
     seconds = time.perf_counter() - began
     result = settling.checked(result)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, Immutable, Indices, jsonable
-from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE, UNFORESEEN
+from ccdtools.co_design.tolerances import FEW_RUNS_DECIDE
 from ccdtools_ground.door import as_vector
 from ccdtools_ground.outcome import Outcome
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ccdtools.co_design.closed_loop import ClosedLoopReturns
     from ccdtools.co_design.limits import LimitsOutcome
     from ccdtools.controllers.controllers import Controller
-    from ccdtools.statistics import PairedDifference, Summary
+    from ccdtools.statistics import PairedDifference
 
 HistoryRow = tuple[int, int, Array, float, float, float]
 
@@ -60,6 +60,11 @@ class CoDesignStatus(Outcome):
         "not at an optimum of the policy",
         "Start again from another policy or with more iterations: a plain search over its last layer, or other inputs "
         "held from the start, are better.",
+    )
+    UNFORESEEN = (
+        "worse in closed loop than the method foresaw",
+        "The closed loop brings far less than the method's own objective: what was optimised is not what happens. Look "
+        "for a design in closed loop (nested, search, learning), on more runs where a few cost far more than the rest.",
     )
     INFEASIBLE = (
         "no trajectory within the limits",
@@ -290,25 +295,12 @@ class CoDesignResult(Immutable):
         if self.closed_loop.outside > 0 and (self.limits is None or not self.limits.kept):
             loop = self.closed_loop
             told += f"; {loop.outside:.2%} of the states outside the limits, {loop.depth:.2g} half-widths deep"
-        return [told, *_warnings(self.objective, summary)]
+        few = "a few runs cost far more than the rest: they are nearly lost, and the interval says little"
+        return [told, few] if summary.std > FEW_RUNS_DECIDE * abs(summary.mean) else [told]
 
     def _remarks(self) -> list[str]:
         """Other remarks, one line each."""
         return [*self.notes, *(f"beside it, {one!r}" for one in self.baselines)]
-
-
-def _warnings(objective: float, summary: Summary) -> list[str]:
-    """Warnings where the closed loop contradicts the objective."""
-    lines = []
-    size = abs(summary.mean)
-    if summary.std > FEW_RUNS_DECIDE * size:
-        lines.append("a few runs cost far more than the rest: they are nearly lost, and the interval says little")
-    if np.isfinite(objective) and objective - summary.mean > UNFORESEEN * size:
-        lines.append(
-            "the closed loop brings far less than the method's own objective: what was optimised is not what happens, "
-            "so look for a design in closed loop (nested, search, learning)"
-        )
-    return lines
 
 
 def _short(design: Array) -> str:

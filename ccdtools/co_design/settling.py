@@ -2,11 +2,11 @@
 
 It is made once, of the controller handed out, after its closed loop was measured.
 
-What a method claims of its own search is kept only where, on fresh scenarios, no run is lost, the limits are kept as
-far as was asked for, saturated LQR of the same design and nested LQR from there are not better, and, of a policy, MPC
-of its design and one gain tuned from there neither, its gradient is that of the closed loop, and neither a plain search
-over its last layer nor other inputs that are held from the start are better. Where LQR brings nothing to rest that MPC
-is of the model itself, and looks ahead over an episode.
+What a method claims of its own search is kept only where, on fresh scenarios, it foresaw the return, no run is lost,
+the limits are kept as far as was asked for, saturated LQR of the same design and nested LQR from there are not better,
+and, of a policy, MPC of its design and one gain tuned from there neither, its gradient is that of the closed loop, and
+neither a plain search over its last layer nor other inputs that are held from the start are better. Where LQR brings
+nothing to rest that MPC is of the model itself, and looks ahead over an episode.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from ccdtools.co_design.objective import QuadraticObjective
 from ccdtools.co_design.policy_check import astray, better_by_search, gradient_of_policy
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Baseline, CoDesignResult, CoDesignStatus
-from ccdtools.co_design.risk import Mean, measure
+from ccdtools.co_design.risk import Mean, measure, of_kept_runs
 from ccdtools.co_design.risk_intervals import difference_of_parts, too_few
 from ccdtools.co_design.secant import fitted, visited
-from ccdtools.co_design.tolerances import LEAST_TOLERANCE
+from ccdtools.co_design.tolerances import LEAST_TOLERANCE, UNFORESEEN
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.controllers.learned import LearnedPolicy
 from ccdtools.exceptions import InputError
@@ -54,6 +54,7 @@ class Settling:
     problem: CoDesignProblem  # what results are measured on
     scenarios: np.random.Generator  # draws the scenarios; it is copied, so that all controllers meet the same
     designing: bool = True  # whether another design might be handed out, so that nested LQR is a baseline
+    foreseen: bool = True  # whether the objective of a method is a return of this problem
     by_mpc: dict[bytes, tuple[str, ClosedLoopReturns]] = field(default_factory=dict)  # at each design, as it takes long
 
     def checked(self, result: CoDesignResult) -> CoDesignResult:
@@ -62,13 +63,17 @@ class Settling:
         loop = self._loop(result.controller, result.design)
         notes = (*result.notes, *self.problem.notes)
         result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
+        mean, *_ = of_kept_runs(self.problem.risk, loop.values, loop.lost)
+        unforeseen = self.foreseen and result.objective - mean > UNFORESEEN * abs(mean)
         if result.status is not CoDesignStatus.INFEASIBLE:
             result = _unless_broken(result, loop)
         if not result.status.settled:
-            return result
+            return replace(result, notes=(*result.notes, CoDesignStatus.UNFORESEEN.advice)) if unforeseen else result
         result = replace(result, baselines=tuple(self._baselines(result, loop)))
         if any(map(_better, result.baselines)):
             return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
+        if unforeseen:
+            return replace(result, status=CoDesignStatus.UNFORESEEN)
         return self._policy_checked(result, loop) if _learned(result.controller) else result
 
     def continued(self, first: CoDesignResult, further: CoDesignResult) -> CoDesignResult:
@@ -81,7 +86,7 @@ class Settling:
         before, after = first.closed_loop, further.closed_loop
         both = np.arange(min(len(before.values), len(after.values)))
         gain = difference_of_parts(self.problem.risk, after.parts(both) - before.parts(both), both)
-        named = self._in_parts(f"{further.method} from its end", further.design, gain, before)
+        named = self._in_parts(f"{further.method}, begun after it", further.design, gain, before)
         worse = further.status in (CoDesignStatus.DIVERGING, CoDesignStatus.LIMITS_BROKEN)
         settles = further.status.settled and not first.status.settled and named.gain.ci95[0] > -NOT_WORSE
         if worse or not (named.gain.ci95[0] > 0 or settles):
@@ -89,7 +94,7 @@ class Settling:
         low, high = (100 * end for end in named.gain.ci95)
         gained = f"{100 * named.gain.mean:.2f} % [{low:.2f}, {high:.2f}]"
         did = "gained" if named.gain.ci95[0] > 0 else "settled beside it,"
-        note = f"{first.method} ended with {first.status.value}; {further.method} went on from there and {did} {gained}"
+        note = f"{first.method} ended with {first.status.value}; {further.method} went on and {did} {gained}"
         further = replace(further, notes=(*further.notes, note), evaluations=first.evaluations + further.evaluations)
         if isinstance(first, LearnedCoDesign) and isinstance(further, LearnedCoDesign):
             gains = {part: gain + first.gains.get(part, 0.0) for part, gain in further.gains.items()}
@@ -289,7 +294,7 @@ class Settling:
             check = gradient_of_policy(self.problem, policy, self._drawn(1, 2 * SETTLING_RUNS))
             result = replace(result, policy_gradients=check)
             wrong = astray(check)
-            if not wrong and result.method == "pathwise" and getattr(self.problem.model, "jump", False):
+            if not wrong and getattr(self.problem.model, "jump", False):
                 wrong = "the plant jumps, which no gradient of the policy sees"
             if wrong:
                 return replace(result, status=CoDesignStatus.GRADIENT_UNTRUSTED, notes=(*result.notes, wrong))

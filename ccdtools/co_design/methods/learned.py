@@ -159,7 +159,7 @@ class Learned:
         ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
         behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
         config: Any = self.config
-        if self.by != "pathwise" or config.policy_rate == 0 or not (known or behind):
+        if self.by == "ppo" or config.policy_rate == 0 or not (known or behind):
             return None
         if not isinstance(problem.risk, Mean):
             return None

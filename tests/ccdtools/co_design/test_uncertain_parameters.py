@@ -67,8 +67,8 @@ def test_a_study_is_as_accurate_for_every_mass_it_draws():
 def test_a_codesign_on_the_uncertain_mass_is_better_on_masses_it_has_not_met():
     from benchmarks.uncertain_mass import PLANTS, for_mean_mass, found, measured
 
-    stated, first = PLANTS["arm, 1 parameter"]
-    arm = stated()
+    stated, first = PLANTS["absorber, 2 parameters"]
+    absorber = stated()
     config = CoDesignConfig(iterations=120, pathwise_runs=128)
-    mean, robust = (found(each, first, config, 0) for each in (for_mean_mass(arm), arm))
-    assert measured(arm, mean, robust, 0).gain.ci95[0] > 0
+    mean, robust = (found(each, first, config, 0) for each in (for_mean_mass(absorber), absorber))
+    assert measured(absorber, mean, robust, 0).gain.ci95[0] > 0

@@ -208,15 +208,12 @@ def test_mpc_is_measured_again_further_than_a_tenth_of_the_box_away(away, near):
 # ── notes and verdicts ──
 
 
-@pytest.mark.parametrize(("spread", "objective", "said"), [
-    (0.66, -0.83, ()), (6.0, -1.0, ("a few runs cost far more",)), (0.66, 0.5, ("the closed loop brings far less",)),
-])  # fmt: skip
-def test_a_result_says_that_few_runs_decide_or_that_the_loop_was_not_foreseen(spread, objective, said):
+@pytest.mark.parametrize(("spread", "said"), [(0.66, False), (6.0, True)])
+def test_a_result_says_that_few_runs_decide(spread, said):
     values = -1 + spread * np.tile([-1.0, 1.0], 50) * np.sqrt(0.99)
     loop = ClosedLoopReturns(values, values > 99)
-    lines = "\n".join(CoDesignResult(design=NONE, objective=objective, closed_loop=loop).describe())
-    for words in ("a few runs cost far more", "the closed loop brings far less"):
-        assert (words in lines) == (words in said)
+    lines = "\n".join(CoDesignResult(design=NONE, objective=-1.0, closed_loop=loop).describe())
+    assert ("a few runs cost far more" in lines) == said
 
 
 @pytest.mark.parametrize(("part", "better"), [(0.0017, False), (0.015, True)])
@@ -394,6 +391,7 @@ def test_a_block_was_worth_it_that_leaves_nine_tenths_of_a_violation(left, worth
     stated = SimpleNamespace(
         best=SimpleNamespace(lost=0, violation=left), gain=PairedDifference(0.0, (-1.0, 1.0)), quiet=0, iterations=0,
         task=SimpleNamespace(config=config, method="pathwise", moving=False), limited=True, _size=1.0,
+        reach=1.0,
     )  # fmt: skip
     Ascent._judge(stated, SimpleNamespace(lost=0, violation=1.0))
     assert stated.quiet == 1 - worth_it
