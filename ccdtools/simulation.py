@@ -116,10 +116,12 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
         driver.remember(inputs[:, k])
         try:
             x_next = _after(step, x, u, w[:, k])
-        except SimulatorError as error:
-            error.step = k
-            error.kept = logged(k) if k else None
-            raise
+        except InputError as error:
+            if not (k or isinstance(error, SimulatorError)):  # of a function that never worked
+                raise
+            died = SimulatorError(*error.args)
+            died.step, died.kept = k, logged(k) if k else None
+            raise died from error
         inside = np.abs(x_next) <= edge
         if whole and inside.all():
             x = np.array(x_next)

@@ -45,10 +45,11 @@ class BlackBox(Immutable):
     Raises
     ------
     InputError
-        If a size is none; in a simulation, if `advance` stops with an error or returns another shape. A state that is
-        not finite is a run that diverged.
+        If a size is none, or `advance` stops with an error or returns another shape. A state that is not finite is a
+        run that diverged.
     SimulatorError
-        If a call takes longer than `step_limit`, or ends its process. What was simulated before is `kept` in it.
+        If it does so after the first step of a simulation, or a call takes longer than `step_limit` or ends its
+        process. What was simulated before is `kept` in it.
         `Search(of=function)` leaves such a design out.
 
     Examples
@@ -177,7 +178,10 @@ def from_gymnasium(
         if build is not None:
             build(inner, p)
         write(inner, x)
-        inner.step(u.astype(env.action_space.dtype))
+        try:
+            inner.step(u.astype(env.action_space.dtype))
+        except Exception as error:
+            raise stopped("env", inner.step, error, "a step", at=f" at x = {shown(x)}, u = {shown(u)}") from error
         return _read(read, inner)
 
     env.reset(seed=0)

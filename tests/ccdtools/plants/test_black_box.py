@@ -161,6 +161,14 @@ def licensed(x, u, w, p):
     return A @ x + B @ u + E @ w
 
 
+def alone(x):
+    return x
+
+
+def unlicensed_near_rest(x, u, w, p):
+    return licensed(x if x[0] > 0.3 else [3.0], u, w, p)
+
+
 def test_within_its_time_a_simulator_does_what_it_does_without_a_limit_and_so_does_a_copy():
     step = [0.8, 0.1], [0.2], [0.0], []
     plant = box(advance=licensed, step_limit=60.0)
@@ -335,3 +343,15 @@ def test_a_process_that_hangs_ends_after_the_one_that_called_it():
         time.sleep(0.1)
     os.kill(worker, signal.SIGKILL)
     pytest.fail("the process is still there")
+
+
+@pytest.mark.parametrize("step_limit", [None, 60.0])
+def test_a_simulator_that_stops_in_mid_run_keeps_what_was_simulated_and_one_that_never_works_is_bad_input(step_limit):
+    with pytest.raises(SimulatorError, match=r"OSError: no licence at x = .* at step \d+ of a simulation") as caught:
+        running(advance=unlicensed_near_rest, step_limit=step_limit)
+    whole, k = running(), caught.value.step
+    assert k > 0
+    np.testing.assert_array_equal(caught.value.kept.states, whole.states[:, : k + 1])
+    with pytest.raises(InputError, match="advance: got a function that stops with TypeError") as caught:
+        running(advance=alone, step_limit=step_limit)
+    assert not isinstance(caught.value, SimulatorError)
