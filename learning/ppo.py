@@ -160,15 +160,9 @@ class UpdateStatistics:
 
 
 def gae(
-    rewards: Tensor,
-    values: Tensor,
-    successor_values: Tensor,
-    terminated: Tensor,
-    truncated: Tensor,
-    *,
-    gamma: float,
+    rewards: Tensor, values: Tensor, successor_values: Tensor, terminated: Tensor, truncated: Tensor, *, gamma: float,
     lam: float,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Generalised advantages (T, n).
 
     A terminated step has no successor value; a truncated one keeps it. Both end the trace.

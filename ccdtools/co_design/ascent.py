@@ -373,8 +373,7 @@ class Ascent:
                 batch = prepare(self.agent, rollout, config.ppo)
                 gradient = loss_gradient(task.problem, self.agent, self.v, batch, config.ppo)
             if task.ppo:
-                _set_rate(self.ppo.actor_optimiser, config.ppo.learning_rate * factor)
-                _set_rate(self.ppo.critic_optimiser, config.ppo.value_rate * factor)
+                self.ppo.set_rates(factor)
                 self.ppo.update(rollout, generator=self.generator, actor=self.iterations >= config.ppo.critic_only)
         if task.pathwise or (task.moving and not by_network_input):
             through_model = self._follow_model(factor)
