@@ -64,7 +64,8 @@ class Settling:
         notes = (*result.notes, *self.problem.notes)
         result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
         mean, *_ = of_kept_runs(self.problem.risk, loop.values, loop.lost)
-        unforeseen = self.foreseen and result.objective - mean > UNFORESEEN * abs(mean)
+        size = float(self.problem.made_by_control(mean, result.design))
+        unforeseen = self.foreseen and result.objective - mean > UNFORESEEN * size
         if result.status is not CoDesignStatus.INFEASIBLE:
             result = _unless_broken(result, loop)
         if not result.status.settled:

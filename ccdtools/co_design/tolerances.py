@@ -92,7 +92,7 @@ LEAST_ACTION = 1e-3  # A policy is taken to do at least this part of the range o
 # A search of the numbers that are tuned begins with these steps.
 RETUNE_STEPS = {"gain": 0.5, "offset": 0.1, "law": 0.2}
 FEW_RUNS_DECIDE = 2.0  # A few runs decide where their standard deviation exceeds this multiple of their mean.
-UNFORESEEN = 0.5  # An objective that predicts more by this part of the closed loop's return did not see what happens.
+UNFORESEEN = 0.5  # An objective that promises more by this part of what control costs did not see what happens.
 
 # --- comparison of methods --------------------------------------------------------------------------------------------
 NOT_WORSE_PERCENT = 100 * NOT_WORSE  # Methods are equal within this part of the reference's return [%].
