@@ -121,7 +121,9 @@ def codesign(
     other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
     if other is not None:
         began = time.perf_counter()
-        further = other.run(problem, result.design, rng, progress=progress)
+        ahead = [one for one in result.baselines if one.gain.ci95[0] > 0]
+        start = max(ahead, key=lambda one: one.gain.mean).design if ahead else result.design
+        further = other.run(problem, np.asarray(start), rng, progress=progress)
         seconds += time.perf_counter() - began
         result = settling.continued(result, settling.checked(further))
     return replace(

@@ -52,8 +52,9 @@ class Learned:
     ----------
     by : {"pathwise", "ppo", "pathwise+ppo"}
         What moves the policy: its gradient through the model, PPO, or both. Where `codesign` finds at the end of a
-        climb that the policy has no gradient, or not that of its return, or that a plain search or LQR is better, PPO
-        goes on from there, with one from scratch beside it. `config.design_gradient` says what moves the design.
+        climb that the policy has no gradient, or not that of its return, or that a plain search is better, PPO goes on
+        from there, with one from scratch beside it; behind a baseline a climb goes on at its design.
+        `config.design_gradient` says what moves the design.
     agent : ActorCritic, optional
         Warm start, from `learning.fit_actor_critic`; copied, not changed. By default one that imitates saturated LQR
         is made, or, where LQR brings nothing to rest, as in a swing-up, MPC of the model; and beside one that is far
@@ -112,10 +113,7 @@ class Learned:
             raise InputError("problem", "one whose states are outputs and inputs", expected, "Learned(history=m).")
         if self.judge is not None and not known.measurement is self.judge.measurement is None:
             raise InputError("judge", "a problem to score by, beside a measurement", "nothing")
-        if known.measurement is not None:
-            from ccdtools.co_design.output_filter import measured_problem
-
-            problem = measured_problem(known, self.history)
+        problem = self._seen(known)
         config: Any = self.config
         work = config.iterations * config.pathwise_runs * problem.steps
         problem = replace(problem, model=for_long_work(problem.model, work))
@@ -154,18 +152,30 @@ class Learned:
         return replace(self, agent=agent)
 
     def instead(self, result: CoDesignResult, problem: CoDesignProblem) -> Learned | None:
-        """PPO from where a climb led to no optimum of the policy, and from scratch; else None."""
+        """What goes on from a climb that led to no optimum of the policy; else None.
+
+        Behind a baseline the climb itself, where the policy's gradient leads; else PPO, with a policy from scratch.
+        """
         known = getattr(result, "policy_gradients", None) is not None and result.status in LED_ASTRAY
-        ahead = [one for one in result.baselines if one.gain.ci95[0] > 0 and np.array_equal(one.design, result.design)]
-        behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE and ahead
+        behind = result.status is CoDesignStatus.WORSE_THAN_BASELINE
         config: Any = self.config
         if self.by == "ppo" or config.policy_rate == 0 or not (known or behind):
             return None
-        if not isinstance(problem.risk, Mean):
+        if not isinstance(problem.risk, Mean) or not isinstance(result, LearnedCoDesign):
             return None
+        if behind and _leads(self._seen(problem), result.policy, np.random.default_rng(0)):
+            return replace(self, agent=result.agent, from_scratch=False)
         given = (self.agent, self.judge, problem.measurement, problem.discrepancy)
         scratch = self.from_scratch or all(one is None for one in given)
-        return replace(self, by="ppo", agent=getattr(result, "agent", None), from_scratch=scratch)
+        return replace(self, by="ppo", agent=result.agent, from_scratch=scratch)
+
+    def _seen(self, problem: CoDesignProblem) -> CoDesignProblem:
+        """Problem of what the policy sees."""
+        if problem.measurement is None:
+            return problem
+        from ccdtools.co_design.output_filter import measured_problem
+
+        return measured_problem(problem, self.history)
 
 
 def policy_from_scratch(
@@ -184,11 +194,15 @@ def _on_from_scratch(task: Task, agent: ActorCritic, design: Array, rng: np.rand
     """Task of a policy from scratch, by its gradient where this leads."""
     task = replace(task, begun="PPO learned from scratch what the policy began with")
     own = replace(task, method="pathwise")
-    problem = task.problem
-    if getattr(problem.model, "jump", False) or not own.pathwise:
-        return task
+    return own if own.pathwise and _leads(task.problem, LearnedPolicy(agent, design), rng) else task
+
+
+def _leads(problem: CoDesignProblem, policy: LearnedPolicy, rng: np.random.Generator) -> bool:
+    """Whether the gradient of a policy is that of its return."""
+    if getattr(problem.model, "jump", False):
+        return False
     drawn = scenario_tensors(problem, fewer_runs(2 * SETTLING_RUNS, problem.steps), copy.deepcopy(rng))
-    return task if astray(gradient_of_policy(problem, LearnedPolicy(agent, design), drawn)) else own
+    return not astray(gradient_of_policy(problem, policy, drawn))
 
 
 def _first_agent(
