@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
-from ccdtools.co_design.design_controllers import lqr_gains
+from ccdtools.co_design.design_controllers import lqr_laws
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import NEARLY_LINEAR
 from ccdtools.design_limits import DesignLimits
@@ -49,7 +49,7 @@ class LQRRegions:
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
         """Regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
-        K = lqr_gains(problem, A, B, designs)
+        K, _ = lqr_laws(problem, (A, B, E), designs)
         designs = np.asarray(designs, dtype=float)
         bounds = problem.input_bounds_at(designs)
         lower, upper = (np.broadcast_to(bound, (len(designs), problem.model.nu)) for bound in bounds)
