@@ -103,10 +103,10 @@ def nested(kind: str, linearisation: str, runs: int) -> tuple[float, float, str]
     """Cost by the simulator above, mass, and the note on linearisations, of a nested co-design."""
     method = Nested("lqr", runs=256, starts=1, linearisation=linearisation)
     found = codesign(problem(kind), method=method, rng=np.random.default_rng(0))
-    K = found.controller.K[0]
+    K, (offset,) = found.controller.K[0], found.controller.offset
     mass = float(found.design[0])
     said = [note for note in found.notes if "secant" in note]
-    return cost(kind, mass, lambda k, q, v: -K[0] * q - K[1] * v, runs), mass, "; ".join(said)
+    return cost(kind, mass, lambda k, q, v: offset - K[0] * q - K[1] * v, runs), mass, "; ".join(said)
 
 
 if __name__ == "__main__":

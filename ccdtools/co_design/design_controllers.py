@@ -46,25 +46,24 @@ def saturated_lqr(problem: CoDesignProblem, design: ArrayLike) -> LinearFeedback
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
     p = problem.design.check_one(design)
-    A, B, _ = problem.model.matrices(p)
-    K, P = lqr(A, B, **problem.weights(p).keywords())
-    offset: Any = 0.0
-    if problem.mean_disturbance.any():
-        import torch
+    A, B, E = problem.model.matrices(p)
+    return affine_lqr(problem, p, A, B, E @ problem.mean_disturbance)
 
-        offset = _offset(problem, *(torch.tensor(value) for value in (p, K, P, problem.weights(p).R))).numpy()
+
+def affine_lqr(problem: CoDesignProblem, p: Array, A: Array, B: Array, c: Array) -> LinearFeedback:
+    """LQR with an offset against c (nx,), at a design (np,)."""
+    weights = problem.weights(p)
+    K, P = lqr(A, B, **weights.keywords())
+    offset: Any = lqr_offset(A, B, K, P, weights.R, c).numpy() if c.any() else 0.0
     return LinearFeedback(K, *problem.input_bounds_at(p), offset=offset)
 
 
-def _offset(problem: CoDesignProblem, p: Tensor, K: Tensor, P: Tensor, R: Tensor) -> Tensor:
-    """Input (nu,) of LQR at x = 0, against the mean of the disturbance."""
+def lqr_offset(*data: Array | Tensor) -> Tensor:
+    """Input (nu,) at x = 0 against c (nx,), of A, B, K, P, R and c."""
     import torch
 
-    from ccdtools.co_design.differentiable_model import matrices
-
-    A, B, E = matrices(problem.model, p)
-    drift = E @ torch.tensor(problem.mean_disturbance)
-    ahead = torch.linalg.solve(torch.eye(len(A)) - (A - B @ K).T, P @ drift)
+    A, B, K, P, R, c = (part if isinstance(part, torch.Tensor) else torch.tensor(part) for part in data)
+    ahead = torch.linalg.solve(torch.eye(len(A)) - (A - B @ K).T, P @ c)  # half the slope of x'Px + 2s'x
     offset: Tensor = -torch.linalg.solve(R + B.T @ P @ B, B.T @ ahead)
     return offset
 
@@ -83,13 +82,18 @@ def weight_changes(problem: CoDesignProblem, p: Array) -> dict[str, Array]:
     return {f"d{name}": value for name, value in changed.keywords().items()}
 
 
-def lqr_gains(problem: CoDesignProblem, A: Array, B: Array, designs: Array) -> Array:
-    """LQR gains (n, nu, nx) of designs (n, np), NaN where none stabilises."""
-    K = np.full((len(B), B.shape[2], B.shape[1]), np.nan)
-    for i, (pair, p) in enumerate(zip(zip(A, B), designs)):
+def lqr_laws(
+    problem: CoDesignProblem, matrices: tuple[Array, Array, Array], designs: Array
+) -> tuple[Array, Array]:  # fmt: skip
+    """LQR gains (n, nu, nx) and offsets (n, nu), NaN without LQR."""
+    n, nx, nu = matrices[1].shape
+    K, k = np.full((n, nu, nx), np.nan), np.full((n, nu), np.nan)
+    for i, (A, B, E, p) in enumerate(zip(*matrices, designs)):
         with suppress(NotStabilisableError):
-            K[i] = lqr(*pair, **problem.weights(p).keywords())[0]
-    return K
+            weights = problem.weights(p)
+            K[i], P = lqr(A, B, **weights.keywords())
+            k[i] = lqr_offset(A, B, K[i], P, weights.R, E @ problem.mean_disturbance)
+    return K, k
 
 
 def linear_mpc(
@@ -235,9 +239,14 @@ def fed_back(problem: CoDesignProblem, at: Tensor, *, rounding: float = 0.0) -> 
         found = lqr_sensitivity(**data)
         K = near(found.K, found.dK)
         if problem.mean_disturbance.any():
-            offset = _offset(problem, p, K, near(found.P, found.dP), near(data["R"], data["dR"]))
+            from ccdtools.co_design.differentiable_model import matrices
+
+            *pair, E = matrices(problem.model, p)
+            drift = E @ torch.tensor(problem.mean_disturbance)
+            offset = lqr_offset(*pair, K, near(found.P, found.dP), near(data["R"], data["dR"]), drift)
     else:
-        law = saturated_lqr(problem, known.numpy())
+        A, B, E = problem.model.matrices(known.numpy())
+        law = affine_lqr(problem, known.numpy(), A, B, E @ problem.mean_disturbance)
         K, offset = torch.tensor(law.K), torch.tensor(law.offset)
     if len(at) > len(p):
         K = K + at[len(p) :].view_as(K)

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ccdtools.arrays import Array
 from ccdtools.co_design.budgets import CLIMBED_COMBINATIONS, MAP_POINTS, MOST_CLIMBED
-from ccdtools.co_design.design_controllers import lqr_gains, saturated_lqr
+from ccdtools.co_design.design_controllers import lqr_laws
 from ccdtools.co_design.differentiable_model import Stepper, fewer_runs, scenario_tensors, simulated, to_design
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import Valley
@@ -56,14 +56,10 @@ class Landscape:
         """
         V: Array = np.clip(np.atleast_2d(np.asarray(points, dtype=float)), 0.0, 1.0)
         designs = self.problem.design.from_unit(V)
-        A, B, _ = self.problem.model.matrices(designs)
-        gains = lqr_gains(self.problem, A, B, designs)
+        gains, offsets = lqr_laws(self.problem, self.problem.model.matrices(designs), designs)
         known = np.isfinite(gains).all(axis=(1, 2)) & self.problem.design.feasible(designs)
         out = np.full(len(V), -np.inf)
-        K, at = gains[known], V[known]
-        k = np.zeros(K.shape[:2])
-        if self.problem.mean_disturbance.any():
-            k = np.array([saturated_lqr(self.problem, p).offset for p in designs[known]]).reshape(k.shape)
+        K, k, at = gains[known], offsets[known], V[known]
         parts = [slice(i, i + self._batch) for i in range(0, len(K), self._batch)]
         values = [self._simulated(at[part], K[part], k[part]) for part in parts]
         if values:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_lyapunov
 
 from ccdtools.arrays import Array, Indices, Mask
-from ccdtools.co_design.design_controllers import lqr_gains
+from ccdtools.co_design.design_controllers import lqr_laws
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.tolerances import NEARLY_LINEAR
 from ccdtools.design_limits import DesignLimits
@@ -35,7 +35,8 @@ class LQRRegions:
     A: Array  # (n, nx, nx): of each design's model
     B: Array  # (n, nx, nu)
     E: Array  # (n, nx, nw)
-    K: Array  # (n, nu, nx): LQR gains, u = −K x; NaN where a design cannot be stabilised
+    K: Array  # (n, nu, nx): LQR gains, u = k − K x; NaN where a design cannot be stabilised
+    k: Array  # (n, nu): offsets against a stated mean of the disturbance; regions are of the loop without either
     lower: Array  # (n, nu): input bounds
     upper: Array  # (n, nu)
     rows: Array | None  # (n, m, nx): X as {x : rows x <= 1}; None where 0 is not inside X or U, so no region is known
@@ -49,7 +50,7 @@ class LQRRegions:
     def of(cls, problem: CoDesignProblem, designs: Array) -> LQRRegions:
         """Regions of designs (n, np)."""
         A, B, E = problem.model.matrices(designs)
-        K = lqr_gains(problem, A, B, designs)
+        K, k = lqr_laws(problem, (A, B, E), designs)
         designs = np.asarray(designs, dtype=float)
         bounds = problem.input_bounds_at(designs)
         lower, upper = (np.broadcast_to(bound, (len(designs), problem.model.nu)) for bound in bounds)
@@ -61,11 +62,11 @@ class LQRRegions:
                 shapes[i] = _ellipsoid(A[i] - B[i] @ K[i], limits, problem.state_scale)
         sampled = None if isinstance(problem.model, LinearModel) else problem.model
         shapes = shapes if sampled is None else shapes / NEARLY_LINEAR**2
-        return cls(A, B, E, K, lower, upper, rows, shapes, designs, sampled)
+        return cls(A, B, E, K, k, lower, upper, rows, shapes, designs, sampled)
 
     def of_runs(self, runs: Indices) -> LQRRegions:
         """Regions of some of the designs."""
-        names = ("A", "B", "E", "K", "lower", "upper", "shapes", "designs")
+        names = ("A", "B", "E", "K", "k", "lower", "upper", "shapes", "designs")
         parts: dict[str, Any] = {name: getattr(self, name)[runs] for name in names}
         return replace(self, rows=None if self.rows is None else self.rows[runs], **parts)
 
@@ -89,12 +90,16 @@ class LQRRegions:
             if not len(left):
                 break
             x = x.copy()
-            x[left] = self.step(x[left], self.inputs(x[left], runs[left]), runs[left])
+            x[left] = self.step(x[left], self._inputs(x[left], runs[left], 0.0), runs[left])
         return inside
 
     def inputs(self, x: Array, runs: Indices) -> Array:
         """Saturated LQR inputs (k, nu) of states (k, nx) at designs `runs`."""
-        return np.clip(-times(self.K[runs], x), self.lower[runs], self.upper[runs])
+        return self._inputs(x, runs, self.k[runs])
+
+    def _inputs(self, x: Array, runs: Indices, offset: Array | float) -> Array:
+        """Inputs (k, nu) with another offset."""
+        return np.clip(offset - times(self.K[runs], x), self.lower[runs], self.upper[runs])
 
     def step(self, x: Array, u: Array, runs: Any, w: Array | None = None) -> Array:
         """Next states (k, nx) at designs `runs`, nominal ones without disturbances (k, nw)."""

@@ -18,7 +18,7 @@ from ccdtools_ground.door import shown
 def kalman_filter(problem: Any, design: ArrayLike) -> KalmanFilter:
     """Kalman filter of a `CoDesignProblem`'s sensors at a design.
 
-    Model and outputs are linearised at rest; the disturbance counts as white noise of its second moment.
+    Model and outputs are linearised at rest; the disturbance counts as white noise about the mean that it states.
 
     Raises
     ------
@@ -40,7 +40,10 @@ def kalman_filter(problem: Any, design: ArrayLike) -> KalmanFilter:
     assert v is not None
     V = np.einsum("nti,ntj->ij", v, v) / (v.shape[0] * v.shape[1])
     mean, P0, noise = problem.moments
-    return KalmanFilter(A, B, C, E @ noise @ E.T, V, D=D, y0=output.of(rest, still)[0], steady=False, x0=mean, P0=P0)
+    return KalmanFilter(
+        A, B, C, E @ noise @ E.T, V, D=D, y0=output.of(rest, still)[0], c=E @ problem.mean_disturbance, steady=False,
+        x0=mean, P0=P0,
+    )  # fmt: skip
 
 
 def observed(problem: Any, controller: Any, design: ArrayLike) -> Any:

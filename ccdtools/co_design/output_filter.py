@@ -42,7 +42,7 @@ def estimator_at(problem: CoDesignProblem, p: Array) -> Any:
     exact = isinstance(output, np.ndarray) or (isinstance(output, Plant) and linear_outputs(output))
     if not isinstance(problem.model, SampledModel | LinearModel) or (exact and isinstance(problem.model, LinearModel)):
         return linear
-    start = {"P0": linear.P0, "x0": linear.x0}
+    start = {"P0": linear.P0, "x0": linear.x0, "c": linear.c}
     return ExtendedKalmanFilter(problem.model, problem.measurement, W=linear.W, V=linear.V, design=p, **start)
 
 
@@ -199,8 +199,8 @@ def _with_filter(problem: CoDesignProblem, known: Any, V: Array, extent: Array) 
     disturbance, noise = ca.vertsplit(w, [0, nw, nw + len(V)])
     after = step(x, u, disturbance)
     W = one * (E @ ca.DM(problem.moments[2]) @ E.T)
-    still = ca.DM.zeros(nw, 1)
-    mean, P = next_belief(lambda x, u: step(x, u, still), seen, belief, u, seen(after, u) + noise, W, V)
+    still, drift = ca.DM.zeros(nw, 1), one * (E @ ca.DM(problem.mean_disturbance))
+    mean, P = next_belief(lambda x, u: step(x, u, still) + drift, seen, belief, u, seen(after, u) + noise, W, V)
     triangle = [P[i, j] for j in range(nx) for i in range(j, nx)]
     moved = ca.cse(ca.vertcat(after, one, *triangle, mean))
     plain = ca.substitute(moved, M, ca.reshape(model.function.expand()(p), M.shape))

@@ -288,10 +288,10 @@ class CoDesignProblem(Immutable):
 
     @cached_property
     def moments(self) -> tuple[Array, Array, Array]:
-        """Mean (nx,) and covariance (nx, nx) of starts, second moments of disturbances (nw, nw)."""
+        """Mean (nx,) and covariance (nx, nx) of starts, second moments (nw, nw) of w about its stated mean."""
         x0, w = self.scenarios.sample(4096, self.steps, np.random.default_rng(0))
         mean = x0.mean(axis=0)
-        away = x0 - mean
+        away, w = x0 - mean, w - self.mean_disturbance
         return mean, away.T @ away / len(x0), np.einsum("nti,ntj->ij", w, w) / (w.shape[0] * w.shape[1])
 
     @property

@@ -1,8 +1,8 @@
 """LQR of the linearisation over visited states, beside the tangent's.
 
 Friction, dead zones and springs that stiffen look at rest like another plant than where the loop goes. Fitted are the
-matrices that predict x⁺ best, in least squares over the states and inputs of the loop; the loop with their LQR visits
-other states, so they are fitted again.
+matrices and the constant that predict x⁺ best, in least squares over the states and inputs of the loop; the loop with
+their LQR visits other states, so they are fitted again.
 
 References
 ----------
@@ -19,7 +19,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable
-from ccdtools.co_design.design_controllers import saturated_lqr
+from ccdtools.co_design.design_controllers import affine_lqr, saturated_lqr
 from ccdtools.co_design.differentiable_model import (
     ScenarioTensors,
     Stepper,
@@ -33,16 +33,17 @@ from ccdtools.co_design.tolerances import EXCITATION
 from ccdtools.controllers.controllers import LinearFeedback, Passive
 from ccdtools.tolerances import NOT_WORSE
 from ccdtools_ground.door import as_generator, as_instance
-from mpc import NotStabilisableError, lqr
+from mpc import NotStabilisableError
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Immutable):
-    """Linearisation x⁺ ≈ A x + B u over visited states, and LQR."""
+    """Linearisation x⁺ ≈ A x + B u + c over visited states, and LQR."""
 
     A: Array  # (nx, nx)
     B: Array  # (nx, nu)
-    controller: LinearFeedback  # saturated LQR of A and B
+    c: Array  # (nx,): what motion itself, or a stated mean of the disturbance, adds at each step
+    controller: LinearFeedback  # saturated LQR of A and B, with the offset against c
     mean_return: float  # of that LQR, on the scenarios of the fit; NaN where there is none
     tangent_return: float  # of LQR of the tangent at rest
     size: float  # of the mean return, without the cost of the design
@@ -75,7 +76,7 @@ def stochastic_linearisation(problem: CoDesignProblem, design: ArrayLike, rng: n
     Examples
     --------
     >>> found = stochastic_linearisation(problem, design, np.random.default_rng(0))
-    >>> found.A, found.B, found.controller
+    >>> found.A, found.B, found.c, found.controller
     >>> print(found)
     """
     as_instance("problem", problem, CoDesignProblem, "a CoDesignProblem")
@@ -93,7 +94,6 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
     """Best linearisation of the rounds on given scenarios, at a design (np,)."""
     rng = np.random.default_rng(0)
     bounds = problem.input_bounds_at(p)
-    weights = problem.weights(p).keywords()
 
     def driven(law: LinearFeedback | Passive) -> tuple[Array, Array, float]:
         """States and inputs (n, ·) visited before divergence, and the mean return."""
@@ -112,16 +112,16 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
     inputs = np.clip(EXCITATION * half * rng.standard_normal((len(states), problem.model.nu)), *bounds)
     best: Linearisation | None = None
     for _ in range(4):  # each fits over the loop of the one before
-        A, B = _least_squares(problem, p, states, inputs, rng)
+        fit = _least_squares(problem, p, states, inputs, rng)
         try:
-            law = LinearFeedback(lqr(A, B, **weights)[0], *bounds)
+            law = affine_lqr(problem, p, *fit)
         except NotStabilisableError:
             if best is None:
                 raise
             break
         states, inputs, mean = driven(law)
         if best is None or mean > best.mean_return:
-            best = Linearisation(A, B, law, mean, tangent, abs(float(problem.made_by_control(mean, p))))
+            best = Linearisation(*fit, law, mean, tangent, abs(float(problem.made_by_control(mean, p))))
         if not len(states):
             break
     assert best is not None
@@ -130,10 +130,11 @@ def fitted(problem: CoDesignProblem, p: Array, scenarios: ScenarioTensors) -> Li
 
 def _least_squares(
     problem: CoDesignProblem, p: Array, states: Array, inputs: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:  # fmt: skip
-    """A and B that predict the undisturbed step best over given pairs."""
-    nx = problem.model.nx
-    pairs = np.vstack([np.hstack([states, inputs]), np.hstack([states, rng.permutation(inputs)])])
-    after = problem.model.undisturbed(p)(pairs[:, :nx], pairs[:, nx:])
-    fit = np.linalg.lstsq(pairs, after, rcond=None)[0].T
-    return fit[:, :nx], fit[:, nx:]
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """A, B and c that predict undisturbed steps best."""
+    x, u = np.vstack([states, states]), np.vstack([inputs, rng.permutation(inputs)])
+    pairs = np.hstack([x, u])
+    after = problem.model.stepper(p, batch=1)(x, u, np.tile(problem.mean_disturbance, (len(x), 1)))
+    mean, mean_after = pairs.mean(axis=0), after.mean(axis=0)
+    fit = np.linalg.lstsq(pairs - mean, after - mean_after, rcond=None)[0].T
+    return fit[:, : x.shape[1]], fit[:, x.shape[1] :], mean_after - fit @ mean

@@ -34,6 +34,7 @@ FILTER = """
 
 static const real state_matrix[NT][NT] = @A@;
 static const real input_matrix[NT][NU] = @B@;
+static const real drift[NT] = @c@;
 static const real process_noise[NT][NT] = @W@;
 static const real first_estimate[NT] = @x0@;
 static const real first_covariance[NT][NT] = @P0@;
@@ -60,7 +61,7 @@ static void predict(@name@_state *state, const real u_prev[NU])
     real moved[NT], product[NT][NT];
     int i, j, k;
     for (i = 0; i < NT; i++) {
-        moved[i] = 0;
+        moved[i] = drift[i];
         for (j = 0; j < NT; j++) {
             moved[i] += state_matrix[i][j] * state->theta[j];
             product[i][j] = 0;
@@ -125,7 +126,7 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     white = np.linalg.inv(np.linalg.cholesky(estimator.V))
     P0 = estimator.predicted if estimator.steady else estimator.P0
     tables = {
-        "A": estimator.A, "B": estimator.B, "W": estimator.W, "x0": estimator.x0, "P0": P0, "scale": white,
-        "seen": white @ estimator.C, "through": white @ estimator.D, "offset": white @ estimator.y0,
+        "A": estimator.A, "B": estimator.B, "c": estimator.c, "W": estimator.W, "x0": estimator.x0, "P0": P0,
+        "scale": white, "seen": white @ estimator.C, "through": white @ estimator.D, "offset": white @ estimator.y0,
     }  # fmt: skip
     return {name: table(values, scalar) for name, values in tables.items()} | {"ny": estimator.ny}

@@ -20,14 +20,14 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
-from ccdtools_ground.door import as_instance
+from ccdtools_ground.door import as_instance, as_vector
 
 Transition = Callable[[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtendedKalmanFilter(Filter):
-    """Kalman filter of x⁺ = f(x, u, p) + w, y_k = h(x_k, u_{k-1}, p) + v_k, linearised about its estimate.
+    """Kalman filter of x⁺ = f(x, u, p) + c + w, y_k = h(x_k, u_{k-1}, p) + v_k, linearised about its estimate.
 
     In current form: x̂_{k|k} has y_k in it. f is differentiated exactly; so are the outputs of a plant, while those of
     a function are by central differences in parts of the estimate's standard deviation. On a linear model it is the
@@ -45,6 +45,8 @@ class ExtendedKalmanFilter(Filter):
         Covariance of the first state about `x0`.
     x0 : (nx,) array_like, optional
         Estimate before the first measurement; 0 by default.
+    c : (nx,) array_like, optional
+        Mean of the process noise of a sample; 0 by default.
     design : (np,) array_like
         p, where the model has design parameters.
 
@@ -77,6 +79,7 @@ class ExtendedKalmanFilter(Filter):
     V: ArrayField = field(kw_only=True)
     P0: ArrayField = field(kw_only=True)
     x0: ArrayField = field(default=None, kw_only=True)
+    c: ArrayField = field(default=None, kw_only=True)
     design: ArrayField = field(default=None, kw_only=True)
     detectability: Detectability = field(init=False)
 
@@ -90,6 +93,8 @@ class ExtendedKalmanFilter(Filter):
         self._set(design=self._checked_design())
         x0, P0 = as_start(self.x0, self.P0, self.model.nx)
         self._set(x0=x0, P0=P0)
+        c = np.zeros(self.nx) if self.c is None else as_vector("c", self.c, self.nx, of="one per state")
+        self._set(c=c)
         ny = self._h.of(x0[None], np.zeros((1, self.nu))).shape[1]
         W, V = as_noise_covariances(self.W, self.V, self.nx, ny)
         self._set(W=W, V=V)
@@ -137,7 +142,8 @@ class ExtendedKalmanFilter(Filter):
         return _differentiated(self.model, self.design)
 
     def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
-        return self._f(x, u)
+        after, F = self._f(x, u)
+        return after + self.c, F
 
     def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
         variances = np.diagonal(belief.covariance, axis1=-2, axis2=-1)

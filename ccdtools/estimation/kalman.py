@@ -35,7 +35,7 @@ class KalmanFilter(Filter):
     """Least-variance estimates of the state of a linear model.
 
     In current form: x̂_{k|k} has y_k in it. The filter has no memory itself; `Observed` gives it one in a closed loop,
-    `filter` runs it along a record. The model is x⁺ = A x + B u + w, y_k = C x_k + D u_{k-1} + y0 + v_k.
+    `filter` runs it along a record. The model is x⁺ = A x + B u + c + w, y_k = C x_k + D u_{k-1} + y0 + v_k.
 
     Parameters
     ----------
@@ -48,6 +48,8 @@ class KalmanFilter(Filter):
         Of outputs that depend on the input, which see the one applied until then; 0 by default.
     y0 : (ny,) array_like, optional
         Outputs at x = 0, u = 0, such as those of a plant at rest; 0 by default.
+    c : (nx,) array_like, optional
+        Mean of the process noise of a sample, in states; 0 by default.
     steady : bool
         Whether the gain is the constant one of long runs; else it starts at P0 and changes over time.
     x0 : (nx,) array_like, optional
@@ -88,6 +90,7 @@ class KalmanFilter(Filter):
     V: ArrayField
     D: ArrayField = field(default=None, kw_only=True)
     y0: ArrayField = field(default=None, kw_only=True)
+    c: ArrayField = field(default=None, kw_only=True)
     steady: bool = field(default=True, kw_only=True)
     x0: ArrayField = field(default=None, kw_only=True)
     P0: ArrayField = field(default=None, kw_only=True)
@@ -104,11 +107,12 @@ class KalmanFilter(Filter):
         ny = len(C)
         D = np.zeros((ny, B.shape[1])) if self.D is None else as_array("D", self.D, (ny, B.shape[1]))
         y0 = np.zeros(ny) if self.y0 is None else as_vector("y0", self.y0, ny, of="one per output")
+        c = np.zeros(nx) if self.c is None else as_vector("c", self.c, nx, of="one per state")
         W, V = as_noise_covariances(self.W, self.V, nx, ny)
         self._set(steady=as_flag("steady", self.steady))
         if self.steady and self.P0 is not None:
             raise InputError("P0", "a covariance", "nothing with steady=True", "Pass steady=False to start from it.")
-        self._set(A=A, B=B, C=C, D=D, y0=y0, W=W, V=V)
+        self._set(A=A, B=B, C=C, D=D, y0=y0, c=c, W=W, V=V)
         x0, P0 = as_start(self.x0, self.predicted if self.steady else self.P0, nx)
         self._set(x0=x0, P0=None if self.steady else P0)
 
@@ -184,7 +188,7 @@ class KalmanFilter(Filter):
         return super().predict(belief, u)
 
     def _transition(self, x: Array, u: Array) -> tuple[Array, Array]:
-        return x @ self.A.T + u @ self.B.T, self.A
+        return x @ self.A.T + u @ self.B.T + self.c, self.A
 
     def _expected(self, belief: Belief, u: Array) -> tuple[Array, Array]:
         return belief.mean @ self.C.T + u @ self.D.T + self.y0, self.C

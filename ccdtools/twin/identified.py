@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array
+from ccdtools.co_design.design_controllers import affine_lqr
 from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.controllers.controllers import LinearFeedback
 from ccdtools.plants.models import Model, PlantOfModel
@@ -18,7 +19,6 @@ from ccdtools.twin.budgets import RIDGES
 from ccdtools.twin.residuals import Logs, Residuals, check_errors, errors_of, in_problem, residuals
 from ccdtools.twin.transport import carried
 from ccdtools_ground.door import as_instance
-from mpc import lqr
 
 
 def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> LinearFeedback:
@@ -58,14 +58,7 @@ def identified_lqr(problem: CoDesignProblem, design: ArrayLike, logs: Logs) -> L
     dA, dB, c = fitted_change(
         [carried(problem.model, log, p, problem.state_scale) for log in errors], problem.state_scale
     )
-    A, B = A + dA, B + dB
-    weights = problem.weights(p).keywords()
-    K, P = lqr(A, B, **weights)
-    ahead = P @ c + np.linalg.solve(
-        np.eye(len(A)) - (A - B @ K).T, (A - B @ K).T @ P @ c
-    )  # half the slope of x'Px + 2s'x
-    offset = -np.linalg.solve(weights["R"] + B.T @ P @ B, B.T @ ahead)
-    return LinearFeedback(K, *problem.input_bounds_at(p), offset=offset)
+    return affine_lqr(problem, p, A + dA, B + dB, c)
 
 
 @dataclass(frozen=True, eq=False)

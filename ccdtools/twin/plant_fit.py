@@ -390,7 +390,8 @@ def _innovations(problem: CoDesignProblem, unknown: UnknownPlant, log: OutputLog
     """Innovations of a log, by the problem's filter."""
     known = kalman_filter(problem, log.design)
     mean = _mean_disturbance(problem)
-    disturbance = (mean, problem.moments[2] - np.outer(mean, mean))
+    unstated = mean - problem.mean_disturbance
+    disturbance = (mean, problem.moments[2] - np.outer(unstated, unstated))
     rows = whitened(log.outputs.reshape(-1, known.ny), known.V).reshape(*log.outputs.shape[:2], -1)
     functions = unknown.functions(problem, log.design)
     return Innovations(*functions, disturbance, (known.x0, known.P0), rows, log.inputs, scaled)

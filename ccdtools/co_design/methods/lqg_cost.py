@@ -44,19 +44,19 @@ class LqgCost(RiccatiCost):
     def _of_loop(self, p: Array) -> float:
         """Expected cost of the steps of an episode.
 
-        Of z = (x, x̄), the state and its estimate before the measurement, u = −K (M C x + (I − M C) x̄ + M v).
+        Of z = (x, x̄), the state and its estimate before the measurement, about their common mean, along which LQR acts
+        as if it saw it; u = −K (M C x + (I − M C) x̄ + M v).
         """
         problem, nx = self.problem, self.problem.model.nx
         A, B, E = problem.model.matrices(p)
-        K, known = saturated_lqr(problem, p).K, kalman_filter(problem, p)
-        C, V, P = known.C, known.V, known.P0
+        law, known = saturated_lqr(problem, p), kalman_filter(problem, p)
+        K, C, V, P = law.K, known.C, known.V, known.P0
         mean, _, noise = problem.moments
-        about = np.outer(mean, mean)
-        starts = P + about
+        starts = P + np.outer(mean, mean)
         eye, none = np.eye(nx), np.zeros((nx, nx))
         plant, moved = np.block([[A, none], [none, none]]), np.vstack([-B @ K, A - B @ K])
         driven = np.block([[E @ noise @ E.T, none], [none, none]])
-        S = np.block([[starts, about], [about, about]])
+        S = np.block([[P, none], [none, none]])
         total = np.zeros((nx + len(K), nx + len(K)))  # of (x, u), summed over the steps
         for _ in range(problem.steps):
             M = gain_of(P, C, V)
@@ -68,10 +68,13 @@ class LqgCost(RiccatiCost):
             total[nx:, nx:] += K @ of_noise @ K.T
             F = plant + moved @ estimate
             S = F @ S @ F.T + moved @ of_noise @ moved.T + driven
+            u = law.offset - K @ mean
+            total += np.outer(np.r_[mean, u], np.r_[mean, u])
+            mean = A @ mean + B @ u + known.c
         Q, R, cross = problem.weights(p)
         cost = np.sum(Q * total[:nx, :nx]) + np.sum(R * total[nx:, nx:])
         cost += 0.0 if cross is None else 2 * np.sum(cross * total[:nx, nx:])
-        after = S[:nx, :nx]
+        after = S[:nx, :nx] + np.outer(mean, mean)
         if isinstance(problem.objective, QuadraticObjective):  # judges the states after the steps
             cost += np.sum(Q * (after - starts))
         terminal = getattr(problem.objective, "terminal_cost", None)

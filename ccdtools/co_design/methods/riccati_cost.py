@@ -61,6 +61,7 @@ class RiccatiCost(DesignCost):
             return np.inf, lambda: np.zeros(len(v))
         E, dE = problem.model.matrices(p)[2], problem.model.derivatives(p)[2]
         mean, covariance, noise = problem.moments
+        noise = noise + np.outer(problem.mean_disturbance, problem.mean_disturbance)
         starts = covariance + np.outer(mean, mean)
         spread = starts + problem.steps * (E @ noise @ E.T)
         objective = problem.objective  # of the first states, next-state rewards count nothing

@@ -61,8 +61,9 @@ def in_the_long_run(problem, p, noise=0.1):
     return float(np.trace(P @ E @ E.T) + np.trace(K.T @ H @ K @ after))
 
 
-def test_the_objective_is_the_mean_return_of_the_loop_with_its_filter():
-    problem = mass(steps=60)
+@pytest.mark.parametrize("mean", [0.0, 1.5])
+def test_the_objective_is_the_mean_return_of_the_loop_with_its_filter(mean):
+    problem = mass(steps=60, scenarios=FixedStart([1.0, 0.0], Gaussian([1.0], mean=[mean])))
     found = codesign(problem, method=Nested("lqg"), rng=np.random.default_rng(1))
     summary = found.closed_loop.summary
     assert abs(found.objective - summary.mean) < 2 * (summary.ci95[1] - summary.ci95[0])

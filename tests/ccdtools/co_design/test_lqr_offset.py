@@ -15,6 +15,7 @@ from ccdtools import (
     closed_loop_returns,
     codesign,
     discretise,
+    expert_dataset,
     saturated_lqr,
 )
 from ccdtools.disturbances import Stacked, Sum, Uniform
@@ -90,3 +91,11 @@ def test_nested_lqr_finds_the_best_design_with_the_offset():
     grid = [returned([m]) for m in np.linspace(0.5, 4.0, 36)]
     assert returned(found.design) > max(grid) - 1e-3 * abs(max(grid))
     assert found.controller.offset == pytest.approx(saturated_lqr(problem, found.design).offset)
+
+
+def test_expert_data_have_the_offset_too():
+    problem = carriage(Gaussian([0.3], mean=[2.0]))
+    data = expert_dataset(problem, samples=16, rng=np.random.default_rng(0), sets="lqr")
+    laws = [saturated_lqr(problem, row[2:]) for row in data.inputs]
+    assert len({law.offset[0] for law in laws}) > 10
+    np.testing.assert_allclose(data.actions, [law(row[:2]) for law, row in zip(laws, data.inputs)], atol=1e-9)

@@ -101,13 +101,13 @@ def test_the_states_are_the_plant_and_what_its_sensor_and_its_input_were(kind, s
 
 @KINDS
 def test_the_states_are_the_plant_and_what_its_filter_believes(kind, stiff, rng):
-    problem = of_kind(kind, stiff)
+    problem = replace(of_kind(kind, stiff), scenarios=FixedStart([1.0, 0.0], Gaussian([1.0], mean=[0.5])))
     longer = filter_problem(problem)
     p = np.array([1.3, 0.4])
     h = problem.measurement.at(2, 1, p).of
     known = kalman_filter(problem, p)
     if kind != "simulator":
-        noise = {"W": known.W, "V": known.V, "P0": np.diag([0.2, 0.1])}
+        noise = {"W": known.W, "V": known.V, "P0": np.diag([0.2, 0.1]), "c": known.c}
         known = ExtendedKalmanFilter(problem.model, problem.measurement, design=p, **noise)
     step, own = longer.model.stepper(p, batch=4), problem.model.stepper(p, batch=4)
     x = rng.standard_normal((4, 2))

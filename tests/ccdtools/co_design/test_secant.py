@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 import ccdtools as cc
 from ccdtools import InputError, Nested, codesign
@@ -14,17 +15,18 @@ FORCES = {
     "friction": lambda q, v, u: u - 0.5 * ca.tanh(v / 0.03),
     "input that counts by its square": lambda q, v, u: u * ca.fabs(u) - 0.1 * v,
     "linear": lambda q, v, u: u - q - 0.3 * v,
+    "damper of one side": lambda q, v, u: u - q - 2 * ca.fmax(v, 0),
 }
 
 
-def problem(name):
+def problem(name, start=1.0, noise=0.3, mean=0.0):
     x, u, w, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("w"), ca.SX.sym("p")
     force = FORCES[name](x[0], x[1], u)
     plant = cc.Plant(x, u, w, p, ca.vertcat(x[1], (force + w) / p), cc.DesignSpace(["m"], [0.5], [2.0]), dt=0.05)
     return cc.CoDesignProblem(
         cc.discretise(plant, sampling_guard="ignore"), X=Polytope.from_bounds([-3, -6], [3, 6]),
         U=Polytope.from_bounds([-3.0], [3.0]), objective=cc.QuadraticObjective(np.diag([1.0, 0.1]), [[0.1]]),
-        scenarios=cc.FixedStart([1.0, 0.0], cc.Gaussian([0.3])), steps=60, limit_tolerance="off",
+        scenarios=cc.FixedStart([start, 0.0], cc.Gaussian([noise], mean=[mean])), steps=60, limit_tolerance="off",
     )  # fmt: skip
 
 
@@ -35,6 +37,43 @@ def test_of_a_linear_plant_it_is_its_matrices():
     np.testing.assert_allclose(found.A, A, atol=1e-8)
     np.testing.assert_allclose(found.B, B, atol=1e-8)
     np.testing.assert_allclose(found.controller.K, lqr(A, B, Q=own.objective.Q, R=own.objective.R)[0], rtol=1e-6)
+
+
+def test_a_stated_mean_of_the_disturbance_is_its_constant():
+    own = problem("linear", mean=0.5)
+    found = stochastic_linearisation(own, [1.0], np.random.default_rng(0))
+    E = own.model.matrices([1.0])[2]
+    np.testing.assert_allclose(found.c, 0.5 * E[:, 0], atol=1e-8)
+    np.testing.assert_allclose(found.controller.offset, cc.saturated_lqr(own, [1.0]).offset, rtol=1e-6)
+
+
+def cost_of_one_side(K, offset, runs=1000):
+    """Mean cost of an affine law on the damper of one side, from rest under noise, by Heun's rule in NumPy."""
+    w = np.random.default_rng(5).standard_normal((60, runs)) * 2.0
+    x, total = np.zeros((2, runs)), 0.0
+
+    def rate(x, force):
+        return np.stack([x[1], force - x[0] - 2 * np.maximum(x[1], 0)])
+
+    for noise in w:
+        u = np.clip(offset - K @ x, -3, 3)
+        total = total + 0.1 * u**2
+        for _ in range(4):
+            first = rate(x, u + noise)
+            x = x + 0.05 / 8 * (first + rate(x + 0.05 / 4 * first, u + noise))
+        total = total + x[0] ** 2 + 0.1 * x[1] ** 2
+    return total.mean()
+
+
+def test_where_motion_has_a_mean_its_offset_has_nine_tenths_of_what_the_best_one_gains():
+    own = problem("damper of one side", start=0.0, noise=2.0)
+    found = stochastic_linearisation(own, [1.0], np.random.default_rng(0))
+    (K,), (offset,) = found.controller.K, found.controller.offset
+    without = cost_of_one_side(K, 0.0)
+    best = minimize_scalar(lambda offset: cost_of_one_side(K, offset), bounds=(-3, 3), method="bounded").fun
+    assert best < 0.97 * without
+    assert cost_of_one_side(K, offset) < without - 0.9 * (without - best)
+    assert found.better
 
 
 def test_dry_friction_damps_less_where_the_loop_goes_than_at_rest():
@@ -63,6 +102,19 @@ def test_nested_takes_the_secant_where_it_is_better_and_says_both():
     assert "secant" in auto.criterion
     assert "tangent at rest returns" in auto.notes[-1]
     assert not any("secant" in note for note in tangent.notes)
+
+
+def test_nested_has_the_offset_where_motion_has_a_mean():
+    own = problem("damper of one side", start=0.0, noise=2.0)
+    few = dict(runs=16, starts=1, evaluations=2)
+    found = codesign(own, method=Nested("lqr", **few), rng=np.random.default_rng(0), design=[1.0])
+    tangent = codesign(own, method=Nested("lqr", linearisation="tangent", **few), rng=np.random.default_rng(0),
+                       design=[1.0])  # fmt: skip
+    assert found.controller.offset[0] > 0.05
+    assert not tangent.controller.offset.any()
+    assert found.closed_loop.summary.mean > 0.99 * tangent.closed_loop.summary.mean
+    assert tangent.status.name == "WORSE_THAN_BASELINE"
+    assert found.status.settled
 
 
 @pytest.mark.parametrize(("plant", "said"), [("friction", True), ("linear", False)])

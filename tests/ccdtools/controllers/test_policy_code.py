@@ -162,7 +162,13 @@ B = np.array([[0.0, 0.1], [0.3, 0.0], [0.2, 0.4]])
 
 def of_estimate(*, steady=False):
     """A policy of the estimate of a filter that begins anywhere, with outputs of correlated noise."""
-    known = {"D": [[0.1, 0.0], [0.0, 0.2]], "y0": [0.05, -0.1], "x0": [0.3, -0.2, 0.1], "steady": steady}
+    known = {
+        "D": [[0.1, 0.0], [0.0, 0.2]],
+        "y0": [0.05, -0.1],
+        "x0": [0.3, -0.2, 0.1],
+        "c": [-0.03, 0.01, 0.05],
+        "steady": steady,
+    }
     start = {} if steady else {"P0": [1.0, 0.5, 2.0]}
     V = np.array([[0.01, 0.005], [0.005, 0.04]])
     estimator = KalmanFilter(A, B, np.eye(NY, 3), 0.01 * np.eye(3), V, **known, **start)

@@ -24,6 +24,22 @@ W = np.diag([1e-4, 1e-3])
 V = np.array([[1e-2]])
 
 
+@pytest.mark.parametrize("steady", [True, False])
+def test_a_mean_of_the_process_noise_moves_the_estimate_as_it_moves_the_state(steady, rng):
+    c, start = np.array([0.02, -0.1]), {} if steady else {"P0": [1.0, 0.5]}
+    one, other = (KalmanFilter(A, B, C, W, V, steady=steady, c=mean, **start) for mean in (c, None))
+    moved, by_one, by_other = np.zeros(2), one.start(3), other.start(3)
+    for _ in range(20):
+        y, u = rng.standard_normal((2, 3, 1))
+        by_one = one.predict(one.update(by_one, y + moved[:1], u), u)
+        by_other = other.predict(other.update(by_other, y, u), u)
+        moved = A @ moved + c
+        np.testing.assert_allclose(by_one.mean, by_other.mean + moved, atol=1e-10)
+    assert np.array_equal(KalmanFilter(**one.to_dict()).c, c)
+    with pytest.raises(InputError, match="c: "):
+        KalmanFilter(A, B, C, W, V, c=[1.0])
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_steady_gain_is_that_of_python_control(seed):
     A, B, C, W, V = random_system(np.random.default_rng(seed))

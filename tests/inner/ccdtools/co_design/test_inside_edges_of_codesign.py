@@ -218,7 +218,7 @@ def test_a_result_says_that_few_runs_decide(spread, said):
 
 @pytest.mark.parametrize(("part", "better"), [(0.0017, False), (0.015, True)])
 def test_half_a_per_cent_is_worth_a_secant_or_another_controller(part, better):
-    assert Linearisation(np.eye(1), np.eye(1), None, -1.0, -1 - part, 1.0).better == better
+    assert Linearisation(np.eye(1), np.eye(1), np.zeros(1), None, -1.0, -1 - part, 1.0).better == better
     assert _better(SimpleNamespace(gain=PairedDifference(part, (part / 2, 2 * part)))) == better
 
 
