@@ -322,6 +322,10 @@ class SymbolicFunction:
         """Expressions of the function as text, by sizes."""
         return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
 
+    def as_given(self) -> tuple[Any, ...]:
+        """Function as it was given, whatever sizes it was used with."""
+        return self.argument, self.names, self._given or self.serialized()
+
     def __getstate__(self) -> dict[str, Any]:
         given = self._given if isinstance(self._given, ca.Function) or not self._functions else None
         return {"argument": self.argument, "names": self.names, "functions": self._functions, "given": given}
