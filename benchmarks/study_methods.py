@@ -1,6 +1,7 @@
 """Methods beside each other on the studies where learning matters: a row a method, on common fresh runs.
 
     python benchmarks/study_methods.py [--studies wall swing_up] [--without METHOD] [--peer] [--iterations 120]
+    python benchmarks/study_methods.py --studies benchmarks/fmu_landing.py --runs 100       the real plant is an FMU
 
 Nested methods and two that learn choose the design; nonlinear MPC stands at that of nested LQR. PPO from scratch and
 Stable-Baselines3, which must be installed, learn at the first one, by equal steps. Returns are means of 500 runs of the
@@ -95,12 +96,12 @@ def methods(iterations: int, steps: int, by_peer: bool) -> dict[str, Run]:
     return found | ({"Stable-Baselines3": peer(steps)} if by_peer else {})
 
 
-def scenarios(study: cc.Study) -> tuple[cc.Scenario, cc.Scenario]:
+def scenarios(study: cc.Study, runs: int) -> tuple[cc.Scenario, cc.Scenario]:
     """Fresh runs of the model and of the real plant."""
     rng, real = np.random.default_rng(10**6), study.real
-    x0, w = study.problem().scenarios.sample(RUNS, study.steps, rng)
-    driven = real.disturbance.sample(RUNS, study.steps, rng)
-    return cc.Scenario(study.model, x0, w), cc.Scenario(real.plant, np.tile(real.x0, (RUNS, 1)), driven)
+    x0, w = study.problem().scenarios.sample(runs, study.steps, rng)
+    driven = real.disturbance.sample(runs, study.steps, rng)
+    return cc.Scenario(study.model, x0, w), cc.Scenario(real.plant, np.tile(real.x0, (runs, 1)), driven)
 
 
 def beside(values: Array, reference: Array, size: float) -> str:
@@ -117,18 +118,19 @@ def beside(values: Array, reference: Array, size: float) -> str:
 def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
+    parser.add_argument("--studies", nargs="+", default=STUDIES, help="names, or files that declare one")
     parser.add_argument("--peer", action="store_true", help="Stable-Baselines3, too")
     parser.add_argument("--without", nargs="*", default=[], help="methods that are not run")
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--steps", type=int, default=96_000)
+    parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     torch.set_num_threads(1)
     print("| study | method | design | model | real plant | time | status |\n|---|---|---|---|---|---|---|")
     for name in asked.studies:
         study = cc.load_study(name)
-        problem, places = study.problem(), scenarios(study)
+        problem, places = study.problem(), scenarios(study, asked.runs)
         first: list[tuple[Array, float]] = []  # returns of nested LQR, and what its control costs
         for method, run in methods(asked.iterations, asked.steps, asked.peer).items():
             if method in asked.without:
@@ -137,10 +139,10 @@ def main() -> None:
             try:
                 controller, design, status = run(problem, study.p0, asked.seed)
             except cc.CCDError as error:
-                print(f"| {name} | {method} | – | – | – | – | {type(error).__name__} |", flush=True)
+                print(f"| {study.name} | {method} | – | – | – | – | {type(error).__name__} |", flush=True)
                 continue
             seconds = time.process_time() - began
-            runs = FEW if hasattr(controller, "horizon") else RUNS
+            runs = FEW if hasattr(controller, "horizon") else asked.runs
             cells = []
             for k, place in enumerate(places):
                 trial = place.first(runs).run(controller, design=design, limit=problem.limit)
@@ -148,8 +150,8 @@ def main() -> None:
                 if len(first) == k:
                     first.append((values, float(problem.made_by_control(np.nanmean(values), design))))
                 cells.append(beside(values, *first[k]))
-            print(f"| {name} | {method} | {problem.design.describe(design)} | {' | '.join(cells)} | {seconds:.0f} s"
-                  f" | {status} |", flush=True)  # fmt: skip
+            print(f"| {study.name} | {method} | {problem.design.describe(design)} | {' | '.join(cells)} | "
+                  f"{seconds:.0f} s | {status} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from typing import Any, Protocol, overload
 
@@ -19,6 +21,7 @@ from ccdtools.co_design.problem import CoDesignProblem
 from ccdtools.co_design.result import CoDesignResult
 from ccdtools.co_design.settling import Settling
 from ccdtools.exceptions import InputError
+from ccdtools.progress import telling
 from ccdtools_ground.door import as_choice, as_flag, as_generator, as_instance, shown
 from learning.networks import ActorCritic
 
@@ -88,7 +91,7 @@ def codesign(
     agent, config, judge, limits
         Of the methods that learn, see `Learned`.
     progress : bool
-        Show a progress bar.
+        Show a progress bar; where there is no terminal, a line every ten seconds on the standard error output.
 
     Returns
     -------
@@ -110,22 +113,24 @@ def codesign(
     space = problem.design
     first = space.project(space.centre) if design is None else space.check_feasible(design)
     scenarios = _own_generator(rng)
-    began = time.perf_counter()
     frozen = getattr(getattr(chosen, "config", None), "design_rate", None) == 0
     elsewhere = callable(getattr(chosen, "of", None))  # designs are measured
     judge = getattr(chosen, "judge", None) or problem
     settling = Settling(judge, scenarios, designing=not (frozen or elsewhere), foreseen=not elsewhere)
-    result = chosen.run(problem, np.asarray(first), rng, progress=progress)
-    seconds = time.perf_counter() - began
-    result = settling.checked(result)
-    other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
-    if other is not None:
+    lines = progress and not sys.stderr.isatty()
+    with telling(partial(print, file=sys.stderr, flush=True) if lines else None, "co-design"):
         began = time.perf_counter()
-        ahead = [one for one in result.baselines if one.gain.ci95[0] > 0]
-        start = max(ahead, key=lambda one: one.gain.mean).design if ahead else result.design
-        further = other.run(problem, np.asarray(start), rng, progress=progress)
-        seconds += time.perf_counter() - began
-        result = settling.continued(result, settling.checked(further))
+        result = chosen.run(problem, np.asarray(first), rng, progress=progress and not lines)
+        seconds = time.perf_counter() - began
+        result = settling.checked(result)
+        other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
+        if other is not None:
+            began = time.perf_counter()
+            ahead = [one for one in result.baselines if one.gain.ci95[0] > 0]
+            start = max(ahead, key=lambda one: one.gain.mean).design if ahead else result.design
+            further = other.run(problem, np.asarray(start), rng, progress=progress and not lines)
+            seconds += time.perf_counter() - began
+            result = settling.continued(result, settling.checked(further))
     return replace(
         result, seconds=seconds, controller=behind_filter(problem, result.controller, result.design),
         described=space.describe(result.design), active_bounds=space.active_bounds(result.design),

@@ -32,7 +32,7 @@ from ccdtools.co_design.tolerances import (
 )
 from ccdtools.exceptions import InputError
 from ccdtools.plants.tolerances import EXACT
-from ccdtools.progress import bar
+from ccdtools.progress import at, bar
 
 if TYPE_CHECKING:
     from ccdtools.co_design.limits import LimitsOutcome, StateLimitPenalty
@@ -109,6 +109,7 @@ class DesignCost(ABC):
     def remember(self, p: Array, value: float, std: float = 0.0, lost: float = 0.0, *, samples: int = 1) -> None:
         """Add a row to the history: return and spread at a design (np,), and share of lost runs."""
         count = len(self.rows) + 1
+        at(f"evaluation {count}")
         self.rows.append((count, count * samples, p, value, std, lost))
 
     def differences(self, v: Array, values: Callable[[Array], Array], count: int) -> Array:
@@ -119,9 +120,9 @@ class DesignCost(ABC):
         for i in np.flatnonzero(allowed.free | (allowed.whole & (side != 0))):
             ends = []
             for move in (0.0, -side[i] / allowed.width[i]) if allowed.whole[i] else (COST_STEP, -COST_STEP):
-                at = v.copy()
-                at[i] = np.clip(v[i] + move, 0.0, 1.0)
-                ends.append((at[i], values(at)))
+                moved = v.copy()
+                moved[i] = np.clip(v[i] + move, 0.0, 1.0)
+                ends.append((moved[i], values(moved)))
             (high, above), (low, below) = ends
             slopes[:, i] = (above - below) / (high - low)
         held = allowed.whole & ~np.isfinite(slopes)  # a neighbour without a controller

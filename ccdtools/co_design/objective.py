@@ -11,7 +11,7 @@ from ccdtools.arrays import Array, ArrayField, Immutable
 from ccdtools.co_design.tolerances import PSD
 from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import as_symbolic
-from ccdtools_ground.door import as_array, as_count, as_instance, as_weight
+from ccdtools_ground.door import as_array, as_count, as_instance, as_weight, shown
 
 
 class Weights(NamedTuple):
@@ -175,7 +175,8 @@ class QuadraticObjective(Objective):
                 raise InputError("S", got, "(Q S; Sᵀ R) positive semidefinite")
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({len(self.Q)} states, {len(self.R)} inputs)"
+        weights = {"Q": self.Q, "R": self.R} | ({} if self.S is None else {"S": self.S})
+        return f"{type(self).__name__}({', '.join(f'{name}={_weight_text(W)}' for name, W in weights.items())})"
 
     @property
     def looks_back(self) -> bool:
@@ -237,3 +238,9 @@ def is_semidefinite(H: Array) -> bool:
 def _as_is(weight: Array, like: Any) -> Any:
     """Weight as an array or tensor, like `like`."""
     return weight if isinstance(like, np.ndarray) else like.new_tensor(weight.tolist())
+
+
+def _weight_text(W: Array) -> str:
+    """Diagonal of a weight, or its entries where it has others."""
+    square = W.shape[0] == W.shape[1] and not (W - np.diag(np.diag(W))).any()
+    return shown(np.diag(W) if square else W)

@@ -209,8 +209,8 @@ def compare(
     Parameters
     ----------
     controllers : mapping of name to controller
-        Functions of the state, see `ccdtools.controllers.controllers`, or models with the ``predict`` of
-        Stable-Baselines3 or scikit-learn, in the plant's units: of an agent of a `DesignEnv` its ``controller``.
+        Functions of the state, see `ccdtools.controllers.controllers`, or models with a ``predict`` in the plant's
+        units, as of scikit-learn. Of an agent of Stable-Baselines3, the ``controller`` of its `DesignEnv`.
     scenario : Scenario
     design : (np,) array_like
         Required when the plant has design parameters.

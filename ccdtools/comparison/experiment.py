@@ -18,6 +18,8 @@ from ccdtools.arrays import Array
 from ccdtools.co_design.objective import Objective, as_objective
 from ccdtools.comparison.budgets import PROBES
 from ccdtools.comparison.comparison import step_times
+from ccdtools.comparison.content import content_of
+from ccdtools.comparison.experiment_header import conditions_in_words, described
 from ccdtools.comparison.experiment_record import Cell, Record, digest, read_record, write_record
 from ccdtools.comparison.experiment_table import Experiment
 from ccdtools.comparison.metrics import Metrics, as_metrics, metrics_of
@@ -55,6 +57,7 @@ class Plan:
     output_limits: OutputLimits | None
     metrics: Metrics | None
     folder: Path | None
+    contents: Mapping[str, str]  # of the controllers' functions, where there is a folder
 
     def record(self, task: Task) -> Record:
         """Record of a task, from the folder where it is finished."""
@@ -103,7 +106,9 @@ class Plan:
             place = ", ".join(name for name in at if name)
             return Record(*task, refused=f"{place}: {reason}" if place else reason)
         cells = tuple(self._cell(names, scenarios[names], *found) for names, found in runs.items())
-        return Record(*task, cells, seconds, steps, remark=str(getattr(controller, "remark", "")))
+        return Record(
+            *task, cells, seconds, steps, remark=str(getattr(controller, "remark", "")), about=described(given)
+        )
 
     def _cell(self, names: tuple[str, str], scenario: Scenario, run: Trajectory, times: Array) -> Cell:
         outside = Excursions.from_trajectory(
@@ -130,9 +135,9 @@ class Plan:
         return as_set(self.X.at(p) if isinstance(self.X, DesignLimits) else self.X, "X", scenario.plant.nx)
 
     def _digest(self, task: Task, scenarios: Mapping[tuple[str, str], Scenario]) -> str:
-        """Name of a task and its conditions; the code of the controller is no part of it."""
+        """Name of a task, what makes its controller, and its conditions."""
         p = self.designs[task[1]]
-        parts: list[Any] = [*task, p, self.limit]
+        parts: list[Any] = [*task, self.contents[task[0]], p, self.limit]
         for names, scenario in scenarios.items():
             followed = (getattr(scenario.reference, name, None) for name in ("x", "u"))
             noise = getattr(scenario.output, "noise", None)
@@ -215,7 +220,8 @@ def experiment(
         `Trajectory` → mapping of names, with units, to numbers.
     folder : path, optional
         Where every finished task is kept and found again, after an interruption or with more seeds or controllers. A
-        controller is known by its name: one that was changed needs another name, or another folder. Starts,
+        controller is known by its name and by what its function does, holds and calls of your own code: one that was
+        changed runs anew, and its old numbers stay for when it is changed back. Starts,
         disturbances, noise, references and limits are compared whole; plants, objectives, sensors and metrics by what
         they show in one run without input and in steps by chance.
     jobs : int
@@ -248,13 +254,18 @@ def experiment(
     plan = Plan(
         made, _as_scenarios(scenarios), _as_designs(designs), _as_plants(plants), objective, X, limit,
         output_limits, metrics, None if folder is None else _as_folder(folder),
+        {} if folder is None else {name: content_of(maker) for name, maker in made.items()},
     )  # fmt: skip
     numbers = as_seeds(seeds)
     _check(plan, numbers[0])
     tasks = [(name, design, seed) for seed in numbers for design in plan.designs for name in made]
     names = [f"{name}, seed {seed}" for name, _, seed in tasks]
     found = as_they_end(plan.record, tasks, jobs=as_jobs(jobs), label="tasks", names=names, progress=progress)
-    return Experiment(tuple(found), base, _fresh(plan, numbers), limits_in_words(output_limits))
+    records = tuple(found)
+    first, p = plan.conditions(numbers[0]), next(iter(plan.designs.values()))
+    sets = [plan.limits_at(scenario, p) for scenario in first.values()]
+    told = conditions_in_words(first, plan.designs, objective, sets, numbers)
+    return Experiment(records, base, _fresh(plan, numbers), limits_in_words(output_limits), told)
 
 
 def _fresh(plan: Plan, seeds: Sequence[int]) -> frozenset[str]:

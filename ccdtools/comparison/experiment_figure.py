@@ -47,13 +47,16 @@ def plot_experiment(experiment: Any, figure: Any = None) -> Any:
 
 
 def page(experiment: Any) -> str:
-    """Page in HTML with verdicts, table, notes and figure."""
+    """Page in HTML of what was compared, with verdicts, figure, table and notes."""
     verdicts = "".join(
         f"<p><b>{escape(', '.join(name for name in kind if name))}</b>: {escape(verdict)}</p>"
         for kind, verdict in experiment.verdicts.items()
     )
     picture = picture_of(png(plot_experiment(experiment)), "Gains, profiles and times")
-    return page_of(f"Comparison with {experiment.baseline}", f"{verdicts}{picture}{experiment._repr_html_()}")
+    return page_of(
+        f"Comparison with {experiment.baseline}",
+        f"{experiment.header.html}{verdicts}{picture}{experiment._repr_html_()}",
+    )
 
 
 def _plot_gains(ax: Any, cells: list[Compared], colours: dict[str, str], baseline: str) -> None:

@@ -50,6 +50,7 @@ class Record:
     steps: int = 0  # samples of the environment that it was trained on
     refused: str = ""  # why there is no controller; empty where there is one
     remark: str = ""  # what the controller says of itself
+    about: str = ""  # the controller in words
 
 
 def digest(*parts: Any) -> str:

@@ -36,12 +36,22 @@ class Experiment:
         Scenarios that draw runs of their own for each seed.
     limits : str
         What violations are of.
+    conditions : tuple of (what, which, in words)
+        Plants, scenarios, designs, objective, limits and seeds: the head of a page, with the controllers.
     """
 
     records: tuple[Record, ...]
     baseline: str
     fresh: frozenset[str]
     limits: str = "X"
+    conditions: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def header(self) -> Table:
+        """Table of what was compared: conditions, and each controller as made for the first seed."""
+        made = {one.controller: one.about for one in reversed(self.records) if one.about}
+        controllers = (("controller", name, about) for name, about in reversed(made.items()))
+        return Table(("", "", "what was compared"), [*self.conditions, *controllers])
 
     @cached_property
     def cells(self) -> tuple[Compared, ...]:

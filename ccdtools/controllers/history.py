@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from ccdtools.controllers.observed import Observed
 from ccdtools.controllers.policy_code import PolicyCode
 from ccdtools.controllers.signals import Around, needs_of
 from ccdtools.design_limits import DesignLimits
+from ccdtools.estimation.extended import ExtendedKalmanFilter
 from ccdtools.estimation.kalman import KalmanFilter
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_count, as_floats, as_instance
@@ -143,8 +144,16 @@ def load_policy(path: str | Path) -> LearnedPolicy | History | Observed:
         raise CheckpointError(path, f"a {type(agent).__name__} without a design", "a saved policy")
     policy = LearnedPolicy(agent, extra["design"])
     if "filter" in extra:
-        return Observed(policy, KalmanFilter(**extra["filter"]))
+        return Observed(policy, _filter_of(path, extra["filter"]))
     return History(policy, extra["history"]) if "history" in extra else policy
+
+
+def _filter_of(path: str | Path, known: dict[str, Any]) -> KalmanFilter | ExtendedKalmanFilter:
+    """Filter of its plain values."""
+    try:
+        return ExtendedKalmanFilter.from_dict(known) if "expressions" in known else KalmanFilter(**known)
+    except (KeyError, IndexError, TypeError, ValueError, NotImplementedError) as error:
+        raise CheckpointError(path, f"a filter that cannot be read ({error})", "one saved by this version") from None
 
 
 def histories(y: Array, u: Array, length: int) -> Array:

@@ -14,8 +14,7 @@ from ccdtools.controllers.controllers import Controller
 from ccdtools.controllers.learned import LearnedPolicy, saved_with
 from ccdtools.controllers.policy_code import PolicyCode
 from ccdtools.controllers.signals import Around, needs_in_loop, needs_of, opened
-from ccdtools.estimation.belief import Belief
-from ccdtools.estimation.kalman import KalmanFilter
+from ccdtools.estimation.belief import Belief, Filter
 from ccdtools.exceptions import InputError
 from ccdtools_ground.door import as_count, as_floats, as_instance, has_method
 
@@ -110,14 +109,16 @@ class Observed(Around):
         return u[0] if single else u
 
     def to_c(self, folder: str | Path, *, name: str = "policy", scalar: str = "double") -> PolicyCode:
-        """Write a learned policy and its `KalmanFilter` in C99, and report the costs of the policy.
+        """Write a learned policy and its filter in C99, and report the costs of the policy.
 
-        As `History.to_c`; x of `name_law` is the estimate. An output that is not finite leaves none until a reset.
+        As `History.to_c`; x of `name_law` is the estimate. An output that is not finite leaves none until a reset. Of
+        an `ExtendedKalmanFilter`, the code may call functions of math.h.
 
         Raises
         ------
         InputError
-            As `LearnedPolicy.to_c`; or if the controller is no `LearnedPolicy`, or the estimator no `KalmanFilter`.
+            As `LearnedPolicy.to_c`; or if the controller is no `LearnedPolicy`, the estimator neither a `KalmanFilter`
+            nor an `ExtendedKalmanFilter`, or that has an implicit step or outputs by a function in Python.
         """
         policy, known = self._parts()
         return policy.to_c(folder, name=name, scalar=scalar, estimator=known)
@@ -132,15 +133,15 @@ class Observed(Around):
         return policy.to_onnx(path)
 
     def save(self, path: str | Path, **notes: str) -> None:
-        """Save a learned policy, its `KalmanFilter` and notes for `load_policy`; raises as `to_c`."""
+        """Save a learned policy, its filter and notes for `load_policy`; raises as `to_c`."""
         policy, known = self._parts()
         saved_with(policy, path, notes, {"filter": known.to_dict()})
 
-    def _parts(self) -> tuple[LearnedPolicy, KalmanFilter]:
+    def _parts(self) -> tuple[LearnedPolicy, Filter]:
         """Policy and filter that leave Python."""
         policy = as_instance("controller", self.controller, LearnedPolicy, "a LearnedPolicy")
         cure = "The model of another filter stays in Python: save the policy, and put the filter around it again."
-        known = as_instance("estimator", self.estimator, KalmanFilter, "a KalmanFilter", cure)
+        known = as_instance("estimator", self.estimator, Filter, "a KalmanFilter or an ExtendedKalmanFilter", cure)
         if policy.nx != known.nx or policy.nu != known.nu:
             got = f"{known.nx} states and {known.nu} inputs"
             raise InputError("estimator", got, f"{policy.nx} and {policy.nu}, of the policy")

@@ -189,7 +189,7 @@ def write_c(
 
     States are normalised by `centre` and half-`width` (nx,); `action_range` is middle and half-width (nu,) of the
     inputs. With a `length` the states are histories of so many outputs and inputs, and the code remembers them; with an
-    `estimator` they are the estimate of a `KalmanFilter`, which the code has within it.
+    `estimator` they are the estimate of a filter, which the code has within it.
     """
     as_name(name)
     as_scalar(scalar)

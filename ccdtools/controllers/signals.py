@@ -157,10 +157,23 @@ def _predicted(model: Any, deterministic: bool, x: ArrayLike) -> Array:
 
 
 def as_controller(controller: Any) -> Any:
-    """Controller as given, or made from a model with ``predict``."""
+    """Controller as given, or made from a model with ``predict``.
+
+    Raises
+    ------
+    InputError
+        If it is an agent with spaces of its own, whose units only its environment knows.
+    """
     predict = getattr(controller, "predict", None)
     if callable(controller) or not callable(predict):
         return controller
+    if hasattr(controller, "observation_space") and not isinstance(controller, type):
+        cure = (
+            "Of an agent of a DesignEnv that is env.controller(lambda seen: agent.predict(seen, deterministic=True)); "
+            "of one in units of the plant, lambda x: agent.predict(x, deterministic=True)[0]."
+        )
+        got = f"{type(controller).__name__}, an agent in units of its environment"
+        raise InputError("controller", got, "a controller in units of the plant", cure)
     signature = inspect.signature(predict)
     try:
         signature.bind(None)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ccdtools.arrays import Array, Immutable, frozen
 from ccdtools.estimation.tolerances import SINGULAR
 from ccdtools.exceptions import InputError
+from ccdtools.plants.design_space import NO_DESIGN
+from ccdtools.plants.plant import Plant
 from ccdtools_ground.door import as_array, as_count, as_finite, as_floats, as_vector, as_weight
 from mpc.exceptions import NotConvexError
 
@@ -106,6 +109,14 @@ class Filter(Immutable):
         """Outputs (n, ny) at the estimates and slopes ∂h/∂x (ny, nx) or (n, ny, nx)."""
         raise NotImplementedError
 
+    def expressed(self) -> Plant:
+        """Plant of predicted states and outputs."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """Filter as plain values."""
+        raise NotImplementedError
+
     def start(self, n: int) -> Belief:
         """Belief of n runs before the first measurement."""
         return Belief(np.tile(self.x0, (as_count("n", n), 1)), np.tile(self.P0, (n, 1, 1)))
@@ -160,6 +171,12 @@ class Filter(Immutable):
             np.stack(means, axis=1), np.stack(covariances, axis=-3), np.stack(innovations, axis=1),
             np.stack(expected, axis=-3),
         )  # fmt: skip
+
+
+def undisturbed_plant(x: ca.SX, u: ca.SX, dynamics: ca.SX, **options: Any) -> Plant:
+    """Plant without design and disturbance."""
+    none = ca.SX(0, 1)
+    return Plant(x, u, none, none, dynamics, NO_DESIGN, **options)
 
 
 def rows_of(argument: str, value: ArrayLike, belief: Belief, size: int) -> Array:

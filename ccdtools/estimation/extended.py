@@ -12,16 +12,18 @@ import casadi as ca
 import numpy as np
 
 from ccdtools.arrays import Array, ArrayField, frozen
-from ccdtools.estimation.belief import Belief, Filter, as_noise_covariances, as_start
+from ccdtools.estimation.belief import Belief, Filter, as_noise_covariances, as_start, undisturbed_plant
 from ccdtools.estimation.measurement import as_measurement
 from ccdtools.estimation.outputs import Output
 from ccdtools.estimation.steady_state import Detectability, detectability
 from ccdtools.exceptions import InputError
+from ccdtools.plants.casadi_arrays import Vectorised, function_of
 from ccdtools.plants.linear_model import LinearModel
 from ccdtools.plants.plant import Plant
 from ccdtools.plants.sampled_model import SampledModel
 from ccdtools_ground.door import as_instance, as_vector
 
+KNOWN = ("W", "V", "P0", "x0", "c")  # what a file holds beside the expressions
 Transition = Callable[[Array, Array], tuple[Array, Array]]
 
 
@@ -121,6 +123,54 @@ class ExtendedKalmanFilter(Filter):
     def __repr__(self) -> str:
         said = "" if self.detectability is Detectability.SEEN else f", {self.detectability.value}"
         return f"ExtendedKalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {self.model!r}{said})"
+
+    def expressed(self) -> Plant:
+        """Plant of predicted states, without c, and outputs at the design.
+
+        Raises
+        ------
+        InputError
+            If the output is a function in Python, or the step is implicit: neither is an expression.
+        """
+        model, stated = self.model, self.output.output
+        plant = getattr(model, "plant", model)
+        implicit = isinstance(model, SampledModel) and plant.continuous and model.method != "rk4"
+        if implicit or not isinstance(stated, Plant | np.ndarray):
+            got = "an implicit step" if implicit else "outputs by a function in Python"
+            cure = "Such a filter stays in Python: save the policy, and put the filter around it again."
+            raise InputError("estimator", got, "expressions: explicit steps, and a Plant or a matrix as outputs", cure)
+        x, u, p = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu), ca.DM(self.design)
+        y = stated.output(x, u, p) if isinstance(stated, Plant) else ca.DM(stated) @ x
+        timing = {"dt": model.dt, "continuous": False, "outputs": y}
+        if isinstance(model, LinearModel):
+            A, B, _ = model.matrices(self.design)
+            after = ca.DM(A) @ x + ca.DM(B) @ u + ca.DM(model.constant(self.design))
+            return undisturbed_plant(x, u, after, **timing)
+        rates = plant.right_hand_side(x, u, ca.DM.zeros(plant.nw), p)
+        timing |= {"continuous": plant.continuous, "substeps": model.substeps}
+        return undisturbed_plant(x, u, rates, **timing)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Filter as plain values for `from_dict`; raises as `expressed`."""
+        plant = self.expressed()
+        both = ca.Function("both", [plant.x, plant.u], [plant.dynamics, plant.outputs])
+        timing = {"dt": plant.dt, "continuous": plant.continuous, "substeps": plant.substeps}
+        known = {name: getattr(self, name).tolist() for name in KNOWN}
+        return known | {"expressions": Vectorised(both).to_dict(), "timing": timing}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> ExtendedKalmanFilter:
+        """Filter of what `to_dict` gives.
+
+        Raises
+        ------
+        KeyError, IndexError, TypeError, ValueError
+            If they are others.
+        """
+        known = {name: values[name] for name in KNOWN}
+        x, u = (ca.SX.sym(name, size) for name, size in zip("xu", values["expressions"]["arguments"], strict=True))
+        after, y = function_of(values["expressions"])(x, u)
+        return cls(undisturbed_plant(x, u, after, outputs=y, **values["timing"]), **known)
 
     @property
     def nu(self) -> int:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,6 +19,7 @@ from ccdtools.estimation.belief import (
     gain_of,
     propagated_covariance,
     rows_of,
+    undisturbed_plant,
     updated_covariance,
 )
 from ccdtools.estimation.outputs import LINEARISED, output_matrices
@@ -146,6 +148,12 @@ class KalmanFilter(Filter):
     def __repr__(self) -> str:
         kind = "steady" if self.steady else "time-varying"
         return f"KalmanFilter({self.nx} states, {self.nu} inputs, {self.ny} outputs, {kind})"
+
+    def expressed(self) -> Plant:
+        """Discrete plant of predicted states, without c, and outputs."""
+        x, u = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu)
+        after, y = (ca.DM(M) @ x + ca.DM(N) @ u for M, N in ((self.A, self.B), (self.C, self.D)))
+        return undisturbed_plant(x, u, after, dt=1.0, continuous=False, outputs=y + self.y0)
 
     def to_dict(self) -> dict[str, Any]:
         """Filter as plain values, which `KalmanFilter` takes."""

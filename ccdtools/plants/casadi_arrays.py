@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -62,7 +63,6 @@ class Vectorised:
                 "It has operations without an array counterpart.",
             )  # fmt: skip
         self.function = function
-        self._work_size = function.sz_w()
         self.instructions = [self._instruction(k) for k in steps]
 
     def _instruction(self, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
@@ -76,20 +76,49 @@ class Vectorised:
         self, entries: Sequence[Sequence[Any]], operations: Operations, constant: Callable[[float], Any] = float
     ) -> list[list[Any]]:
         """Nonzeros of each output from those of each input; `constant` converts numbers."""
-        work: list[Any] = [0.0] * self._work_size
         out: list[list[Any]] = [[constant(0.0)] * self.function.nnz_out(i) for i in range(self.function.n_out())]
-        for op, inputs, outputs, number in self.instructions:
-            if op == ca.OP_INPUT:
-                work[outputs[0]] = entries[inputs[0]][inputs[1]]
-            elif op == ca.OP_OUTPUT:
-                out[outputs[0]][outputs[1]] = work[inputs[0]]
-            elif op == ca.OP_CONST:
-                work[outputs[0]] = constant(number)
-            elif len(inputs) == 1:
-                work[outputs[0]] = operations[op](work[inputs[0]])
-            else:
-                work[outputs[0]] = operations[op](work[inputs[0]], work[inputs[1]])
+        _carry_out(self.instructions, entries, operations, constant, out)
         return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """Function of columns as plain values, for `function_of`."""
+        names = {getattr(ca, name): name for name in dir(ca) if name.startswith("OP_")}
+        f = self.function
+        return {
+            "arguments": [f.numel_in(i) for i in range(f.n_in())], "values": [f.nnz_out(i) for i in range(f.n_out())],
+            "instructions": [[names[op], *rest] for op, *rest in self.instructions],
+        }  # fmt: skip
+
+    def lines(
+        self, names: Sequence[str], texts: dict[int, str], line: str, constant: Callable[[float], str]
+    ) -> tuple[list[str], list[list[str]]]:
+        """Source text, a line an operation, and names of the outputs.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Each argument's entry, with a place for its number, such as "x[{}]".
+        texts : dict of str
+            Operations, with a place for each operand.
+        line : str
+            An assignment, with places for name and value.
+        constant : callable
+            Text of a number.
+        """
+        entries = [
+            [name.format(j) for j in range(self.function.numel_in(i))]
+            for i, name in zip(range(self.function.n_in()), names)
+        ]
+        written: list[str] = []
+
+        def put(text: str, *operands: str) -> str:
+            """Name of a new line's value."""
+            name = f"v{len(written)}"
+            written.append(line.format(name, text.format(*operands)))
+            return name
+
+        operations: Operations = {op: partial(put, text) for op, text in texts.items()}
+        return written, self.run(entries, operations, lambda number: f"({constant(number)})")
 
     def __call__(self, *arguments: Any) -> Any:
         """Values (..., n_out) at arguments (..., n_i); leading shapes broadcast."""
@@ -117,7 +146,7 @@ class Vectorised:
         """
         runs = next(a.shape[1] for a in arguments if a.ndim == 2)
         out = np.empty((self.function.numel_out(0), runs))
-        room = np.empty((self._work_size, runs))
+        room = np.empty((self.function.sz_w(), runs))
         value: list[Any] = [0.0] * len(room)
         calls: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
         for op, inputs, outputs, number in self.instructions:
@@ -138,6 +167,42 @@ class Vectorised:
                     call(*operands)
 
         return out, run
+
+
+def _carry_out(
+    instructions: Sequence[tuple[int, Sequence[int], Sequence[int], float]], entries: Sequence[Sequence[Any]],
+    operations: Operations, constant: Callable[[float], Any], out: list[list[Any]],
+) -> None:  # fmt: skip
+    """Write the nonzeros of each output to `out`."""
+    work: dict[int, Any] = {}
+    for op, inputs, outputs, number in instructions:
+        if op == ca.OP_INPUT:
+            work[outputs[0]] = entries[inputs[0]][inputs[1]]
+        elif op == ca.OP_OUTPUT:
+            out[outputs[0]][outputs[1]] = work[inputs[0]]
+        elif op == ca.OP_CONST:
+            work[outputs[0]] = constant(number)
+        else:
+            work[outputs[0]] = operations[op](*(work[i] for i in inputs))
+
+
+def function_of(values: dict[str, Any]) -> ca.Function:
+    """Function of columns from its plain values.
+
+    Nothing of a file but arithmetic is carried out.
+
+    Raises
+    ------
+    KeyError, IndexError, TypeError, ValueError
+        If they are not what `Vectorised.to_dict` gives.
+    """
+    instructions = [(getattr(ca, str(name), None), *rest) for name, *rest in values["instructions"]]
+    arguments = [ca.SX.sym(f"v{i}", size) for i, size in enumerate(values["arguments"])]
+    operations: Operations = {op: partial((ca.SX.unary, ca.SX.binary)[len(inputs) - 1], op)
+                              for op, inputs, *_ in instructions if op in KNOWN and inputs}  # fmt: skip
+    out = [[ca.SX(0)] * size for size in values["values"]]
+    _carry_out(instructions, [ca.vertsplit(column) for column in arguments], operations, ca.SX, out)
+    return ca.Function("read", arguments, [ca.vertcat(*entries) for entries in out])
 
 
 def check_sizes(sizes: Sequence[int], arguments: Sequence[Any]) -> None:
@@ -256,6 +321,10 @@ class SymbolicFunction:
     def serialized(self) -> dict[str, str]:
         """Expressions of the function as text, by sizes."""
         return {str(sizes): function.serialize() for sizes, function in self._functions.items()}
+
+    def as_given(self) -> tuple[Any, ...]:
+        """Function as it was given, whatever sizes it was used with."""
+        return self.argument, self.names, self._given or self.serialized()
 
     def __getstate__(self) -> dict[str, Any]:
         given = self._given if isinstance(self._given, ca.Function) or not self._functions else None

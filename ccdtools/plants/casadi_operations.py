@@ -63,21 +63,38 @@ def numpy_operations() -> Operations:
 @cache
 def texts_of_operations() -> dict[int, str]:
     """CasADi operations on numbers, as Python text that Numba compiles."""
-    infix = {
-        ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/", ca.OP_POW: "**", ca.OP_CONSTPOW: "**",
+    table = _texts("{1} if {0} else {2}", "1.0", "0.0")
+    table |= {op: f"np.{name}({{}})" for op, name in _UNARY.items()}
+    table |= {op: f"np.{name}({{}}, {{}})" for op, name in _BINARY.items()}
+    return table | {
+        ca.OP_POW: "{} ** {}", ca.OP_CONSTPOW: "{} ** {}", ca.OP_REMAINDER: "{0} - {1} * np.rint({0} / {1})",
     }  # fmt: skip
+
+
+@cache
+def c_operations(scalar: str) -> dict[int, str]:
+    """CasADi operations on numbers of a type, as C99 text."""
+    suffix = "f" if scalar == "float" else ""
+    names = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
+    names[ca.OP_CONSTPOW] = names[ca.OP_POW]
+    table = _texts("{0} ? {1} : {2}", "1", "0")
+    table |= {op: f"{names[op]}{suffix}({{}})" for op in (*_UNARY, ca.OP_ERF)}
+    table |= {op: f"{names[op]}{suffix}({{}}, {{}})" for op in (*_BINARY, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_REMAINDER)}
+    return table | {ca.OP_SIGN: "(real)(({0} > 0) - ({0} < 0))"}
+
+
+def _texts(chosen: str, one: str, zero: str) -> dict[int, str]:
+    """Arithmetic and logic as text, with a language's choice."""
+    infix = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
     truths = {
         ca.OP_LT: "{} < {}", ca.OP_LE: "{} <= {}", ca.OP_EQ: "{} == {}", ca.OP_NE: "{} != {}", ca.OP_NOT: "{} == 0",
         ca.OP_AND: "({} != 0) & ({} != 0)", ca.OP_OR: "({} != 0) | ({} != 0)",
     }  # fmt: skip
     table = {op: f"{{}} {sign} {{}}" for op, sign in infix.items()}
-    table |= {op: f"1.0 if {test} else 0.0" for op, test in truths.items()}
-    table |= {op: f"np.{name}({{}})" for op, name in _UNARY.items()}
-    table |= {op: f"np.{name}({{}}, {{}})" for op, name in _BINARY.items()}
+    table |= {op: chosen.format(test, one, zero) for op, test in truths.items()}
     return table | {
-        ca.OP_NEG: "-{}", ca.OP_TWICE: "{0} + {0}", ca.OP_SQ: "{0} * {0}", ca.OP_INV: "1.0 / {}", ca.OP_ASSIGN: "{}",
-        ca.OP_LIFT: "{}", ca.OP_REMAINDER: "{0} - {1} * np.rint({0} / {1})",
-        ca.OP_IF_ELSE_ZERO: "{1} if {0} != 0 else 0.0",
+        ca.OP_NEG: "-{}", ca.OP_TWICE: "{0} + {0}", ca.OP_SQ: "{0} * {0}", ca.OP_INV: f"{one} / {{}}",
+        ca.OP_ASSIGN: "{}", ca.OP_LIFT: "{}", ca.OP_IF_ELSE_ZERO: chosen.format("{0} != 0", "{1}", zero),
     }  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -12,7 +12,7 @@ import numpy as np
 from ccdtools.arrays import Array
 from ccdtools.plants.budgets import COMPILED_ROWS, KEPT_SIZES
 from ccdtools.plants.casadi_arrays import Vectorised
-from ccdtools.plants.casadi_operations import Operations, texts_of_operations
+from ccdtools.plants.casadi_operations import texts_of_operations
 from ccdtools.plants.runge_kutta import ExplicitStep, slopes_of
 
 WHOLE_SAMPLE = """
@@ -92,18 +92,8 @@ def _slopes_of(substep: ca.Function) -> Callable[..., None]:
 def _instructions(function: ca.Function) -> tuple[list[str], list[str]]:
     """Lines of a function of (x, u, w, p) or (x, u, w, p, m), and its values in them."""
     names = ["states[k, r, {}]", "u[r * du, {}]", "w[r * dw, {}]", "p[r * dp, {}]", "m[r, {}]"]
-    entries = [[names[i].format(j) for j in range(function.numel_in(i))] for i in range(function.n_in())]
-    lines: list[str] = []
-
-    def put(text: str, *operands: str) -> str:
-        """Name of a new line's value."""
-        name = f"v{len(lines)}"
-        lines.append(f"{name} = {text.format(*operands)}")
-        return name
-
-    operations: Operations = {op: partial(put, text) for op, text in texts_of_operations().items()}
-    values = Vectorised(function).run(entries, operations, constant=lambda number: f"({number!r})")[0]
-    return lines, values
+    lines, values = Vectorised(function).lines(names, texts_of_operations(), "{} = {}", repr)
+    return lines, values[0]
 
 
 def _compiled(text: str, lines: list[str], name: str) -> Callable[..., None]:

@@ -215,14 +215,14 @@ class Plant(Symbolic):
 
         The error per sample is O(dt⁵/substeps⁴).
         """
-        return self._sampled.function
+        return self.explicit_step.function
 
     def stepper(self, p: Array, *, batch: int) -> Callable[[Array, Array, Array], Array]:
         """(x (n, nx), u (n, nu), w (n, nw)) → x⁺ (n, nx) at design `p`."""
-        return self._sampled.at(p)
+        return self.explicit_step.at(p)
 
     @cached_property
-    def _sampled(self) -> ExplicitStep:
+    def explicit_step(self) -> ExplicitStep:
         """`step` on arrays of any number of runs."""
         if not self.continuous:
             return ExplicitStep(self.right_hand_side, 1)

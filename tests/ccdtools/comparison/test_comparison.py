@@ -171,7 +171,7 @@ def test_any_controller_is_the_baseline_and_without_lqr_the_first(illustrative, 
 
 
 class Model:
-    """A model as Stable-Baselines3 hands it over: predict(observation, …, deterministic) → (action, memory)."""
+    """A model whose predict is like that of Stable-Baselines3: (observation, …, deterministic) → (action, memory)."""
 
     def __init__(self, law):
         self.law = law
@@ -184,6 +184,21 @@ class Model:
 def test_a_model_with_predict_is_a_controller(illustrative, controllers, scenario):
     table = scored(illustrative, controllers | {"agent": Model(controllers["LQR"])}, scenario)
     assert table["agent"].summary.mean == pytest.approx(table["LQR"].summary.mean, rel=1e-5)
+
+
+class Agent(Model):
+    """An agent as Stable-Baselines3 hands it over, which knows its spaces."""
+
+    observation_space = action_space = "of an environment"
+
+
+def test_an_agent_in_units_of_its_environment_is_refused_with_the_cure(illustrative, controllers, scenario):
+    agent = Agent(controllers["LQR"])
+    with pytest.raises(InputError, match=r"controller: got Agent, .*units of its environment.*env\.controller\(lambda"):
+        scored(illustrative, controllers | {"agent": agent}, scenario)
+    problem = illustrative.problem()
+    options = {"designs": DESIGN, "objective": problem.objective, "X": problem.X, "seeds": 1}
+    assert "env.controller(lambda" in experiment({"agent": lambda p, rng: agent}, scenario, **options)["agent"].remark
 
 
 class Regression:

@@ -146,11 +146,17 @@ def test_threads_may_share_a_folder(tmp_path):
 
 
 def test_what_is_finished_is_not_computed_again_and_what_changed_is(tmp_path):
-    calls = []
-    laws = {"LQR": lambda design, rng: calls.append(design) or LinearFeedback([[GAIN]])}
+    calls = tmp_path / "calls"  # not a list, which would be part of what the function holds
+
+    def law(design, rng):
+        with calls.open("a") as file:
+            file.write(".")
+        return LinearFeedback([[GAIN]])
+
+    laws = {"LQR": law}
     for options in ({}, {}, {"seeds": 5}, {"objective": QuadraticObjective(Q=[[1.0]], R=[[0.6]])}):
-        found(laws, folder=tmp_path, **options)
-    assert len(calls) == 4 + 0 + 1 + 4
+        found(laws, folder=tmp_path / "kept", **options)
+    assert len(calls.read_text()) == 4 + 0 + 1 + 4
 
 
 @pytest.mark.parametrize("change", [
@@ -353,6 +359,51 @@ def test_designs_and_metrics_have_columns_of_their_own(illustrative):
     assert len(result) == 4
     assert result["gain", "high"].metrics["first input"] == pytest.approx(-0.1 * x0[0].sum())
     assert result.baseline == "zero"
+
+
+def test_a_page_says_what_was_compared(tmp_path):
+    class Law:
+        """A law of the user's own, without a repr."""
+
+        def __call__(self, x):
+            return -0.1 * x
+
+    def own(x):
+        return -0.3 * x
+
+    laws = {"LQR": LAWS["LQR"], "own": lambda p, rng: own, "object": lambda p, rng: Law(),
+            "late": lambda p, rng: Passive(1)}  # fmt: skip
+    start = Scenario(PLANT, [[1.0], [2.0]], np.zeros((2, 15, 1)), output=[[1.0]])
+    plants = {"nominal": PLANT, "faster": plant_from_matrices([[0.5]], [[1.0]], [[1.0]], dt=1.0, continuous=False)}
+    result = found(
+        laws, {"from rest": drawn, "from afar": start}, plants=plants, seeds=[3, 5], folder=tmp_path / "kept"
+    )
+    lines = result.header.lines
+    assert [line[:2] for line in lines] == [
+        ("plant", "nominal"), ("plant", "faster"), ("scenario", "from rest"), ("scenario", "from afar"),
+        ("objective", ""), ("X", ""), ("seeds", ""), *(("controller", name) for name in laws),
+    ]  # fmt: skip
+    words = {line[:2]: line[2] for line in lines}
+    assert words["plant", "faster"] == repr(plants["faster"])
+    assert words["scenario", "from rest"] == "7 runs of 15 steps of 1 s"
+    assert words["scenario", "from afar"].startswith("2 runs of 15 steps of 1 s, Measurement(")
+    assert words["objective", ""] == "QuadraticObjective(Q=[1.0], R=[0.5])"
+    assert words["X", ""] == "[-50.0] to [50.0]"
+    assert words["seeds", ""] == "3, 5"
+    assert "own" in words["controller", "own"]
+    assert "Law object" in words["controller", "object"]
+    assert " at 0x" not in repr(lines)
+    assert found(laws, {"from rest": drawn, "from afar": start}, plants=plants, seeds=[3, 5],
+                 folder=tmp_path / "kept").header == result.header  # fmt: skip
+    result.save(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert page.index("what was compared") < page.index("data:image/png")
+    space = dc_servo()
+    other = Scenario(space, [[0.5, 0.0]], np.zeros((1, 30, space.nw)))
+    gain = {"gain": lambda p, rng: LinearFeedback([[1.0, 0.1]])}
+    given = {"objective": QuadraticObjective(np.eye(2), [[0.1]]), "X": ([-9, -99], [9, 99]), "seeds": 1}
+    told = experiment(gain, other, designs={"middle": space.design.centre}, **given).header.lines
+    assert ("design", "middle", space.design.describe(space.design.centre)) in told
 
 
 def test_rows_are_saved_as_csv_parquet_and_a_page(tmp_path):

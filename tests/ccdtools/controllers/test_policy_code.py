@@ -19,6 +19,7 @@ from ccdtools import (
     LinearFeedback,
     Measurement,
     Plant,
+    discretise,
     load_policy,
     simulate,
 )
@@ -26,7 +27,7 @@ from ccdtools.cli import main
 from ccdtools.controllers import History, Observed, OnnxPolicy
 from ccdtools.estimation import ExtendedKalmanFilter
 from ccdtools.plants import BlackBox
-from learning import ActorCritic, NetworkConfig
+from learning import ActorCritic, CheckpointError, NetworkConfig, load, save
 
 CC = shutil.which("gcc") or shutil.which("clang") or shutil.which("cc")
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
@@ -89,7 +90,7 @@ def compiled(folder, x, scalar, name="policy", driver=None):
     driver = driver or DRIVER % (low, low, *[name.upper()] * 4, low, name.upper())
     (folder / "driver.c").write_text(driver)
     sanitizers = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1"]
-    subprocess.run([CC, *WARNINGS, *sanitizers, f"{name}.c", "driver.c", "-o", "run"], cwd=folder, check=True)
+    subprocess.run([CC, *WARNINGS, *sanitizers, f"{name}.c", "driver.c", "-o", "run", "-lm"], cwd=folder, check=True)
     sent = x.astype(np.float64 if scalar == "double" else np.float32).tobytes()
     rows = subprocess.run(["./run"], input=sent, cwd=folder, check=True, capture_output=True).stdout
     return np.split(np.frombuffer(rows).reshape(len(x), -1), [-1], axis=1)
@@ -175,27 +176,70 @@ def of_estimate(*, steady=False):
     return Observed(of_outputs(n=3, size=2.5).controller, estimator)
 
 
-def closed_loop(law, rng):
+SPACE = DesignSpace(["p"], [0.0], [1.0])
+NOISE = {
+    "W": [0.01, 0.02, 0.01], "V": [[0.01, 0.005], [0.005, 0.04]], "P0": [1.0, 0.5, 2.0], "x0": [0.3, -0.2, 0.1],
+    "c": [-0.03, 0.01, 0.05],
+}  # fmt: skip
+
+
+def nonlinear_plant():
+    """A continuous plant with functions, a choice and a saturation, of one design and one disturbance."""
+    x, u, w, p = (ca.SX.sym(name, n) for name, n in zip("xuwp", (3, NU, 1, 1)))
+    dynamics = ca.vertcat(
+        x[1] + 0.1 * ca.fmin(u[1], 2.5),
+        -ca.sin(x[0]) - p * x[1] * ca.fabs(x[1]) + 3 * u[0] + w,
+        ca.if_else(x[2] > 0, -2 * x[2], -x[2] * ca.exp(-(x[0] ** 2))) + 2 * u[0] + ca.tanh(4 * u[1]) / ca.sqrt(1 + p),
+    )
+    outputs = ca.vertcat(ca.sin(x[0]) + 0.05, ca.atan2(x[1], 2) + 0.2 * u[1])
+    return Plant(x, u, w, p, dynamics, SPACE, dt=0.1, outputs=outputs, substeps=3)
+
+
+def of_extended(kind):
+    """A policy of the estimate of an extended filter, of a plant, its model or a linear one."""
+    plant = model = nonlinear_plant()
+    if kind == "sampled":
+        model = replace(discretise(plant), substeps=2)
+    elif kind == "linear":  # with a constant term
+        model = discretise(replace(plant, dynamics=plant.p * (B @ plant.u - plant.x + 0.1)))
+    estimator = ExtendedKalmanFilter(model, plant, design=[0.5], **NOISE)
+    return Observed(of_outputs(n=3, size=2.5).controller, estimator)
+
+
+def closed_loop(law, rng, plant=None):
     """Outputs and inputs (runs, T, ·) of a loop of three states in which two are measured."""
-    space = DesignSpace(["p"], [0.0], [1.0])
-    plant = BlackBox(lambda x, u, w, p: x @ A.T + u @ B.T, nx=3, nu=NU, dt=0.1, design=space, batched=True)
-    output = Measurement(np.eye(NY, 3), noise=[0.1, 0.2])
+    linear = BlackBox(lambda x, u, w, p: x @ A.T + u @ B.T, nx=3, nu=NU, dt=0.1, design=SPACE, batched=True)
+    output = Measurement(np.eye(NY, 3) if plant is None else plant, noise=[0.1, 0.2])
+    plant = linear if plant is None else plant
     run = simulate(plant, law, x0=rng.normal(size=(4, 3)), steps=250, design=[0.5], output=output, rng=rng)
     return run.outputs, run.inputs
+
+
+def driven(law, y, u):
+    """Inputs (runs, T, nu) of a controller that is told outputs, and the inputs before."""
+    last = np.concatenate([np.zeros_like(u[:, :1]), u[:, :-1]], axis=1)
+    law.reset(len(y))
+    return np.stack([law(y=y[:, k], u_prev=last[:, k]) for k in range(y.shape[1])], axis=1)
 
 
 @needs_compiler
 @pytest.mark.parametrize(("scalar", "tolerance"), [("double", 1e-12), ("float", 1e-6)])
 @pytest.mark.parametrize("before", ["sent + 1 + POLICY_NY", "u"], ids=["as applied", "its own"])
-@pytest.mark.parametrize("kind", ["history", "filter", "steady filter"])
+@pytest.mark.parametrize("kind", ["history", "filter", "steady filter", "plant", "sampled", "linear"])
 def test_the_c_code_of_a_policy_of_outputs_is_the_controller_in_a_closed_loop(
     tmp_path, rng, scalar, tolerance, before, kind
 ):  # fmt: skip
-    law = of_outputs() if kind == "history" else of_estimate(steady=kind == "steady filter")
+    if kind in ("plant", "sampled", "linear"):
+        law, plant = of_extended(kind), nonlinear_plant()
+        tolerance = max(tolerance, 3e-6 * (scalar == "float"))  # its rounding adds up over 250 samples
+    else:
+        law, plant = of_outputs() if kind == "history" else of_estimate(steady=kind == "steady filter"), None
+    first = law
     law.save(tmp_path / "policy.safetensors", origin="a test")
     law = load_policy(tmp_path / "policy.safetensors")
     report = law.to_c(tmp_path, scalar=scalar)
-    y, u = closed_loop(law, rng)
+    y, u = closed_loop(law, rng, plant)
+    np.testing.assert_allclose(u, driven(first, y, u), rtol=0, atol=1e-12)
     last = np.concatenate([np.zeros((4, 1, NU)), u[:, :-1]], axis=1)
     begins = np.zeros((4, 250, 1))
     begins[:, 0] = 1.0
@@ -205,9 +249,7 @@ def test_the_c_code_of_a_policy_of_outputs_is_the_controller_in_a_closed_loop(
     half = np.array([2.0, 1.5])
     expected = u
     if scalar == "float":  # what was measured is rounded before it is sent
-        law.reset(4)
-        rounded = (part.astype(np.float32) for part in (y, last))
-        expected = np.stack([law(y=a, u_prev=b) for a, b in zip(*(np.moveaxis(part, 1, 0) for part in rounded))], 1)
+        expected = driven(law, y.astype(np.float32), u.astype(np.float32))
     np.testing.assert_allclose(found / half, expected.reshape(1000, NU) / half, rtol=0, atol=tolerance)
     assert 0.05 < (np.abs(u - [0.0, 1.5]) >= half).mean() < 0.95
     assert report.flash_bytes < 10_000
@@ -225,19 +267,47 @@ def test_a_history_that_is_not_finite_is_told_until_it_is_over(tmp_path, rng):
     np.testing.assert_allclose(found, np.nan_to_num(expected), atol=1e-12)  # zero is within the limits
 
 
-def test_a_policy_behind_another_filter_does_not_leave_python(tmp_path):
-    known = of_estimate()
-    noise = {"W": known.estimator.W, "V": known.estimator.V, "P0": known.estimator.P0}
-    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
-    model = Plant(x, u, None, None, A @ x + B @ u, DesignSpace([], [], []), dt=0.1, continuous=False)
+class Told:
+    """An estimator that is told the state."""
+
+    nu, ny = NU, 3
+
+    def start(self, n):
+        return None
+
+    predict = update = start
+
+
+def test_a_policy_behind_a_filter_of_no_expressions_does_not_leave_python(tmp_path):
+    known, plant = of_estimate(), nonlinear_plant()
+    stiff = ExtendedKalmanFilter(discretise(plant, method="collocation"), design=[0.5], **NOISE)
+    python = ExtendedKalmanFilter(plant, lambda x: x[:, :NY], design=[0.5], **NOISE)
     for law, argument in (
-        (Observed(known.controller, ExtendedKalmanFilter(model, np.eye(NY, 3), **noise)), "estimator.*filter around"),
+        (Observed(known.controller, stiff), "estimator: got an implicit step.*filter around"),
+        (Observed(known.controller, python), "estimator: got outputs by a function in Python.*filter around"),
+        (Observed(known.controller, Told()), "estimator.*filter around"),
         (Observed(LinearFeedback(np.ones((2, 3))), known.estimator), "controller"),
         (Observed(policy(), known.estimator), "estimator: got 3 states"),
     ):  # fmt: skip
         for leave in (lambda law=law: law.to_c(tmp_path), lambda law=law: law.save(tmp_path / "p.safetensors")):
             with pytest.raises(InputError, match=argument):
                 leave()
+
+
+@pytest.mark.parametrize("change", [
+    lambda known: known.pop("W"), lambda known: known.update(V=[1.0]), lambda known: known["timing"].pop("dt"),
+    lambda known: known["expressions"]["instructions"][5].__setitem__(0, "OP_NEW"),
+    lambda known: known["expressions"]["instructions"].pop(0),
+    lambda known: known["expressions"].update(values=[3]), lambda known: known.update(expressions=None),
+])  # fmt: skip
+def test_a_file_whose_filter_was_changed_is_refused(tmp_path, change):
+    law, path = of_extended("plant"), tmp_path / "policy.safetensors"
+    law.save(path)
+    agent, extra = load(path)
+    change(extra["filter"])
+    save(path, agent, extra)
+    with pytest.raises(CheckpointError, match="filter that cannot be read"):
+        load_policy(path)
 
 
 def test_a_history_of_no_learned_policy_does_not_leave_python(tmp_path):

@@ -5,8 +5,10 @@ import re
 import sys
 import time
 
+import numpy as np
 import pytest
 
+from ccdtools import Nested, Search, codesign
 from ccdtools.progress import at, bar, counted, telling
 
 
@@ -95,3 +97,17 @@ def test_items_are_all_yielded_and_said(monkeypatch):
             while item == 2 and not any("X_fea(p): 2 of 4, after " in line for line in lines):
                 time.sleep(0.005)
     assert found == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("method", ["nested", "search"])
+def test_a_co_design_without_a_terminal_says_in_lines_what_it_is_at(monkeypatch, illustrative, method):
+    monkeypatch.setattr("ccdtools.progress.SECONDS_BETWEEN_LINES", 0.005)
+    kinds = {"nested": Nested("lqr", runs=64, starts=1, evaluations=4), "search": Search(runs=64, evaluations=12)}
+    written = {}
+    for stream, progress in ((io.StringIO(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        codesign(illustrative.problem(), method=kinds[method], rng=np.random.default_rng(0), progress=progress)
+        written[progress] = stream.getvalue()
+    assert re.search(r"^    … evaluation \d+, after \d+ s", written[True], re.MULTILINE)
+    assert "\r" not in written[True]
+    assert not written[False]

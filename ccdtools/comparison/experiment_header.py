@@ -1,0 +1,59 @@
+"""What an experiment compares, in words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ccdtools.arrays import Array
+from ccdtools.scenario import Scenario
+from ccdtools_ground.door import brief, shown
+
+Line = tuple[str, ...]
+
+
+def conditions_in_words(
+    scenarios: Mapping[tuple[str, str], Scenario], designs: Mapping[str, Array], objective: Any, limits: Sequence[Any],
+    seeds: Sequence[int],
+) -> tuple[Line, ...]:  # fmt: skip
+    """Lines (what, which, in words) on plants, scenarios, designs, objective, limits and seeds.
+
+    Parameters
+    ----------
+    scenarios : mapping of (name, name of a plant) to Scenario
+        Those of the first seed.
+    designs : mapping of name to (np,) array
+    objective : QuadraticObjective or CustomObjective
+    limits : sequence
+        The sets X of the scenarios at the first design.
+    seeds : sequence of int
+    """
+    plants = {plant: scenario.plant for (_, plant), scenario in scenarios.items()}
+    runs = {name: scenario for (name, _), scenario in scenarios.items()}
+    space = next(iter(plants.values())).design
+    told = space.describe if space is not None else shown
+    boxes = dict.fromkeys(" to ".join(str(side.tolist()) for side in X.bounding_box()) for X in limits)
+    whole = list(seeds) == list(range(len(seeds)))
+    return (
+        *(("plant", name, described(plant)) for name, plant in plants.items()),
+        *(("scenario", name, _of_scenario(scenario)) for name, scenario in runs.items()),
+        *(("design", name, told(p)) for name, p in designs.items() if len(p)),
+        ("objective", "", described(objective)),
+        *(("X", "", box) for box in boxes),
+        ("seeds", "", f"0 to {len(seeds) - 1}" if whole and len(seeds) > 1 else ", ".join(map(str, seeds))),
+    )  # fmt: skip
+
+
+def described(value: Any) -> str:
+    """Text of an object on one line, without its place in memory."""
+    text = getattr(value, "__qualname__", None) or repr(value)
+    return brief(" ".join(re.sub(r" at 0x[0-9a-f]+", "", text).split()), 240)  # characters
+
+
+def _of_scenario(scenario: Scenario) -> str:
+    """Runs, steps and sensors."""
+    n, dt = len(scenario.x0), scenario.plant.dt
+    sensors = "" if scenario.output is None else f", {described(scenario.output)}"
+    followed = "" if scenario.reference is None else ", with a reference"
+    return f"{n} run{'s'[: n - 1]} of {scenario.steps} steps of {dt:g} s{followed}{sensors}"
