@@ -27,7 +27,8 @@ def plot_trajectory(run: Any, figure: Any = None) -> Any:
     InputError
         If `figure` is given and is none.
     """
-    names = [f"x{i + 1}" for i in range(run.states.shape[2])] + [f"u{i + 1}" for i in range(run.inputs.shape[2])]
+    nx, nu = run.states.shape[2], run.inputs.shape[2]
+    names = run.names or [*(f"x{i + 1}" for i in range(nx)), *(f"u{i + 1}" for i in range(nu))]
     if figure is None:
         import matplotlib.pyplot as plt
 
@@ -37,7 +38,7 @@ def plot_trajectory(run: Any, figure: Any = None) -> Any:
     held = np.concatenate([run.inputs, run.inputs[:, -1:]], axis=1)  # the last input ends with its sample
     signals = np.concatenate([run.states, held], axis=2)[:50]  # more runs are a blot
     for i, (ax, name) in enumerate(zip(axes, names)):
-        style = "steps-post" if name.startswith("u") else "default"
+        style = "steps-post" if i >= nx else "default"
         ax.plot(run.time, signals[:, :, i].T, lw=0.8, alpha=1.0 if len(signals) == 1 else 0.5, drawstyle=style)
         ax.set_ylabel(name)
         ax.grid(alpha=0.3)

@@ -56,8 +56,8 @@ def simulate(
     design : (np,) array_like
         Required when the plant has design parameters; for a `LearnedPolicy`, its own.
     limit : (nx,) array_like, optional
-        Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. By default 1e6,
-        times the largest start of a state where that is more than one.
+        Divergence limit on |x|; a run beyond it, or not finite, is stopped and counted. By default 1e6 times the
+        largest that a state is in any run at the start and in the first nx samples, and at least 1e6.
     reference : Reference, or (nx,) or (T, nx) array_like, optional
         State reference for controllers that track one; `Reference(x, u)` where an input belongs to it.
     output : Measurement, or (ny, nx) array_like, Plant, or callable, optional
@@ -89,13 +89,15 @@ def simulate(
             controller, len(x), plant.nu, disturbances=_record(given, w), recorded=disturbance is not None,
             reference=as_reference(plant, reference), output=sensor,
         )  # fmt: skip
-        return _run(plant, driver, x, w, p, bound, progress)
+        return _run(plant, driver, x, w, p, bound, plant.nx if limit is None else 0, progress)
     except MemoryError:
         raise InputError("steps", f"{steps}, which do not fit into memory", "fewer steps, or fewer runs") from None
 
 
-def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: Array, progress: bool) -> Trajectory:
-    """Trajectories from x (n, nx) under w (n, T, nw)."""
+def _run(
+    plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: Array, first: int, progress: bool
+) -> Trajectory:  # fmt: skip
+    """Trajectories from x (n, nx) under w (n, T, nw); the bound (nx,) grows with the states of the first samples."""
     n, steps = w.shape[:2]
     edge = np.minimum(bound, np.finfo(float).max)
     step = plant.stepper(p, batch=n)
@@ -104,11 +106,14 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
     diverged_at = np.full(n, -1)
     states[:, 0] = x
     running, whole = diverged_at < 0, True
+    own = getattr(plant, "plant", plant)  # of a model, the plant that it was made of
+    names = (*getattr(own, "state_names", ()), *getattr(own, "input_names", ()))
+    names = names if len(names) == plant.nx + plant.nu else ()
 
     def logged(k: int) -> Trajectory:
         """Trajectories of the first k steps."""
         outputs = np.stack(driver.heard[:k], axis=1) if driver.heard else None
-        return Trajectory(states[:, : k + 1], inputs[:, :k], w[:, :k], diverged_at, p, plant.dt, outputs)
+        return Trajectory(states[:, : k + 1], inputs[:, :k], w[:, :k], diverged_at, p, plant.dt, outputs, names)
 
     for k in bar(range(steps), label="simulating", total=steps, progress=progress):
         u = _asked(driver, k, x, plant.nu, running)
@@ -122,6 +127,8 @@ def _run(plant: Simulable, driver: Driver, x: Array, w: Array, p: Array, bound: 
             died = SimulatorError(*error.args)
             died.step, died.kept = k, logged(k) if k else None
             raise died from error
+        if k < first:
+            edge = np.maximum(edge, _beyond(np.where(np.isfinite(x_next), x_next, 0.0)))
         inside = np.abs(x_next) <= edge
         if whole and inside.all():
             x = np.array(x_next)
@@ -196,12 +203,17 @@ def _bound(limit: ArrayLike | None, x: Array) -> Array:
     """Divergence limit (nx,) for runs from x (n, nx)."""
     nx = x.shape[1]
     if limit is None:
-        with np.errstate(over="ignore"):
-            return np.asarray(DIVERGENCE_LIMIT * np.abs(x).max(axis=0, initial=1.0))
+        return _beyond(x)
     bound = as_floats("limit", limit)
     if bound.shape not in ((), (1,), (nx,)) or not (bound > 0).all():
         raise InputError("limit", f"{bound.tolist()} of shape {bound.shape}", f"({nx},) positive numbers")
     return np.broadcast_to(bound, (nx,))
+
+
+def _beyond(x: Array) -> Array:
+    """Divergence limit (nx,) in sizes of states (n, nx)."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.minimum(DIVERGENCE_LIMIT * np.abs(x).max(axis=0, initial=1.0), np.finfo(float).max))
 
 
 def as_reference(plant: Simulable, reference: Reference | ArrayLike | None) -> Reference | None:

@@ -5,7 +5,9 @@ FLAT_ROW = 1e-9  # A width of X along a row, or a term of a row, is none below t
 FURTHER_OUTSIDE = 0.01  # Smaller differences of the peak, in half-widths, or of the part of states outside are ignored.
 FURTHER_OUTSIDE_PART = 0.05  # Differences below this part of the other controller's violation are ignored.
 DIVERGENCE = 1e3  # A run is lost when a state exceeds this many half-widths of X.
-DIVERGENCE_LIMIT = 1e6  # A run has diverged beyond this, in starts or units of x, where neither a limit nor X is given.
+DIVERGENCE_LIMIT = (
+    1e6  # A run has diverged beyond this, in sizes of first states, where neither a limit nor X is given.
+)
 
 # --- statistics ------------------------------------------------------------------------------------------------------
 COSINES = 4  # The variance at frequency zero is estimated from so many frequencies, the degrees of Student's t.

@@ -32,6 +32,8 @@ class Trajectory(Immutable):
         Sampling time [s].
     outputs : (n, T, ny) array, optional
         What sensors told, where the controller listened.
+    names : tuple of str
+        Of states, then inputs, for pictures; x1, …, u1, … by default.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class Trajectory(Immutable):
     design: Array
     dt: float
     outputs: ArrayField = None
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -69,13 +69,13 @@ def sampling_note(plant: Plant, dt: float | None = None, x: Array | None = None)
     nyquist = 0.5 / dt
     if frequency < RESOLVED_SHARE * nyquist:
         return ""
-    wanted = 1 / (10 * frequency)  # ten samples a period, rounded down
-    digit = 10.0 ** math.floor(math.log10(wanted))
+    wanted = 1 / (10 * frequency)  # rounded down to two digits
+    digit = 10.0 ** math.floor(math.log10(wanted) - 1)
     better = math.floor(wanted / digit * (1 + 1e-12)) * digit
     where = f" at {plant.design.describe(design)}" if plant.design.dim else ""
     return (
         f"dt = {dt:g} s samples at most {nyquist:.3g} Hz, but the plant oscillates at {frequency:.3g} Hz"
-        f"{where}: the samples do not show that oscillation as it is. dt = {better:g} s would"
+        f"{where}: the samples do not show that oscillation as it is. dt = {better:g} s has ten samples of a period"
     )
 
 

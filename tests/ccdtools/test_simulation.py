@@ -4,22 +4,26 @@ import sys
 from dataclasses import dataclass
 from types import SimpleNamespace
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
 
 from ccdtools import (
     PID,
+    DesignSpace,
     Gaussian,
     InputError,
     LinearFeedback,
+    Plant,
     QuadraticObjective,
     Trajectory,
+    discretise,
     plant_from_matrices,
     simulate,
 )
 from ccdtools.controllers import Passive
-from ccdtools.plants import LinearModel
+from ccdtools.plants import BlackBox, LinearModel
 from mpc import lqr
 
 SCALAR = control.ss([[0.5]], [[1.0]], [[1.0]], 0, True)
@@ -178,9 +182,17 @@ def test_a_state_that_is_not_finite_is_a_divergence(limit):
     assert np.isfinite(run.states[:, :4]).all()
 
 
-def test_without_a_limit_a_run_beyond_a_million_is_lost():
+def test_without_a_limit_a_run_beyond_a_million_times_its_first_states_is_lost():
     run = simulate(UNSTABLE, LinearFeedback([[0.0]]), x0=[1.0], steps=9)
-    assert run.diverged_at[0] == 6
+    assert run.diverged_at[0] == 7
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e7, 1e150])
+def test_a_push_from_rest_loses_no_run_whatever_the_unit_of_a_state(unit):
+    plant = plant_from_matrices([[0.9, 0.1 / unit], [-0.1 * unit, 0.8]], [[0.0], [unit]], dt=1.0, continuous=False)
+    run = simulate(plant, lambda x: 0 * x[:, :1] + 1, x0=[0.0, 0.0], steps=50)
+    assert not run.diverged.any()
+    assert run.states[0, -1] == pytest.approx([10 / 3, unit * 10 / 3], rel=0.01)
 
 
 def test_from_the_reference_start_a_weak_input_loses_runs_as_known(illustrative):
@@ -303,3 +315,17 @@ def test_a_run_is_not_lost_where_it_starts_whatever_the_unit(unit):
     run = simulate(plant, Passive(1), x0=[[unit], [-unit]], steps=5)
     assert not run.diverged.any()
     np.testing.assert_allclose(run.states[:, -1, 0], np.array([1, -1]) * unit * 0.9**5, rtol=1e-12)
+
+
+def test_a_picture_of_runs_has_the_names_of_the_plant_and_of_nothing_else_numbers():
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")
+    names = {"state_names": ["height [m]", "speed [m/s]"], "input_names": ["force [N]"]}
+    plant = Plant(x, u, None, p, [x[1], u - p * ca.sin(x[0])], DesignSpace(["p"], [1], [2]), dt=0.1, **names)
+    law = LinearFeedback([[0.0, 1.0]])
+    for made in (plant, discretise(plant)):
+        figure = simulate(made, law, x0=[1.0, 0.0], steps=5, design=[1.5]).plot()
+        assert [ax.get_ylabel() for ax in figure.axes] == ["height [m]", "speed [m/s]", "force [N]"]
+        assert [ax.lines[0].get_drawstyle() for ax in figure.axes] == ["default", "default", "steps-post"]
+    box = BlackBox(lambda x, u, w, p: x, nx=2, nu=1, dt=0.1)
+    figure = simulate(box, law, x0=[1.0, 0.0], steps=5).plot()
+    assert [ax.get_ylabel() for ax in figure.axes] == ["x1", "x2", "u1"]
