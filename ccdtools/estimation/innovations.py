@@ -96,3 +96,9 @@ class Innovations:
             found.append(np.asarray(told, dtype=float))
         told = np.concatenate(found, axis=1).reshape(2, 1 + len(theta), -1)
         return told[0, 0], told[1, 0], told[0, 1:].T, told[1, 1:].T
+
+    def normalised(self, theta: Array) -> Array:
+        """Innovations (n, T, ny) in units of their deviations; 0 where a sensor told nothing."""
+        r, s, *_ = self.at(theta)
+        n, steps = self.inputs.shape[:2]
+        return np.asarray((r / np.sqrt(s)).reshape(-1, steps, n).transpose(2, 1, 0))

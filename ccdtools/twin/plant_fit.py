@@ -271,18 +271,26 @@ def fit_plant(
             [part.of_one_step(values[: len(unknown.free)])[0].reshape(-1, len(noises)) for part in found.parts]
         )
         carried = held[len(unknown.free) :] & ((once**2).mean(axis=0) > 1.0)  # whole, and more than rounding
-        status = FitStatus.LASTING if status is FitStatus.SOLVED and (_lasting(left) or carried.any()) else status
+        lasting = _lasting(left) or carried.any()
+    else:
+        lasting = _lasting([part.normalised(values) for part in found.parts], lags=(1, 2, 4, 8))
+    status = FitStatus.LASTING if status is FitStatus.SOLVED and lasting else status
     return PlantFit(names, values, covariance, status, open_, squares / measured, unknown, freedom)
 
 
-def _lasting(runs: Sequence[Array], level: float = 1e-3, size: float = 0.1) -> bool:
-    """Whether errors (n, T, nx), in units of their size, have a mean, or tell the next; not those of rounding."""
+def _lasting(
+    runs: Sequence[Array], lags: Sequence[int] = (1,), level: float = 1e-3, size: float = 0.1
+) -> bool:  # fmt: skip
+    """Whether errors (n, T, m), in units of their size, have a mean, or tell those to come; not those of rounding."""
     e = np.concatenate([run.reshape(-1, run.shape[2]) for run in runs])
-    pairs = np.concatenate([(run[:, 1:] * run[:, :-1]).reshape(-1, run.shape[2]) for run in runs])
     square = np.maximum((e**2).mean(axis=0), 1.0)
-    with np.errstate(all="ignore"):
-        found = np.abs([e.mean(axis=0) / np.sqrt(square), pairs.mean(axis=0) / square])
-    chance = norm.isf(level / found.size / 2) / np.sqrt([[len(e)], [max(len(pairs), 1)]])
+    means, counts = [e.mean(axis=0) / np.sqrt(square)], [len(e)]
+    for lag in lags:
+        pairs = np.concatenate([(run[:, lag:] * run[:, :-lag]).reshape(-1, run.shape[2]) for run in runs])
+        counts.append(max(len(pairs), 1))
+        means.append(pairs.sum(axis=0) / counts[-1] / square)
+    found = np.abs(means)
+    chance = norm.isf(level / found.size / 2) / np.sqrt(counts)[:, None]
     return bool((found > np.maximum(chance, size)).any())
 
 

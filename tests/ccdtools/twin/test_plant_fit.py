@@ -444,6 +444,16 @@ def test_of_states_a_disturbance_that_lasts_is_no_dynamics(carried):
     assert held >= 16  # without a correlation none
 
 
+@pytest.mark.parametrize(("carried", "status"), [(0.0, "SOLVED"), (0.9, "LASTING")])
+def test_of_outputs_a_disturbance_that_lasts_is_told_by_innovations_further_apart(carried, status):
+    problem, unit = stated(), (1 - carried**2) ** 0.5
+    for seed in range(3):
+        drawn = np.random.default_rng(seed).standard_normal((RUNS, STEPS, 1))
+        log = logged(problem, spring(0.8), w=0.3 * lfilter([unit], [1, -carried], drawn, axis=1))
+        found = fit_plant(problem, without_states(log), plant=spring(names=("gain", "mass")))
+        assert found.status.name == status
+
+
 def test_of_states_a_push_that_nothing_states_is_not_known_and_one_that_is_stated_is():
     problem, log = seen(spring(0.5, push=0.3))
     found = fit_plant(problem, log, plant=spring(names=("gain",)))
