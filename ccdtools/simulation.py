@@ -74,6 +74,8 @@ def simulate(
     InputError
         On wrong shapes, a missing design, reference or generator, a policy for another design, a preview longer than
         the record, or a controller that returns the wrong shape or NaN.
+    SimulatorError
+        If the plant stops in mid-run; what was simulated before is `kept` in it.
     """
     plant = as_simulable(plant)
     p = _design(plant, design)
@@ -124,7 +126,7 @@ def _run(
         except InputError as error:
             if not (k or isinstance(error, SimulatorError)):  # of a function that never worked
                 raise
-            died = SimulatorError(*error.args)
+            died = SimulatorError(error.argument, error.got, error.expected, error.cure)
             died.step, died.kept = k, logged(k) if k else None
             raise died from error
         if k < first:

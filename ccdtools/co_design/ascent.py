@@ -165,7 +165,7 @@ class Ascent:
         self.quiet = 0
         self.longer = 1
         self.reach = 1.0  # of the design in a block, in parts of the unit box
-        self.gone = 0.0  # so far from the best design a block has ended
+        self.gone = 0.0  # so far from the best design a climb has ended
         self.step = FINER_STEPS[0]  # of the finite differences, where the design follows them
         self.prices: Prices | None = None  # of leaving X, at the last cost
         self.rows: list[HistoryRow] = []
@@ -203,19 +203,19 @@ class Ascent:
     def block(self, bar: tqdm) -> None:
         """Run one block of iterations from the best iterate, and set the status if it was the last."""
         config = self.task.config
-        before = self.best
+        before, self.gone = self.best, 0.0
         length = min(self.longer * config.block, config.iterations - self.iterations)
         if self.by_differences and self.task.moving:
             self.step = self._differences(self._drawn()).step(self.v)
         if self.task.smooth and before.lost == 0 and not self.limited:
             self._climb(length, bar)
+            self.gone = float((self.v.detach() - self.best.v).abs().max())
         else:  # steps of Adam, and of PPO if used, on fresh scenarios
             for k in range(length):
                 self.iterate(k, length)
                 self._count(bar)
                 if (k + 1) % config.evaluate_every == 0 or k + 1 == length:
                     self._look()
-        self.gone = float((self.v.detach() - self.best.v).abs().max())
         self.agent.load_state_dict(self.best.agent.state_dict())
         with torch.no_grad():
             self.v.copy_(self.best.v)

@@ -34,7 +34,7 @@ class SampleAverage:
     region : DesignRegion, optional
         What the design has to keep: it is set to the nearest point of it.
     reach : float
-        How far every entry of the design may go, in parts of the unit box.
+        How far every entry of z that is the design may go, in parts of the unit box.
 
     Attributes
     ----------

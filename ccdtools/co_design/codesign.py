@@ -117,7 +117,7 @@ def codesign(
     elsewhere = callable(getattr(chosen, "of", None))  # designs are measured
     judge = getattr(chosen, "judge", None) or problem
     settling = Settling(judge, scenarios, designing=not (frozen or elsewhere), foreseen=not elsewhere)
-    lines = progress and not sys.stderr.isatty()
+    lines = progress and not (sys.stderr and sys.stderr.isatty())
     with telling(partial(print, file=sys.stderr, flush=True) if lines else None, "co-design"):
         began = time.perf_counter()
         result = chosen.run(problem, np.asarray(first), rng, progress=progress and not lines)
@@ -126,9 +126,7 @@ def codesign(
         other = chosen.instead(result, problem) if hasattr(chosen, "instead") else None
         if other is not None:
             began = time.perf_counter()
-            ahead = [one for one in result.baselines if one.gain.ci95[0] > 0]
-            start = max(ahead, key=lambda one: one.gain.mean).design if ahead else result.design
-            further = other.run(problem, np.asarray(start), rng, progress=progress and not lines)
+            further = other.run(problem, result.best_known_design, rng, progress=progress and not lines)
             seconds += time.perf_counter() - began
             result = settling.continued(result, settling.checked(further))
     return replace(

@@ -248,6 +248,13 @@ class CoDesignResult(Immutable):
         loop = "" if self.closed_loop is None else f", return {self.closed_loop.summary.mean:.5g}"
         return f"{type(self).__name__}({self.method}: {found}{loop}, {self.history!r})"
 
+    @property
+    def best_known_design(self) -> Array:
+        """Design (np,) of the baseline that is ahead of the result, or its own."""
+        if self.status is not CoDesignStatus.WORSE_THAN_BASELINE:
+            return self.design
+        return np.asarray(max(self.baselines, key=lambda one: one.gain.mean).design)
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a file; JSON has null if not finite."""
         plain: dict[str, Any] = jsonable(self._values())

@@ -63,19 +63,27 @@ class Settling:
         loop = self._loop(result.controller, result.design)
         notes = (*result.notes, *self.problem.notes)
         result = replace(result, closed_loop=loop, notes=notes, limits=self._limits(loop, result.design, result.limits))
-        mean, *_ = of_kept_runs(self.problem.risk, loop.values, loop.lost)
-        size = float(self.problem.made_by_control(mean, result.design))
-        unforeseen = self.foreseen and result.objective - mean > UNFORESEEN * size
+        unforeseen = self._unforeseen(result, loop)
         if result.status is not CoDesignStatus.INFEASIBLE:
             result = _unless_broken(result, loop)
-        if not result.status.settled:
-            return replace(result, notes=(*result.notes, CoDesignStatus.UNFORESEEN.advice)) if unforeseen else result
-        result = replace(result, baselines=tuple(self._baselines(result, loop)))
-        if any(map(_better, result.baselines)):
-            return replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
+        if result.status.settled:
+            result = replace(result, baselines=tuple(self._baselines(result, loop)))
+            if any(map(_better, result.baselines)):
+                result = replace(result, status=CoDesignStatus.WORSE_THAN_BASELINE)
+            elif unforeseen:
+                return replace(result, status=CoDesignStatus.UNFORESEEN)
         if unforeseen:
-            return replace(result, status=CoDesignStatus.UNFORESEEN)
+            result = replace(result, notes=(*result.notes, CoDesignStatus.UNFORESEEN.advice))
+        if not result.status.settled:
+            return result
         return self._policy_checked(result, loop) if _learned(result.controller) else result
+
+    def _unforeseen(self, result: CoDesignResult, loop: ClosedLoopReturns) -> bool:
+        """Whether a method promises more than its closed loop, beyond chance and half of what control costs."""
+        mean, *_ = of_kept_runs(self.problem.risk, loop.values, loop.lost)
+        size = float(self.problem.made_by_control(mean, result.design))
+        promised = self.foreseen and result.objective - mean > UNFORESEEN * size
+        return bool(promised and not result.objective <= loop.summary.ci95[1])
 
     def continued(self, first: CoDesignResult, further: CoDesignResult) -> CoDesignResult:
         """The result that went on from a first one, or the first.

@@ -221,7 +221,8 @@ def experiment(
     folder : path, optional
         Where every finished task is kept and found again, after an interruption or with more seeds or controllers. A
         controller is known by its name and by what its function does, holds and calls of your own code: one that was
-        changed runs anew, and its old numbers stay for when it is changed back. Starts,
+        changed runs anew, and its old numbers stay for when it is changed back. A list or memory of your module that it
+        changes is part of that: it runs anew each time. Starts,
         disturbances, noise, references and limits are compared whole; plants, objectives, sensors and metrics by what
         they show in one run without input and in steps by chance.
     jobs : int

@@ -47,7 +47,10 @@ def conditions_in_words(
 
 def described(value: Any) -> str:
     """Text of an object on one line, without its place in memory."""
-    text = getattr(value, "__qualname__", None) or repr(value)
+    try:
+        text = getattr(value, "__qualname__", None) or repr(value)
+    except Exception:  # of a class of the user's
+        text = type(value).__name__
     return brief(" ".join(re.sub(r" at 0x[0-9a-f]+", "", text).split()), 240)  # characters
 
 

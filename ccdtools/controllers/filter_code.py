@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from ccdtools.exceptions import InputError
 from ccdtools.plants.casadi_arrays import Vectorised
 from ccdtools.plants.casadi_operations import c_operations
 from mpc.explicit.codegen.c_source import real, table
@@ -147,12 +150,20 @@ def filter_fields(estimator: Any, scalar: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _number(value: float, scalar: str) -> str:
+    """C text of a number, which may be infinite."""
+    return real(value, scalar) if math.isfinite(value) else ("-INFINITY" if value < 0 else "INFINITY")
+
+
 def _body(given: list[ca.SX], results: dict[str, ca.SX], scalar: str) -> str:
     """C text that writes expressions in x, u and y to arrays."""
     f = ca.Function("f", given, [ca.vec(ca.densify(value)) for value in results.values()], {"cse": True})
-    lines, values = Vectorised(f, "estimator").lines(
-        ["x[{}]", "u[{}]", "y[{}]"], c_operations(scalar), "const real {} = {};", lambda number: real(number, scalar)
-    )
+    try:
+        lines, values = Vectorised(f, "estimator").lines(
+            ["x[{}]", "u[{}]", "y[{}]"], c_operations(scalar), "const real {} = {};", partial(_number, scalar=scalar)
+        )
+    except KeyError as error:
+        raise InputError("estimator", f"operation {error} of CasADi", "operations that C99 has") from None
     lines += [f"{name}[{i}] = {value};" for name, row in zip(results, values) for i, value in enumerate(row)]
     unused = " ".join(f"(void){name};" for name, _ in zip("xuy", given))
     return "\n".join(f"    {line}" for line in [*lines, unused])

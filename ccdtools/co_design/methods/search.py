@@ -105,7 +105,9 @@ class Search:
         cost = box.cost
         space = box.space
         if not np.isfinite(box.best[1]):
+            last = getattr(cost, "last_error", None)
             got = f"{self.of!r}, which has no return at any of {len(cost.rows)} designs"
+            got += "" if last is None else f"; at the last {last}"
             cure = "LQR and MPC here are those of the tangent at rest; nested LQR tries the secant, too."
             raise InputError("of", got, "a return at some design", cure)
         design = space.settled(box.best_v)
@@ -125,14 +127,15 @@ class GivenCost(DesignCost):
     """Cost by a function of a design (np,) that returns its return."""
 
     of: Callable[[Array], Any]
+    last_error: SimulatorError | None = None
     words = "the given function"
 
     def __call__(self, v: Array) -> tuple[float, Callable[[], Array]]:
         """Cost at a unit-box point, whose slope is not known."""
         try:
             value = self.of(self.problem.design.settled(v))
-        except SimulatorError:
-            value = -np.inf
+        except SimulatorError as error:
+            self.last_error, value = error, -np.inf
         try:
             (number,) = map(float, np.ravel(value))
         except (TypeError, ValueError):

@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 from small_plants import best_design, clone_of, mass
 
-from ccdtools import (
-    CoDesignConfig,
-    CoDesignProblem,
-    CoDesignResult,
-    Learned,
-    Plant,
-    codesign,
-    discretise,
-    saturated_lqr,
-)
+from ccdtools import CoDesignConfig, CoDesignProblem, Learned, Plant, codesign, discretise, saturated_lqr
+from ccdtools.co_design import CoDesignResult
 
 CoDesignStatus = type(CoDesignResult(design=np.zeros(1)).status)
 

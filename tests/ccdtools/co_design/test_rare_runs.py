@@ -10,7 +10,6 @@ from small_plants import best_design, mass
 from ccdtools import (
     CoDesignConfig,
     CoDesignProblem,
-    CoDesignResult,
     CustomObjective,
     DesignSpace,
     FixedStart,
@@ -21,6 +20,7 @@ from ccdtools import (
     discretise,
     saturated_lqr,
 )
+from ccdtools.co_design import CoDesignResult
 
 
 def cliff():
