@@ -68,7 +68,7 @@ def test_what_is_reached_otherwise_than_by_a_name_counts(kind, monkeypatch):
             monkeypatch.setitem(sys.modules, "a_library_of_mine", module)
             return content_of(made("import a_library_of_mine\nmake = lambda p, rng: a_library_of_mine.law", "make"))
         return content_of({
-            "closure of an installed one": lambda: contextlib.contextmanager(lambda: gain),
+            "installed closure": lambda: contextlib.contextmanager(lambda: gain),
             "decorator": lambda: scaled(gain)(np.sum),
             "method": lambda: Law(gain).times,
             "property": lambda: made(PROPERTY.format(gain), "make"),
