@@ -56,9 +56,7 @@ make = lambda p, rng: Law
 """
 
 
-@pytest.mark.parametrize(
-    "kind", ["module", "closure of an installed one", "decorator", "method", "property", "built-in"]
-)
+@pytest.mark.parametrize("kind", ["module", "installed closure", "decorator", "method", "property", "built-in"])
 def test_what_is_reached_otherwise_than_by_a_name_counts(kind, monkeypatch):
     def content(gain):
         """Content of a maker with a number."""
