@@ -19,7 +19,7 @@ def found():
 def test_ppo_goes_on_where_the_gradient_is_blind(found):
     assert found.method == "ppo"
     said = "\n".join(found.describe())
-    assert "pathwise ended with gradient untrusted; ppo went on from there and gained" in said
+    assert "pathwise ended with gradient untrusted; ppo went on and gained" in said
 
 
 def test_the_gains_of_both_add_up(found):
