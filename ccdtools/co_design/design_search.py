@@ -339,6 +339,7 @@ class _Watched:
         self._size = size
         self._left = evaluations
         self._spent = False
+        self._constant = 0.0  # of the first cost, what control does not make
         self._last: tuple[Array, float, Callable[[], Array]] = (np.full(len(v), np.nan), np.inf, lambda: v)
         self.best: tuple[Array, float, Callable[[], Array]] = (v, np.inf, lambda: np.zeros(len(v)))
 
@@ -363,21 +364,27 @@ class _Watched:
                 raise SpentError
             self._left -= 1
             cost, slope = self._cost(v)
+            if np.isinf(self.best[1]) and np.isfinite(cost):
+                self._constant = cost - self._size
             self._last = (v, cost, cache(slope))
             if cost < self.best[1] and self._allowed.violation(v) <= EXACT:
                 self.best = self._last
-        relative = self._last[1] / self._size
-        return compressed(relative) if np.isfinite(relative) else LOST_COST
+        return compressed(self._relative) if np.isfinite(self._relative) else LOST_COST
 
     def slope(self, z: Array) -> Array:
         """Slope of the cost by free entries, zero where there is none."""
         self.value(z)
-        relative = self._last[1] / self._size
+        relative = self._relative
         if not np.isfinite(relative):
             return np.zeros(len(z))
         own = self._last[2]()[self._allowed.free] / self._size
         own = own * (COMPRESS_ABOVE / relative if relative > COMPRESS_ABOVE else 1.0)
         return own if np.isfinite(own).all() else np.zeros(len(z))
+
+    @property
+    def _relative(self) -> float:
+        """Last cost without the constant, by the size."""
+        return (self._last[1] - self._constant) / self._size
 
     def ended(self) -> DesignPoint:
         """Best point, with its slope."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_plants import clone_of, mass, two_valleys
 
-from ccdtools import CoDesignConfig, QuadraticObjective, codesign
+from ccdtools import CoDesignConfig, Nested, QuadraticObjective, codesign
 from ccdtools.co_design.design_gradients import check_gradients
 from ccdtools.co_design.landscape import valleys
 from invariant_sets import Polytope
@@ -45,6 +45,13 @@ def test_a_climb_is_the_same_whatever_every_design_costs(options):
     np.testing.assert_array_equal(dear.history.iteration, plain.history.iteration)
     np.testing.assert_allclose(dear.design, plain.design, rtol=1e-4)
     np.testing.assert_allclose(others, returns, rtol=1e-4)
+
+
+def test_a_search_looks_at_the_same_designs_whatever_every_design_costs():
+    looked = [Nested(starts=1).run(priced(mass(), price), np.array([1.0]), np.random.default_rng(0)).history.design
+              for price in PRICES]  # fmt: skip
+    assert len(looked[0]) == len(looked[1])
+    np.testing.assert_allclose(looked[1], looked[0], rtol=1e-5)
 
 
 @pytest.mark.check
