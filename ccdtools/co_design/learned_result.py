@@ -151,8 +151,9 @@ class LearnedCoDesign(CoDesignResult):
     agent : ActorCritic
     gradients : GradientCheck or None
         Before its first move; None when the design is frozen.
-    policy_gradients : GradientCheck or None
-        Slopes of the policy handed out, along a few random changes of its last layer; None where nothing was settled.
+    policy_gradients, first_policy_gradients : GradientCheck or None
+        Slopes of the policy handed out, and of the first one, along a few random changes of its last layer; None where
+        nothing was settled, or the policy does not follow them.
     gains : dict
         What did the work, in units of the return: "design" is the gain of the first policy from the given design to the
         one found, "policy" the gain of the policy found over the first one there.
@@ -164,6 +165,7 @@ class LearnedCoDesign(CoDesignResult):
     agent: ActorCritic
     gradients: GradientCheck | None = None
     policy_gradients: GradientCheck | None = None
+    first_policy_gradients: GradientCheck | None = None
     gains: dict[str, float] = field(default_factory=dict)
     convergence: Convergence | None = None
     memory: Callable[[LearnedPolicy], Any] | None = None

@@ -21,7 +21,7 @@ from ccdtools.co_design.differentiable_model import episode_at, fewer_runs, scen
 from ccdtools.co_design.environment import EpisodeEnv
 from ccdtools.co_design.imitation import EXPERTS, best_expert, first_policy
 from ccdtools.co_design.landscape import combinations, valleys
-from ccdtools.co_design.learned_result import LearnedCoDesign
+from ccdtools.co_design.learned_result import GradientCheck, LearnedCoDesign
 from ccdtools.co_design.least_depth import warn_of_unavoidable_depth
 from ccdtools.co_design.limits import StateLimitPenalty
 from ccdtools.co_design.loops import lqr_is_expert
@@ -139,8 +139,12 @@ class Learned:
         if self.from_scratch:
             learned = policy_from_scratch(problem, design, rng)
             agents.append((_on_from_scratch(task, learned, design, rng), learned))
+        begun = LearnedPolicy(agent, design)
+        before = _gradients(problem, begun, rng, SETTLING_RUNS // 2) if task.pathwise else None
         ascents = race(agents, start_designs(task, design, found), rng, progress=progress)
-        result = _result(ascents, given, design, found)
+        result = replace(_result(ascents, given, design, found), first_policy_gradients=before)
+        if before is not None and astray(before):
+            result = replace(result, notes=(*result.notes, f"at the first design {astray(before)}"))
         if not problem.hidden:
             return result
         from ccdtools.co_design.output_filter import memory_at
@@ -201,8 +205,15 @@ def _leads(problem: CoDesignProblem, policy: LearnedPolicy, rng: np.random.Gener
     """Whether the gradient of a policy is that of its return."""
     if getattr(problem.model, "jump", False):
         return False
-    drawn = scenario_tensors(problem, fewer_runs(2 * SETTLING_RUNS, problem.steps), copy.deepcopy(rng))
-    return not astray(gradient_of_policy(problem, policy, drawn))
+    return not astray(_gradients(problem, policy, rng, 2 * SETTLING_RUNS))
+
+
+def _gradients(
+    problem: CoDesignProblem, policy: LearnedPolicy, rng: np.random.Generator, runs: int
+) -> GradientCheck:  # fmt: skip
+    """Gradients of a policy beside differences, on fresh scenarios."""
+    drawn = scenario_tensors(problem, fewer_runs(runs, problem.steps), copy.deepcopy(rng))
+    return gradient_of_policy(problem, policy, drawn)
 
 
 def _first_agent(

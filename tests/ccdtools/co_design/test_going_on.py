@@ -1,10 +1,12 @@
 """What goes on where a climb ended behind a baseline: from its design, by what leads there."""
 
+import copy
 from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
 import pytest
+import torch
 from small_plants import best_design, clone_of, mass
 
 from ccdtools import CoDesignConfig, CoDesignProblem, Learned, Plant, codesign, discretise, saturated_lqr
@@ -64,3 +66,17 @@ def test_a_gradient_that_leads_is_followed_on_and_another_gives_way_to_ppo(make,
     further = climb.instead(behind, problem)
     assert (further.by, further.agent) == (by, behind.agent)
     assert Learned(by="ppo").instead(behind, problem) is None
+
+
+@pytest.mark.check
+def test_the_gradient_of_a_policy_is_compared_before_a_climb():
+    problem, agent = mass(), clone_of(mass())
+    bound = copy.deepcopy(agent)
+    torch.nn.init.constant_(bound.mean_network.head.bias, 50.0)  # it does its utmost in all states
+    short = CoDesignConfig(iterations=2, block=2, pathwise_runs=16, evaluation_runs=16, starts=1)
+    rng = np.random.default_rng(0)
+    found, blind = (Learned(agent=one, config=short).run(problem, np.array([1.0]), rng) for one in (agent, bound))
+    assert found.first_policy_gradients.trusted
+    assert not any("at the first design" in note for note in found.notes)
+    assert blind.first_policy_gradients.blind == 1.0
+    assert any("at the first design the policy has no gradient in 100% of the runs" in note for note in blind.notes)
