@@ -6,8 +6,8 @@ Every other state is measured, with noise of a fiftieth of its range. On linear 
 Riccati equations, and the mean and spread of the starts) is the optimum but for the limits; the policy imitates it from
 the last 16 outputs and inputs. On the others LQG is that of the linearisation. The expert sees the state of a pendulum
 held upright from afar (LQR) and of a mass that bounces off a wall (PPO), the policy does not; that of a quarter car
-with a damper between two bounds is the law of its engineers, clipped LQR, behind an extended Kalman filter. Gains are
-in pairs on 2000 fresh runs.
+with a damper between two bounds is the law of its engineers, clipped LQR, behind an extended Kalman filter. Linear
+plants have MPC behind the filter of LQG, too. Gains are in pairs on 2000 fresh runs.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from ccdtools import (
     compare,
     discretise,
     imitate,
+    linear_mpc,
     load_study,
     saturated_lqr,
 )
@@ -164,8 +165,11 @@ def main() -> None:
             start = time.process_time()
             policy = by_ppo(case, asked.ppo, seed) if asked.ppo else imitated(case, expert, rounds, rng)
             seconds = time.process_time() - start
+            others = {"LQG": case.lqg, "policy": policy, "expert": expert}
+            if name in LINEAR:
+                others["MPC"] = Observed(linear_mpc(case.problem, case.design), case.lqg.estimator)
             table = compare(
-                {"LQG": case.lqg, "policy": policy, "expert": expert},
+                others,
                 case.drawn(np.random.default_rng(10**6), 2000), design=case.design, objective=case.problem.objective,
                 X=case.problem.X, limit=case.problem.limit, baseline="LQG",
             )  # fmt: skip
@@ -173,9 +177,10 @@ def main() -> None:
             size = abs(base.summary.mean) / 100
             gain = found.paired_to_lqr
             ends = ", ".join(f"{end / size:+.2f}" for end in gain.ci95)
+            mpc = f"MPC {table['MPC'].paired_to_lqr.mean / size:+.2f} %  " if "MPC" in others else ""
             print(
                 f"{name:13s} seed {seed}  LQG {base.summary.mean:9.3f}  policy {found.summary.mean:9.3f}  "
-                f"{gain.mean / size:+6.2f} % [{ends}]  expert {own.summary.mean:9.3f}  lost {found.diverged:.1%} "
+                f"{gain.mean / size:+6.2f} % [{ends}]  {mpc}expert {own.summary.mean:9.3f}  lost {found.diverged:.1%} "
                 f"({base.diverged:.1%})  "
                 f"{1e6 * found.step_time:3.0f} µs (LQG {1e6 * base.step_time:.0f})  {seconds:.0f} s",
                 flush=True,

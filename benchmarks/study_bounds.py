@@ -1,11 +1,11 @@
-"""What is at best possible at the first designs of the studies `swing_up` and `backlash_servo`, beside LQR and MPC.
+"""What is at best possible at the first designs of studies, beside LQR, MPC or other laws.
 
     python benchmarks/study_bounds.py
 
 The optimum of the pendulum's model is that of dynamic programming over angle, speed and time, on a grid of its own with
-equations of its own. The bound of the real servo is that of plans that know every run's disturbance, by L-BFGS from
-what LQR does: nothing that does not know it returns more, as far as their optima are global. That of the study `wall`
-stands in `mass_and_wall.py`.
+equations of its own. The bounds of the real servo and of the damper's model are those of plans that know every run's
+disturbance, by L-BFGS from what LQR or other laws do: nothing that does not know it returns more, as far as their
+optima are global. That of the study `wall` stands in `mass_and_wall.py`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from ccdtools import saturated_lqr, simulate
+from ccdtools import LinearFeedback, saturated_lqr, simulate
 from ccdtools.co_design.imitation import EXPERTS
 from ccdtools.studies import load_study
 
@@ -83,6 +83,35 @@ def pendulum(runs: int = 200) -> None:
         print(f"  {name} {found.mean():.2f}, beside it {beside.mean():+.2f} %, {few} runs", flush=True)
 
 
+def foreseen(study, plant, x0, w, starts, limit):
+    """Returns (n,) of plans that know each run's disturbance w (n, N, nw), the best of L-BFGS from starts (m, n, N)."""
+    steps, Q, R = w.shape[1], study.weights.Q, study.weights.R
+    u, push = ca.MX.sym("u", 1, steps), ca.MX.sym("w", w.shape[2], steps)
+    x = plant.step.mapaccum(steps)(x0, u, push, ca.repmat(ca.DM(study.p0), 1, steps))
+    total = ca.sum2(ca.sum1(x * (Q @ x))) + R[0, 0] * ca.sumsqr(u)
+    value = ca.Function("value", [u, push], [total, ca.gradient(total, u)])
+
+    def plan(first, k):
+        def cost_of(inputs):
+            worth, slope = value(inputs[None], w[k].T)
+            return float(worth), np.asarray(slope).ravel()
+
+        return -minimize(cost_of, np.clip(first, -limit, limit), jac=True, method="L-BFGS-B",
+                         bounds=[(-limit, limit)] * steps, options={"maxiter": 500, "maxfun": 1000}).fun  # fmt: skip
+
+    return np.array([max(plan(start[k], k) for start in starts) for k in range(len(w))])
+
+
+def beside(name, found, laws):
+    """Print a bound, and how far each law's returns (n,) are below it."""
+    print(f"{name}: with foresight {found.mean():.1f}, {len(found)} runs")
+    for law, rewards in laws.items():
+        gap = 100 * (rewards - found) / abs(found.mean())
+        print(
+            f"  {law} {rewards.mean():.1f}, {gap.mean():+.2f} ± {1.96 * gap.std() / len(gap) ** 0.5:.2f} %", flush=True
+        )
+
+
 def servo(runs: int = 8) -> None:
     """Print the returns on the real plant."""
     study = load_study("backlash_servo")
@@ -91,27 +120,28 @@ def servo(runs: int = 8) -> None:
     lqr = simulate(plant, saturated_lqr(study.problem(), study.p0), x0=study.x0, steps=steps, design=study.p0,
                    disturbance=w)  # fmt: skip
     rewards = study.objective.rewards(lqr.states[:, 1:], lqr.inputs, lqr.states[:, :-1], study.p0).sum(axis=1)
-    u, push = ca.MX.sym("u", 1, steps), ca.MX.sym("w", 1, steps)
-    p = ca.DM(study.p0)
-    x = plant.step.mapaccum(steps)(study.x0, u, push, ca.repmat(p, 1, steps))
-    Q, R = study.weights.Q, study.weights.R
-    total = ca.sum2(ca.sum1(x * (Q @ x))) + R[0, 0] * ca.sumsqr(u)
-    value = ca.Function("value", [u, push], [total, ca.gradient(total, u)])
-    found = []
-    for k in range(runs):
+    beside("backlash_servo", foreseen(study, plant, study.x0, w, [lqr.inputs[..., 0]], 24), {"LQR": rewards})
 
-        def cost_of(inputs, k=k):
-            worth, slope = value(inputs[None], w[k].T)
-            return float(worth), np.asarray(slope).ravel()
 
-        first = np.clip(lqr.inputs[k, :, 0], -24, 24)
-        found.append(-minimize(cost_of, first, jac=True, method="L-BFGS-B", bounds=[(-24, 24)] * steps,
-                               options={"maxiter": 500, "maxfun": 1000}).fun)  # fmt: skip
-    gap = 100 * (np.array(found) - rewards) / abs(np.mean(found))
-    print(f"backlash_servo: with foresight {np.mean(found):.1f}, LQR {rewards.mean():.1f}, {-gap.mean():+.2f} ± "
-          f"{1.96 * gap.std() / runs**0.5:.2f} %, {runs} runs", flush=True)  # fmt: skip
+def damper(runs: int = 16) -> None:
+    """Print the returns on the model without the price of the design, whose halves of the runs are two drivers'."""
+    study = load_study("semi_active_damper")
+    w = study.disturbance.sample(runs, study.steps, np.random.default_rng(0))
+    laws = {"best constant input": None} | {name: law(study.problem(), study.p0) for name, law in study.laws.items()}
+    rewards, starts = {}, []
+    for name, law in laws.items():
+        held = [law] if law else [LinearFeedback(np.zeros((1, 6)), offset=[u]) for u in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+        tried = [simulate(study.model, one, x0=study.x0, steps=study.steps, design=study.p0, disturbance=w)
+                 for one in held]  # fmt: skip
+        found = [study.objective.rewards(one.states[:, 1:], one.inputs, one.states[:, :-1], study.p0).sum(axis=1)
+                 for one in tried]  # fmt: skip
+        best = int(np.argmax([one.mean() for one in found]))
+        rewards[name] = found[best]
+        starts.append(tried[best].inputs[..., 0])
+    beside("semi_active_damper", foreseen(study, study.model, study.x0, w, starts, 1.0), rewards)
 
 
 if __name__ == "__main__":
     servo()
+    damper()
     pendulum()

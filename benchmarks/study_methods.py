@@ -2,11 +2,13 @@
 
     python benchmarks/study_methods.py [--studies wall swing_up] [--without METHOD] [--peer] [--iterations 120]
     python benchmarks/study_methods.py --studies benchmarks/fmu_landing.py --runs 100       the real plant is an FMU
+    python benchmarks/study_methods.py --sensors --studies suspension          beside nested LQG, on measured outputs
 
 Nested methods and two that learn choose the design; nonlinear MPC stands at that of nested LQR. PPO from scratch and
 Stable-Baselines3, which must be installed, learn at the first one, by equal steps. Returns are means of 500 runs of the
 model and of the real plant that no method saw, of 8 where a program is solved in every sample. Differences to nested
-LQR are in pairs, in % of what its control costs, with 95 % intervals.
+LQR are in pairs, in % of what its control costs, with 95 % intervals. With sensors every other state is measured, with
+noise of a fiftieth of its range, and differences are to nested LQG.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -84,24 +87,36 @@ def peer(steps: int) -> Run:
     return run
 
 
-def methods(iterations: int, steps: int, by_peer: bool) -> dict[str, Run]:
-    """Methods by the names of their rows."""
+def methods(iterations: int, steps: int, by_peer: bool, sensors: bool) -> dict[str, Run]:
+    """Methods by the names of their rows, the one that others are held against first."""
     config = cc.CoDesignConfig(iterations=iterations, starts=1)
-    found = {
-        "nested LQR": designed(cc.Nested("lqr")), "nested LQG": designed(cc.Nested("lqg")),
-        "nested MPC": designed(cc.Nested("mpc", runs=FEW, starts=1, evaluations=4)), "nonlinear MPC": planned,
+    learned = {
         "gradient through the model": designed(cc.Learned(config=config)),
-        "PPO from an imitation": designed(cc.Learned(by="ppo", config=config)), "PPO from scratch": cold(steps),
+        "PPO from an imitation": designed(cc.Learned(by="ppo", config=config)),
+    }
+    if sensors:
+        return {"nested LQG": designed(cc.Nested("lqg"))} | learned
+    nested = {
+        "nested LQR": designed(cc.Nested("lqr")),
+        "nested MPC": designed(cc.Nested("mpc", runs=FEW, starts=1, evaluations=4)), "nonlinear MPC": planned,
     }  # fmt: skip
-    return found | ({"Stable-Baselines3": peer(steps)} if by_peer else {})
+    scratch = {"PPO from scratch": cold(steps)} | ({"Stable-Baselines3": peer(steps)} if by_peer else {})
+    return nested | learned | scratch
 
 
-def scenarios(study: cc.Study, runs: int) -> tuple[cc.Scenario, cc.Scenario]:
+def measured(problem: cc.CoDesignProblem) -> cc.CoDesignProblem:
+    """Problem of which every other state is measured, with noise."""
+    C = np.eye(problem.model.nx)[::2]
+    return replace(problem, measurement=cc.Measurement(C, noise=C @ np.ravel(problem.state_scale) / 50))
+
+
+def scenarios(study: cc.Study, problem: cc.CoDesignProblem, runs: int) -> tuple[cc.Scenario, cc.Scenario]:
     """Fresh runs of the model and of the real plant."""
     rng, real = np.random.default_rng(10**6), study.real
-    x0, w = study.problem().scenarios.sample(runs, study.steps, rng)
+    x0, w = problem.scenarios.sample(runs, study.steps, rng)
     driven = real.disturbance.sample(runs, study.steps, rng)
-    return cc.Scenario(study.model, x0, w), cc.Scenario(real.plant, np.tile(real.x0, (runs, 1)), driven)
+    seen = {} if problem.measurement is None else {"output": problem.measurement, "seed": 1}
+    return cc.Scenario(study.model, x0, w, **seen), cc.Scenario(real.plant, np.tile(real.x0, (runs, 1)), driven, **seen)
 
 
 def beside(values: Array, reference: Array, size: float) -> str:
@@ -120,6 +135,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--studies", nargs="+", default=STUDIES, help="names, or files that declare one")
     parser.add_argument("--peer", action="store_true", help="Stable-Baselines3, too")
+    parser.add_argument("--sensors", action="store_true", help="of measured outputs")
     parser.add_argument("--without", nargs="*", default=[], help="methods that are not run")
     parser.add_argument("--iterations", type=int, default=120)
     parser.add_argument("--steps", type=int, default=96_000)
@@ -130,9 +146,10 @@ def main() -> None:
     print("| study | method | design | model | real plant | time | status |\n|---|---|---|---|---|---|---|")
     for name in asked.studies:
         study = cc.load_study(name)
-        problem, places = study.problem(), scenarios(study, asked.runs)
-        first: list[tuple[Array, float]] = []  # returns of nested LQR, and what its control costs
-        for method, run in methods(asked.iterations, asked.steps, asked.peer).items():
+        problem = measured(study.problem()) if asked.sensors else study.problem()
+        places = scenarios(study, problem, asked.runs)
+        first: list[tuple[Array, float]] = []  # returns of the first method, and what its control costs
+        for method, run in methods(asked.iterations, asked.steps, asked.peer, asked.sensors).items():
             if method in asked.without:
                 continue
             began = time.process_time()
