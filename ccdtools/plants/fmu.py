@@ -137,7 +137,8 @@ class FmuStep:
             model.instantiate()
         except Exception as error:
             got = f"an FMU that does not load: {' '.join(str(error).split())[:120]}"
-            raise InputError("path", got, f"one with a binary for {fmpy.platform}") from error
+            has = ", ".join(fmpy.supported_platforms(str(self.path))) or "none"
+            raise InputError("path", got, f"one with a binary for {fmpy.platform}; it has {has}") from error
         return model, {}
 
     def begin(self, p: Array) -> None:
