@@ -66,8 +66,8 @@ class DesignEnv(Base):
         self._episodes = _Episodes("DesignEnv", problem, design, 1)
         self.problem = problem
         self.observation_space, self.action_space = self._episodes.spaces()
-        given = {"problem": problem, "design": design}
-        self.spec = EnvSpec("ccdtools/Design-v0", entry_point=DesignEnv, kwargs=given)
+        made: Any = DesignEnv
+        self.spec = EnvSpec("ccdtools/Design-v0", made, kwargs={"problem": problem, "design": design})
 
     @property
     def design(self) -> Array:
