@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from ccdtools.arrays import Array, Immutable
 from ccdtools.exceptions import CCDError, InputError
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.own_process import OwnProcess
 from ccdtools_ground.door import as_count, as_flag, as_floats, as_instance, as_positive, as_vector, shown
+from ccdtools_ground.own_process import OwnProcess
 from ccdtools_ground.user_functions import stopped
 
 

@@ -22,8 +22,8 @@ from ccdtools.exceptions import InputError
 from ccdtools.plants.black_box import BlackBox
 from ccdtools.plants.budgets import EVENT_ROUNDS
 from ccdtools.plants.design_space import NO_DESIGN, DesignSpace
-from ccdtools.plants.own_process import OwnProcess
 from ccdtools_ground.door import as_count, as_instance, as_positive, nearest, shown
+from ccdtools_ground.own_process import OwnProcess
 
 
 def from_fmu(
