@@ -277,8 +277,14 @@ def test_what_cannot_be_an_environment_is_refused():
     with pytest.raises(InputError, match=r"env, write: got .* after one step from one state"):
         pendulum(write=lambda env, x: None)
     gymnasium = pytest.importorskip("gymnasium")
-    with pytest.raises(InputError, match=r"env: got .*box of actions"):
+    with pytest.raises(InputError, match=r"env: got an environment with the actions Discrete\(2\), .*box of actions"):
         from_gymnasium(gymnasium.make("CartPole-v1"), read=lambda env: env.state, write=write, dt=0.02)
+    for missing in ("read", "write"):
+        with pytest.raises(InputError, match=f"{missing}: got nothing, .*whose state cannot be written is no plant"):
+            pendulum(**{missing: None})
+    assert pendulum(dt=None).dt == gymnasium.make("Pendulum-v1").unwrapped.dt
+    with pytest.raises(InputError, match="dt: got nothing"):
+        from_gymnasium(gymnasium.make("MountainCarContinuous-v0"), read=lambda env: env.state, write=write)
 
 
 @pytest.mark.parametrize("read", [
