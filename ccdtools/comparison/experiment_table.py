@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ccdtools.comparison.compared import Compared, compared, weakest
 from ccdtools.comparison.experiment_record import Record
 from ccdtools.evidence.percent import number, share
@@ -189,7 +191,9 @@ class Experiment:
         median, most = (number(1e6 * time, 3) for time in cell.step_time)
         training = f"{number(cell.seconds, 2)} s" + (f", {cell.steps:.3g} samples" if cell.steps > 0 else "")
         base = cell.names[0] == self.baseline
-        against = ("", "") if base else (cell.evidence.percent, share(cell.better.mean))
+        ends = ", ".join(number(100 * end, 2) for end in np.clip(cell.better.ci95, 0.0, 1.0))
+        better = f"{share(cell.better.mean)} [{ends}]"
+        against = ("", "") if base else (cell.evidence.percent, better)
         lost = share(cell.evidence.lost[0] / max(cell.evidence.runs, 1))
         return (
             number(cell.value.mean, 5), f"[{low}, {high}]", number(cell.middle.mean, 5), *against, lost,
